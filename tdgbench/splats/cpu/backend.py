@@ -1,0 +1,226 @@
+"""The `cpu` backend: the Numba kernels behind one torch autograd function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.binning import RECORD, TILE, fill_lists, gather, project_and_list, sort_by_depth
+from tdgbench.splats.cpu.blend import make_blend
+from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
+from tdgbench.splats.cpu.projection import CAMERA_SIZE
+from tdgbench.splats.cpu.projection_backward import make_projection_backward
+
+MAX_CHANNELS = 4
+MAX_SIDE = 32_767  # boxes are int16
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a rendering needs besides tensors that have gradients."""
+
+    camera: np.ndarray  # float32 (24,), see tdgbench.splats.cpu.projection
+    width: int
+    height: int
+    sh_degree: int  # −1: colours as they are
+    depth_channel: bool
+    background: np.ndarray  # float32 (channels,)
+    absgrad: bool
+
+
+@dataclass(frozen=True)
+class _TileLists:
+    """What the forward pass found, and the backward pass needs again."""
+
+    records: np.ndarray  # (N, 16)
+    boxes: np.ndarray  # (N, 4) int16: first and last column, first and last row
+    offsets: np.ndarray  # (N + 1,): a Gaussian's first (tile, Gaussian) pair
+    tile_start: np.ndarray  # (tiles + 1,)
+    gaussian_of: np.ndarray  # (pairs,)
+    slot_of: np.ndarray  # (pairs,)
+
+
+def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.ndarray:
+    """The camera as the float32 array that the kernels read."""
+    view = np.asarray(viewmat, np.float64)
+    K = np.asarray(K, np.float64)
+    packed = np.zeros(CAMERA_SIZE, np.float32)
+    packed[0:12] = view[:3].reshape(-1)
+    packed[12:16] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    packed[16:19] = -view[:3, :3].T @ view[:3, 3]
+    packed[19:24] = near_plane, far_plane, eps2d, width, height
+    return packed
+
+
+def _aligned(rows: int, columns: int) -> np.ndarray:
+    """An uninitialised float32 array whose rows of 16 are whole cache lines."""
+    raw = np.empty(rows * columns + 16, np.float32)
+    start = (-raw.ctypes.data % 64) // 4
+    return raw[start : start + rows * columns].reshape(rows, columns)
+
+
+def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
+    """Project and bin all Gaussians; radii and means2d are written in place."""
+    count = len(parameters[0])
+    chunks = pool.chunks(count, max(1, min(pool.get_threads(), count)))
+    n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
+    records, boxes = _aligned(count, RECORD), np.empty((count, 4), np.int16)
+    offsets = np.empty(count + 1, np.int64)
+    depth_keys, kept = np.empty(count, np.uint32), np.empty(count, np.int32)
+    room = max(4096, 6 * count // len(chunks))
+    while True:
+        tile_of_pair = [np.empty(room, np.int32) for _ in chunks]
+        pairs_per_tile = np.zeros((len(chunks), n_tiles), np.int64)
+        counts = np.zeros((len(chunks), 2), np.int64)
+        pool.run(
+            project_and_list,
+            [
+                (
+                    start, stop, *parameters, settings.sh_degree, settings.camera, settings.depth_channel, records,
+                    boxes, offsets, depth_keys, kept, radii, means2d, tile_of_pair[t], pairs_per_tile[t], counts[t],
+                )
+                for t, (start, stop) in enumerate(chunks)
+            ],
+        )  # fmt: skip
+        if counts[:, 1].max() <= room:
+            break
+        room = int(counts[:, 1].max())
+    kept_base = np.concatenate([[0], np.cumsum(counts[:, 0])])
+    pair_base = np.concatenate([[0], np.cumsum(counts[:, 1])])
+    n_kept, n_pairs = int(kept_base[-1]), int(pair_base[-1])
+    keys, order = np.empty(n_kept, np.uint32), np.empty(n_kept, np.int32)
+    all_tiles = np.empty(n_pairs, np.int32)
+    pool.run(
+        gather,
+        [
+            (
+                start, stop, counts[t, 0], counts[t, 1], kept_base[t], pair_base[t], offsets, depth_keys, kept,
+                tile_of_pair[t], keys, order, all_tiles,
+            )
+            for t, (start, stop) in enumerate(chunks)
+        ],
+    )  # fmt: skip
+    offsets[count] = n_pairs
+    sort_by_depth(keys, order, depth_keys, kept, n_kept)  # the result is in depth_keys, kept
+    tile_start = np.zeros(n_tiles + 1, np.int64)
+    np.cumsum(pairs_per_tile.sum(axis=0), out=tile_start[1:])
+    cursor = tile_start.copy()
+    gaussian_of, slot_of = np.empty(n_pairs, np.int32), np.empty(n_pairs, np.int32)
+    targets = [n_pairs * t // len(chunks) for t in range(1, len(chunks))]
+    cuts = [0, *np.searchsorted(tile_start, targets).tolist(), n_tiles]
+    pool.run(
+        fill_lists,
+        [
+            (cuts[t], cuts[t + 1], n_kept, cursor, kept, offsets, all_tiles, gaussian_of, slot_of)
+            for t in range(len(chunks))
+        ],
+    )
+    return _TileLists(records, boxes, offsets, tile_start, gaussian_of, slot_of)
+
+
+class Rasterize(torch.autograd.Function):
+    """image (H, W, channels), transmittance (H, W) and radii (N,) of one camera.
+
+    `probe` (N, 2) is filled with the image means; its gradient is d loss / d image mean, in pixels.
+    """
+
+    @staticmethod
+    def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
+        parameters = tuple(
+            t.detach().contiguous().numpy() for t in (means, scales, quats, opacities, colors)
+        )
+        count = len(means)
+        radii = np.zeros(count, np.int32)
+        lists = _build_lists(parameters, settings, radii, probe.detach().numpy())
+        channels = len(settings.background)
+        image = np.empty((settings.height, settings.width, channels), np.float32)
+        transmittance = np.empty((settings.height, settings.width), np.float32)
+        reached = np.empty(len(lists.tile_start) - 1, np.int32)
+        counter = np.zeros(1, np.int64)
+        arguments = (
+            counter, settings.width, settings.height, lists.records, lists.boxes, lists.tile_start, lists.gaussian_of,
+            settings.background, image, transmittance, reached,
+        )  # fmt: skip
+        pool.run(make_blend(channels), [arguments] * pool.get_threads())
+        ctx.saved = (parameters, settings, lists, image, transmittance, reached, probe)
+        ctx.set_materialize_grads(False)
+        radii = torch.from_numpy(radii)
+        ctx.mark_non_differentiable(radii)
+        return torch.from_numpy(image), torch.from_numpy(transmittance), radii
+
+    @staticmethod
+    def backward(ctx, grad_image, grad_transmittance, _grad_radii):
+        parameters, settings, lists, image, transmittance, reached, probe = ctx.saved
+        means, scales, quats, opacities, colors = parameters
+        channels, absgrad = len(settings.background), settings.absgrad
+        grad_image = (
+            np.zeros_like(image) if grad_image is None else np.ascontiguousarray(grad_image.numpy())
+        )
+        grad_transmittance = (
+            np.zeros_like(transmittance)
+            if grad_transmittance is None
+            else np.ascontiguousarray(grad_transmittance.numpy())
+        )
+        n_pairs = len(lists.gaussian_of)
+        slots = np.empty(n_pairs * slot_size(channels, absgrad), np.float32)
+        written = np.zeros(n_pairs, np.uint8)
+        arguments = (
+            np.zeros(1, np.int64), settings.width, settings.height, lists.records, lists.boxes, lists.tile_start,
+            lists.gaussian_of, lists.slot_of, image, transmittance, grad_image, grad_transmittance, reached, slots,
+            written,
+        )  # fmt: skip
+        pool.run(make_blend_backward(channels, absgrad), [arguments] * pool.get_threads())
+        grads = [np.zeros_like(p) for p in (means, scales, quats, opacities, colors)]
+        grad_means2d = np.zeros((len(means), 2), np.float32)
+        abs_means2d = np.zeros((len(means) if absgrad else 0, 2), np.float32)
+        pool.run(
+            make_projection_backward(channels, absgrad),
+            [
+                (
+                    start, stop, means, scales, quats, colors, settings.sh_degree, settings.camera,
+                    settings.depth_channel, lists.records, lists.offsets, written, slots, *grads, grad_means2d,
+                    abs_means2d,
+                )
+                for start, stop in pool.chunks(len(means), pool.get_threads())
+            ],
+        )  # fmt: skip
+        if absgrad:
+            probe.absgrad = torch.from_numpy(abs_means2d)
+        g_means, g_scales, g_quats, g_opacities, g_colors = (torch.from_numpy(g) for g in grads)
+        return g_means, g_quats, g_scales, g_opacities, g_colors, torch.from_numpy(grad_means2d), None
+
+
+def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
+              eps2d, sh_degree, background, depth_channel, absgrad):  # fmt: skip
+    """Render one camera; the results are those of `tdgbench.splats.reference.rasterize`."""
+    if colors.dim() == 2:
+        colors = colors[:, None, :]
+    n_colors = colors.shape[-1]
+    channels = n_colors + depth_channel
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise ValueError(
+            f"backend cpu blends 1 to {MAX_CHANNELS} channels (depth is one); {n_colors} colours"
+            f"{' and depth' if depth_channel else ''} were asked for: render them in turns"
+        )
+    if max(width, height) > MAX_SIDE:
+        raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {width}×{height} was asked for")
+    full_background = np.zeros(channels, np.float32)
+    if background is not None:
+        full_background[:n_colors] = background.detach().numpy()
+    settings = Settings(
+        camera=pack_camera(viewmat.detach(), K.detach(), width, height, near_plane, far_plane, eps2d),
+        width=width,
+        height=height,
+        sh_degree=-1 if sh_degree is None else sh_degree,
+        depth_channel=depth_channel,
+        background=full_background,
+        absgrad=absgrad,
+    )
+    probe = torch.zeros(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
+    image, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
+    depths = means.detach() @ viewmat[2, :3].to(means) + viewmat[2, 3].to(means)
+    return image, transmittance, probe, depths, radii

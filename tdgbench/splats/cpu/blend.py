@@ -1,0 +1,162 @@
+"""Alpha blending of a tile, front to back (3DGS, eq. 3), LANES pixels of a row at a time.
+
+    image_c = Σ_k c_k w_k + T background_c,  w_k = alpha_k T_k,  T_{k+1} = T_k (1 − alpha_k)
+
+alpha is capped at 0.99 and skipped below 1/255; a pixel stops before the Gaussian that would take T below 1e-4.
+There is no branch for stopped pixels: their T is kept with its sign bit set, which makes every further weight zero.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numba import int64
+
+from tdgbench.splats.cpu.binning import (
+    A_,
+    B_,
+    C_,
+    CHANNELS,
+    LOG2_MIN_ALPHA,
+    LOG2_OPACITY,
+    TILE,
+    U_,
+    V_,
+)
+from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.simd import (
+    LANES,
+    any_positive,
+    exp2,
+    greater_equal,
+    lane_index,
+    load,
+    maximum,
+    minimum,
+    negative_abs,
+    prefetch_row,
+    select,
+    splat,
+    store,
+    take_next,
+)
+
+F, U = np.float32, np.uint64
+ZERO, HALF, ONE, DEAD = F(0), F(0.5), F(1), F(-0.0)
+MAX_ALPHA, MIN_TRANSMITTANCE = F(0.99), F(1e-4)
+BLOCKS = TILE // LANES  # registers per row of a tile
+LOOK_AHEAD = 4
+CHECK_EVERY = 16
+
+
+@kernel(inline=True)
+def aligned_floats(count):
+    """`count` zeros that begin on a 64-byte boundary."""
+    raw = np.zeros(count + 16, np.float32)
+    return raw[((-raw.ctypes.data) & 63) >> 2 :]
+
+
+@kernel(inline=True)
+def row_alive(pixels, offset, stride):
+    """True while any pixel of a row of the tile still lets light through."""
+    alive = any_positive(load(pixels, offset))
+    if BLOCKS == 2:
+        alive = alive or any_positive(load(pixels, offset + stride))
+    return alive
+
+
+@functools.cache
+def make_blend(channels: int):
+    """The forward kernel for 1 to 4 channels (depth counted as one)."""
+    block = (1 + channels) * LANES  # per register: T, then the channels
+    row = BLOCKS * block
+
+    @kernel()
+    def blend(counter, width, height, records, boxes, tile_start, gaussian_of, background,
+              image, transmittance, reached):  # fmt: skip
+        """Blend tiles until none is left. reached[tile]: how many of its Gaussians were looked at."""
+        tiles_x = (width + TILE - 1) // TILE
+        n_tiles = tile_start.shape[0] - 1
+        pixels = aligned_floats(TILE * row + 2 * TILE)
+        row_b = pixels[TILE * row :]
+        row_c = row_b[TILE:]
+        zero = splat(ZERO)
+        centre = lane_index() + HALF
+        while True:
+            tile = take_next(counter)
+            if tile >= n_tiles:
+                break
+            left = (tile % tiles_x) * TILE
+            top = (tile // tiles_x) * TILE
+            for y in range(TILE):
+                for part in range(BLOCKS):
+                    o = y * row + part * block
+                    for i in range(LANES):
+                        inside = left + part * LANES + i < width and top + y < height
+                        pixels[U(o + i)] = ONE if inside else DEAD
+                    for i in range(LANES, block):
+                        pixels[U(o + i)] = ZERO
+            begin, end = tile_start[tile], tile_start[tile + 1]
+            first_row, last_row = 0, TILE - 1
+            k = begin
+            done = end
+            while k < end:
+                i = U(gaussian_of[U(k)])
+                if k + LOOK_AHEAD < end:
+                    prefetch_row(records, U(gaussian_of[U(k + LOOK_AHEAD)]))
+                y0 = max(int64(boxes[i, 2]) - top, first_row)
+                y1 = min(int64(boxes[i, 3]) - top, last_row)
+                dy0 = F(top) - records[i, V_]
+                for h in range(0, TILE, LANES):
+                    dy = centre + (dy0 + F(h))
+                    store(row_b, h, dy * records[i, B_])
+                    store(row_c, h, dy * dy * records[i, C_])
+                c0 = splat(records[i, CHANNELS])
+                c1 = splat(records[i, CHANNELS + 1])
+                c2 = splat(records[i, CHANNELS + 2])
+                c3 = splat(records[i, CHANNELS + 3])
+                for part in range(BLOCKS):
+                    x = left + part * LANES
+                    if BLOCKS == 2 and (int64(boxes[i, 1]) < x or int64(boxes[i, 0]) >= x + LANES):
+                        continue
+                    dx = centre + (F(x) - records[i, U_])
+                    along_x = dx * dx * records[i, A_] + records[i, LOG2_OPACITY]
+                    for y in range(y0, y1 + 1):
+                        o = y * row + part * block
+                        log2_alpha = dx * row_b[U(y)] + (along_x + row_c[U(y)])
+                        alpha = minimum(exp2(log2_alpha), MAX_ALPHA)
+                        t = load(pixels, o)
+                        t_alive = maximum(t, zero)
+                        weight = select(greater_equal(log2_alpha, LOG2_MIN_ALPHA), alpha * t_alive, zero)
+                        t_next = t_alive - weight
+                        goes_on = greater_equal(t_next, MIN_TRANSMITTANCE)
+                        store(pixels, o, select(goes_on, t_next, negative_abs(t)))
+                        weight = select(goes_on, weight, zero)
+                        store(pixels, o + LANES, load(pixels, o + LANES) + weight * c0)
+                        if channels > 1:
+                            store(pixels, o + 2 * LANES, load(pixels, o + 2 * LANES) + weight * c1)
+                        if channels > 2:
+                            store(pixels, o + 3 * LANES, load(pixels, o + 3 * LANES) + weight * c2)
+                        if channels > 3:
+                            store(pixels, o + 4 * LANES, load(pixels, o + 4 * LANES) + weight * c3)
+                k += 1
+                if (k - begin) % CHECK_EVERY == 0:
+                    while first_row <= last_row and not row_alive(pixels, first_row * row, block):
+                        first_row += 1
+                    while last_row >= first_row and not row_alive(pixels, last_row * row, block):
+                        last_row -= 1
+                    if first_row > last_row:
+                        done = k
+                        break
+            reached[tile] = done - begin
+            for y in range(U(min(TILE, height - top))):
+                for x in range(U(min(TILE, width - left))):
+                    o = y * U(row) + (x // U(LANES)) * U(block) + x % U(LANES)
+                    t_left = abs(pixels[o])
+                    transmittance[U(top) + y, U(left) + x] = t_left
+                    for c in range(U(channels)):
+                        light = pixels[o + U(LANES) * (c + U(1))]
+                        image[U(top) + y, U(left) + x, c] = light + t_left * background[c]
+
+    return blend

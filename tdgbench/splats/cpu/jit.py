@@ -1,0 +1,66 @@
+"""How the CPU kernels are compiled: one decorator, one instruction set, one on-disk cache that never goes stale.
+
+Numba checks only the file in which a kernel stands; a kernel that inlines helpers from another file would keep its
+old machine code when that file changes. The cache folder therefore carries a fingerprint of every file of this room.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba import njit
+
+# Fast-math without reassociation: float sums keep the order in which they are written, so that results do not
+# depend on how the compiler unrolls, and the exp2 rounding trick survives.
+FASTMATH = {"nsz", "arcp", "contract", "afn", "nnan"}
+
+
+def lanes() -> int:
+    """Float lanes of one SIMD register: 16 with AVX-512, else 8 (LLVM splits it on SSE and NEON).
+
+    The environment variable TDGBENCH_LANES (8 or 16) forces a width, for tests.
+    """
+    forced = os.environ.get("TDGBENCH_LANES")
+    if forced is not None:
+        if forced not in ("8", "16"):
+            raise ValueError(f"TDGBENCH_LANES is {forced!r}; it must be 8 or 16")
+        return int(forced)
+    return 16 if llvm.get_host_cpu_features().get("avx512f") else 8
+
+
+def _fingerprint() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_dir() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(home) / "tdgbench" / "numba" / f"{_fingerprint()}-{lanes()}"
+
+
+_CACHE_DIR = str(_cache_dir())
+
+
+def kernel(inline: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function to machine code that runs without the GIL; `inline` for helpers called by kernels."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        options: dict[str, Any] = dict(fastmath=FASTMATH, error_model="numpy", boundscheck=False, nogil=True)
+        if inline:
+            return njit(inline="always", **options)(function)
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = _CACHE_DIR
+        try:
+            return njit(cache=True, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = previous
+
+    return decorate

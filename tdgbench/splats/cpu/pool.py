@@ -1,0 +1,56 @@
+"""The thread pool that runs the kernels: plain Python threads, since the kernels release the GIL.
+
+Work is cut into pieces whose results do not depend on the number of threads, so neither does any result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+_threads: int | None = None
+_pool: tuple[int, int, ThreadPoolExecutor] | None = None  # process id, workers, pool
+
+
+def available_cores() -> int:
+    """The cores this process may run on (cgroup and affinity limits, where the platform tells them)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def get_threads() -> int:
+    """Threads that the CPU kernels use: what `set_threads` chose, else every available core."""
+    return _threads if _threads is not None else available_cores()
+
+
+def set_threads(count: int | None) -> None:
+    """Choose the number of threads of the CPU kernels (None: every available core)."""
+    global _threads
+    if count is not None and count < 1:
+        raise ValueError(f"threads is {count}; it must be 1 or more")
+    _threads = count
+
+
+def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Call `function` once per tuple of arguments, at the same time; the calling thread takes the first."""
+    if len(arguments) == 1:
+        return [function(*arguments[0])]
+    futures = [_executor(len(arguments) - 1).submit(function, *rest) for rest in arguments[1:]]
+    first = function(*arguments[0])
+    return [first, *(future.result() for future in futures)]
+
+
+def chunks(count: int, threads: int) -> list[tuple[int, int]]:
+    """Cut range(count) into `threads` contiguous pieces of nearly equal length."""
+    return [(count * t // threads, count * (t + 1) // threads) for t in range(threads)]
+
+
+def _executor(workers: int) -> ThreadPoolExecutor:
+    """One pool per process (a forked child cannot use its parent's threads), grown when more workers are asked for."""
+    global _pool
+    if _pool is None or _pool[0] != os.getpid() or _pool[1] < workers:
+        _pool = (os.getpid(), workers, ThreadPoolExecutor(workers, thread_name_prefix="tdgbench"))
+    return _pool[2]

@@ -1,0 +1,340 @@
+"""An explicit SIMD float type for Numba: one value is a whole register of LANES float32.
+
+Numba's auto-vectoriser is fragile (a harmless edit can cost a factor of six); an LLVM vector type is not. The same
+source becomes AVX-512, AVX2, SSE or NEON by the host's target. Values of type `vec` mix with float32 scalars in
++, - and *; comparisons give a `mask` that `select` consumes.
+"""
+
+from __future__ import annotations
+
+import operator
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, models, overload, register_model
+
+from tdgbench.splats.cpu.jit import lanes
+
+LANES = lanes()
+
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_INTS = ir.VectorType(ir.IntType(32), LANES)
+_BITS = ir.VectorType(ir.IntType(1), LANES)
+_FAST = ("contract", "nsz", "nnan", "arcp")
+_INDEX = ir.IntType(32)
+
+
+class _VectorType(types.Type):
+    """A register of floats (`vec`) or of booleans (`mask`)."""
+
+    def __init__(self, name: str, llvm_type: ir.VectorType) -> None:
+        super().__init__(name=name)
+        self.llvm_type = llvm_type
+
+
+@register_model(_VectorType)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager, vector_type):
+        super().__init__(manager, vector_type, vector_type.llvm_type)
+
+
+vec = _VectorType("vec", _FLOATS)
+mask = _VectorType("mask", _BITS)
+
+
+def _is_operand(t: types.Type) -> bool:
+    return t in (vec, types.float32)
+
+
+def _broadcast(builder, scalar):
+    empty = ir.Constant(_FLOATS, ir.Undefined)
+    first = builder.insert_element(empty, scalar, _INDEX(0))
+    return builder.shuffle_vector(first, empty, ir.Constant(_INTS, [0] * LANES))
+
+
+def _as_vector(builder, value, value_type):
+    return value if value_type == vec else _broadcast(builder, value)
+
+
+def _constant(value: float) -> ir.Constant:
+    return ir.Constant(_FLOATS, [ir.FloatType()(float(np.float32(value)))] * LANES)
+
+
+def _shuffle(builder, a, b, index):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(index)), index))
+
+
+def _arithmetic(instruction: str):
+    @intrinsic
+    def operation(typing_context, x, y):
+        def generate(context, builder, signature, args):
+            a, b = (_as_vector(builder, v, t) for v, t in zip(args, signature.args, strict=True))
+            return getattr(builder, instruction)(a, b, flags=_FAST)
+
+        if _is_operand(x) and _is_operand(y):
+            return vec(x, y), generate
+        return None
+
+    return operation
+
+
+_add, _sub, _mul = _arithmetic("fadd"), _arithmetic("fsub"), _arithmetic("fmul")
+
+
+def _overload_operator(python_operator, function) -> None:
+    @overload(python_operator)
+    def typed(x, y):
+        if vec in (x, y) and _is_operand(x) and _is_operand(y):
+            return lambda x, y: function(x, y)
+        return None
+
+
+for _operator, _function in (
+    (operator.add, _add),
+    (operator.sub, _sub),
+    (operator.mul, _mul),
+    (operator.iadd, _add),
+    (operator.isub, _sub),
+    (operator.imul, _mul),
+):
+    _overload_operator(_operator, _function)
+
+
+def _comparison(predicate: str):
+    @intrinsic
+    def operation(typing_context, x, y):
+        def generate(context, builder, signature, args):
+            a, b = (_as_vector(builder, v, t) for v, t in zip(args, signature.args, strict=True))
+            return builder.fcmp_ordered(predicate, a, b)
+
+        return mask(x, y), generate
+
+    return operation
+
+
+greater_equal, greater, less_equal = _comparison(">="), _comparison(">"), _comparison("<=")
+
+
+def _extremum(predicate: str):
+    @intrinsic
+    def operation(typing_context, x, y):
+        def generate(context, builder, signature, args):
+            a, b = (_as_vector(builder, v, t) for v, t in zip(args, signature.args, strict=True))
+            return builder.select(builder.fcmp_ordered(predicate, a, b, flags=("nnan", "nsz")), a, b)
+
+        return vec(x, y), generate
+
+    return operation
+
+
+minimum, maximum = _extremum("<"), _extremum(">")
+
+
+@intrinsic
+def both(typing_context, x, y):
+    """Logical and of two masks."""
+    return mask(mask, mask), lambda context, builder, signature, args: builder.and_(*args)
+
+
+@intrinsic
+def select(typing_context, condition, x, y):
+    """Lane by lane: x where the condition holds, else y."""
+
+    def generate(context, builder, signature, args):
+        a = _as_vector(builder, args[1], signature.args[1])
+        b = _as_vector(builder, args[2], signature.args[2])
+        return builder.select(args[0], a, b)
+
+    return vec(mask, x, y), generate
+
+
+@intrinsic
+def negative_abs(typing_context, x):
+    """-|x|, by setting the sign bits (also of zero)."""
+
+    def generate(context, builder, signature, args):
+        bits = builder.or_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [-(2**31)] * LANES))
+        return builder.bitcast(bits, _FLOATS)
+
+    return vec(vec), generate
+
+
+@intrinsic
+def absolute(typing_context, x):
+    """|x|, by clearing the sign bits."""
+
+    def generate(context, builder, signature, args):
+        bits = builder.and_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [2**31 - 1] * LANES))
+        return builder.bitcast(bits, _FLOATS)
+
+    return vec(vec), generate
+
+
+@intrinsic
+def splat(typing_context, x):
+    """All lanes equal to a float32."""
+    return vec(types.float32), lambda context, builder, signature, args: _broadcast(builder, args[0])
+
+
+@intrinsic
+def lane_index(typing_context):
+    """0, 1, 2, … LANES − 1."""
+    ramp = [ir.FloatType()(float(i)) for i in range(LANES)]
+    return vec(), lambda context, builder, signature, args: ir.Constant(_FLOATS, ramp)
+
+
+def _address(context, builder, array_type, array, index):
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), _FLOATS.as_pointer())
+
+
+@intrinsic
+def load(typing_context, array, index):
+    """LANES floats from a 1-D float32 array, at an offset aligned to the register."""
+
+    def generate(context, builder, signature, args):
+        return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=4 * LANES)
+
+    return vec(array, index), generate
+
+
+@intrinsic
+def store(typing_context, array, index, value):
+    """LANES floats into a 1-D float32 array, at an offset aligned to the register."""
+
+    def generate(context, builder, signature, args):
+        target = _address(context, builder, signature.args[0], args[0], args[1])
+        builder.store(args[2], target, align=4 * LANES)
+        return context.get_dummy_value()
+
+    return types.void(array, index, vec), generate
+
+
+@intrinsic
+def exp2(typing_context, x):
+    """2^x to a relative error of 1e-7 for |x| < 126; out of range is garbage that the caller masks.
+
+    Splits x into a whole part, which goes into the exponent bits, and a rest in [-1/2, 1/2], for a minimax polynomial.
+    """
+
+    def generate(context, builder, signature, args):
+        exact = ("contract",)
+        magic = _constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+        shifted = builder.fadd(args[0], magic)
+        exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
+        rest = builder.fsub(args[0], builder.fsub(shifted, magic))
+        result = _constant(0.00132764718)
+        for coefficient in (0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007):
+            product = builder.fmul(result, rest, flags=exact)
+            result = builder.fadd(product, _constant(coefficient), flags=exact)
+        return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), _FLOATS)
+
+    return vec(vec), generate
+
+
+@intrinsic
+def reciprocal(typing_context, x):
+    """1 / x."""
+    flags = ("arcp", "afn", "contract", "nnan", "nsz", "ninf", "reassoc")
+    return vec(vec), lambda context, builder, signature, args: builder.fdiv(_constant(1.0), args[0], flags=flags)
+
+
+@intrinsic
+def any_positive(typing_context, x):
+    """True if any lane is above zero."""
+
+    def generate(context, builder, signature, args):
+        bits = builder.bitcast(builder.fcmp_ordered(">", args[0], _constant(0.0)), ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0))
+
+    return types.boolean(vec), generate
+
+
+@intrinsic
+def lane_sum(typing_context, x):
+    """The sum over the lanes, always in the same order."""
+
+    def generate(context, builder, signature, args):
+        value, width = args[0], LANES // 2
+        while width >= 1:
+            low, high = list(range(width)), list(range(width, 2 * width))
+            value = builder.fadd(_shuffle(builder, value, value, low), _shuffle(builder, value, value, high))
+            width //= 2
+        return builder.extract_element(value, _INDEX(0))
+
+    return types.float32(vec), generate
+
+
+def _sum_tree(builder, vectors):
+    """Lane sums of a power of two of vectors in one vector, and the lane where each ends up."""
+    width, labels = LANES // 2, [[i] * LANES for i in range(len(vectors))]
+    while len(vectors) > 1:
+        low, high = [], []
+        for start in range(0, LANES, 2 * width):
+            for base in (start, LANES + start):
+                low += range(base, base + width)
+                high += range(base + width, base + 2 * width)
+        halves = range(0, len(vectors), 2)
+        labels = [[(labels[i] + labels[i + 1])[k] for k in low] for i in halves]
+        vectors = [
+            builder.fadd(
+                _shuffle(builder, vectors[i], vectors[i + 1], low),
+                _shuffle(builder, vectors[i], vectors[i + 1], high),
+            )
+            for i in halves
+        ]
+        width //= 2
+    total = vectors[0]
+    while width >= 1:
+        total = builder.fadd(total, _shuffle(builder, total, total, [i ^ width for i in range(LANES)]))
+        width //= 2
+    return total, [labels[0].index(i) for i in range(max(labels[0]) + 1)]
+
+
+@intrinsic
+def lane_sums_of_8(typing_context, v0, v1, v2, v3, v4, v5, v6, v7):
+    """The lane sums of eight vectors, in lanes 0 to 7 of the result: one shuffle tree instead of eight."""
+
+    def generate(context, builder, signature, args):
+        total, places = _sum_tree(builder, list(args))
+        return _shuffle(builder, total, total, places + [0] * (LANES - 8))
+
+    return vec(*[vec] * 8), generate
+
+
+@intrinsic
+def take_next(typing_context, counter):
+    """Atomically counter[0]++, returning the old value: hands out work to threads that run without the GIL."""
+
+    def generate(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.IntType(64)(1), "monotonic")
+
+    return types.int64(counter), generate
+
+
+@intrinsic
+def float_bits(typing_context, x):
+    """The bits of a float32 as int32; for positive floats their order is the order of the numbers."""
+    return types.int32(types.float32), lambda context, builder, signature, args: builder.bitcast(
+        args[0], ir.IntType(32)
+    )
+
+
+@intrinsic
+def prefetch_row(typing_context, array, row):
+    """Ask for row `row` (unsigned) of a 2-D array to be brought into the cache."""
+
+    def generate(context, builder, signature, args):
+        struct = context.make_array(signature.args[0])(context, builder, args[0])
+        stride = builder.extract_value(struct.strides, 0)
+        address = builder.add(builder.ptrtoint(struct.data, ir.IntType(64)), builder.mul(args[1], stride))
+        pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
+        name = "llvm.prefetch.p0"
+        signature_ = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
+        function = builder.module.globals.get(name) or ir.Function(builder.module, signature_, name)
+        builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, row), generate

@@ -1,0 +1,51 @@
+"""The first Gaussians: one per point, round, as wide as its neighbours are far (3DGS, `create_from_pcd`)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from tdgbench.splats.gaussians import Gaussians
+from tdgbench.splats.harmonics import num_bases, sh_from_color
+
+INITIAL_OPACITY = 0.1
+MIN_SQUARED_DISTANCE = 1e-7  # 3DGS's floor, for duplicate points
+
+
+def neighbour_distances(points: np.ndarray) -> np.ndarray:
+    """Root mean square distance (N,) of each point to its 3 nearest neighbours, as 3DGS's `distCUDA2` gives it.
+
+    With fewer than 4 points the neighbours that exist are used; a single point gets the floor.
+    """
+    neighbours = min(3, len(points) - 1)
+    if neighbours < 1:
+        return np.full(len(points), MIN_SQUARED_DISTANCE**0.5)
+    distances, _ = KDTree(points).query(points, k=neighbours + 1)
+    return np.sqrt(np.maximum((distances[:, 1:] ** 2).mean(axis=1), MIN_SQUARED_DISTANCE))
+
+
+def gaussians_from_points(points: np.ndarray, colors: np.ndarray, channels: int, sh_degree: int) -> Gaussians:
+    """Gaussians (float32) at points (N, 3) with colours (N, 3) in [0, 1]; gray models take the mean of the three."""
+    if len(points) == 0:
+        raise ValueError("the point cloud is empty; use init=random, or give a COLMAP model with points")
+    if not np.isfinite(points).all():
+        raise ValueError(
+            f"{int((~np.isfinite(points)).any(axis=1).sum())} points of the cloud are not finite"
+        )
+    count = len(points)
+    color = torch.from_numpy(np.ascontiguousarray(colors, np.float32))
+    if channels == 1:
+        color = color.mean(dim=1, keepdim=True)
+    sh = torch.zeros(count, num_bases(sh_degree), channels)
+    sh[:, 0] = sh_from_color(color)
+    distances = torch.from_numpy(neighbour_distances(points).astype(np.float32))
+    quats = torch.zeros(count, 4)
+    quats[:, 0] = 1.0
+    return Gaussians(
+        means=torch.from_numpy(np.ascontiguousarray(points, np.float32)),
+        log_scales=distances.log()[:, None].repeat(1, 3),
+        quats=quats,
+        opacity_logits=torch.full((count,), INITIAL_OPACITY).logit(),
+        sh=sh,
+    )

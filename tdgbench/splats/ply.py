@@ -1,0 +1,81 @@
+"""Gaussians as the PLY file that 3DGS writes and every viewer reads.
+
+Gray models are written as three equal channels; a model read back whose channels are all equal is gray again.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from plyfile import PlyData, PlyElement
+
+from tdgbench.splats.gaussians import Gaussians
+
+
+def _columns(rest: int) -> list[str]:
+    return [
+        *("x", "y", "z", "nx", "ny", "nz"),
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(3 * rest)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+
+
+def save_ply(gaussians: Gaussians, path: Path) -> None:
+    """Write the model; the file appears whole or not at all."""
+    g = gaussians.detach().map(torch.Tensor.cpu)
+    sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
+    columns = [
+        g.means,
+        torch.zeros_like(g.means),
+        sh[:, 0],
+        sh[:, 1:].transpose(1, 2).reshape(len(g), -1),  # channel by channel, as 3DGS does
+        g.opacity_logits[:, None],
+        g.log_scales,
+        g.quats,
+    ]
+    values = torch.cat([c.reshape(len(g), c.shape[1]).float() for c in columns], dim=1).numpy()
+    names = _columns(sh.shape[1] - 1)
+    table = np.zeros(len(g), dtype=[(name, "f4") for name in names])
+    for i, name in enumerate(names):
+        table[name] = values[:, i]
+    part = path.with_name(path.name + ".part")
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(part))
+    os.replace(part, path)
+
+
+def load_ply(path: Path) -> Gaussians:
+    """Read a 3DGS model. Raises ValueError, naming the file, if it is not one."""
+    try:
+        vertex = PlyData.read(str(path))["vertex"]
+        names = {p.name for p in vertex.properties}
+        rest = sum(name.startswith("f_rest_") for name in names) // 3
+        missing = set(_columns(rest)) - names - {"nx", "ny", "nz"}
+        if missing:
+            raise ValueError(f"it has no {', '.join(sorted(missing))}")
+        if round((rest + 1) ** 0.5) ** 2 != rest + 1:
+            raise ValueError(f"{rest} f_rest coefficients per channel are no whole SH degree")
+    except Exception as error:
+        raise ValueError(f"{path} is not a 3DGS model: {error}") from error
+
+    def stack(prefix: str, count: int) -> torch.Tensor:
+        columns = [np.asarray(vertex[f"{prefix}{i}"], np.float32) for i in range(count)]
+        return torch.from_numpy(np.stack(columns, axis=-1)) if count else torch.zeros(len(vertex.data), 0)
+
+    dc = stack("f_dc_", 3)[:, None]
+    sh = torch.cat([dc, stack("f_rest_", 3 * rest).reshape(-1, 3, rest).transpose(1, 2)], dim=1)
+    if len(sh) and bool((sh == sh[..., :1]).all()):
+        sh = sh[..., :1]
+    means = np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=-1)
+    return Gaussians(
+        means=torch.from_numpy(means),
+        log_scales=stack("scale_", 3),
+        quats=stack("rot_", 4),
+        opacity_logits=torch.from_numpy(np.array(vertex["opacity"], np.float32)),
+        sh=sh.contiguous(),
+    )

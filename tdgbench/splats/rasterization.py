@@ -1,0 +1,149 @@
+"""The public face of the splat core: `rasterization`, with gsplat's name, order and shapes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tdgbench.splats import reference
+from tdgbench.splats.cpu import backend as cpu
+from tdgbench.splats.harmonics import num_bases
+
+RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+BACKENDS = ("auto", "reference", "cpu")
+
+
+def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> str:
+    """What `auto` means: float32 on the CPU goes to `cpu`, everything else to the slow but general `reference`."""
+    if backend not in BACKENDS:
+        raise ValueError(f"backend is {backend!r}; it must be one of {', '.join(BACKENDS)}")
+    if backend == "auto":
+        return "cpu" if device.type == "cpu" and dtype == torch.float32 else "reference"
+    if backend == "cpu" and (device.type != "cpu" or dtype != torch.float32):
+        raise ValueError(
+            f"backend cpu takes float32 tensors on the CPU, not {dtype} on {device}; use 'reference'"
+        )
+    return backend
+
+
+def rasterization(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    near_plane: float = 0.2,
+    far_plane: float = 1e10,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    backgrounds: Tensor | None = None,
+    render_mode: str = "RGB",
+    absgrad: bool = False,
+    backend: str = "auto",
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Splat N Gaussians into C cameras.
+
+    Args:
+        means: (N, 3) centres in world coordinates.
+        quats: (N, 4) rotations, wxyz; normalised inside.
+        scales: (N, 3) standard deviations along the axes, > 0.
+        opacities: (N,) in [0, 1].
+        colors: (N, D), or (N, K, D) spherical-harmonics coefficients with `sh_degree`.
+        viewmats: (C, 4, 4) world-to-camera, OpenCV axes (x right, y down, z forward).
+        Ks: (C, 3, 3) pinhole intrinsics in pixels; pixel centres lie at whole numbers + 1/2.
+        near_plane, far_plane: Gaussians whose camera-space z is outside are not drawn.
+        eps2d: added to the diagonal of the image covariance, px².
+        sh_degree: degree of the harmonics to use (0 to 3; at most that of `colors`).
+        backgrounds: (C, D) colour behind the Gaussians; None is black. Depth has no background.
+        render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that divided by alpha),
+            "RGB+D", "RGB+ED" (depth is the last channel).
+        absgrad: also sum the absolute image gradients per Gaussian (AbsGS), left in `meta["means2d"].absgrad`.
+        backend: "auto", "reference" or "cpu".
+
+    Returns:
+        renders (C, H, W, D [+ 1]), alphas (C, H, W, 1) and meta: `means2d` (list of C tensors (N, 2), px; after
+        backward each has `.grad`), `radii` (C, N) in px (0: unseen), `depths` (C, N), `backend`, `width`, `height`.
+
+    Blending constants are 3DGS's: alpha ≤ 0.99, skipped below 1/255, stop at transmittance 1e-4. Results do not
+    depend on tiles. Raises ValueError for shapes or options that do not fit.
+    """
+    _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds)
+    if render_mode not in RENDER_MODES:
+        raise ValueError(f"render_mode is {render_mode!r}; it must be one of {', '.join(RENDER_MODES)}")
+    if not near_plane > 0:
+        raise ValueError(f"near_plane is {near_plane}; it must be above 0")
+    chosen = choose_backend(backend, means.device, means.dtype)
+    only_depth = render_mode in ("D", "ED")
+    depth_channel = render_mode != "RGB"
+    if only_depth:  # depth alone: blend z itself, as a colour that the camera decides
+        colors, sh_degree, backgrounds = colors.new_zeros(len(means), 0), None, None
+
+    options: dict[str, Any] = dict(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree)
+    if chosen == "cpu":
+        options["absgrad"] = absgrad
+    elif absgrad:
+        raise ValueError("backend reference does not compute absgrad; use 'cpu'")
+    rasterize = cpu.rasterize if chosen == "cpu" else reference.rasterize
+    views = []
+    for c in range(len(viewmats)):
+        background = None if backgrounds is None else backgrounds[c]
+        views.append(
+            rasterize(
+                means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height,
+                background=background, depth_channel=depth_channel, **options,
+            )
+        )  # fmt: skip
+    images, transmittances, means2d, depths, radii = zip(*views, strict=True)
+    renders = torch.stack(images) if len(images) > 1 else images[0][None]
+    alphas = 1.0 - (torch.stack(transmittances) if len(images) > 1 else transmittances[0][None])[..., None]
+    if render_mode in ("ED", "RGB+ED"):
+        expected = renders[..., -1:] / alphas.clamp_min(1e-10)
+        renders = torch.cat([renders[..., :-1], expected], dim=-1)
+    meta = {
+        "means2d": list(means2d),
+        "radii": torch.stack(radii),
+        "depths": torch.stack(depths),
+        "backend": chosen,
+        "width": width,
+        "height": height,
+    }
+    return renders, alphas, meta
+
+
+def _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds):
+    """Raise ValueError with the name of the first argument whose shape does not fit."""
+    n = len(means)
+    expected = {
+        "means": (means, (n, 3)),
+        "quats": (quats, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+        "viewmats": (viewmats, (len(viewmats), 4, 4)),
+        "Ks": (Ks, (len(viewmats), 3, 3)),
+    }
+    for name, (tensor, shape) in expected.items():
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}; expected {shape}")
+    if len(viewmats) < 1:
+        raise ValueError("viewmats is empty; give at least one camera")
+    dims = 2 if sh_degree is None else 3
+    if colors.dim() != dims or len(colors) != n:
+        kind = "(N, D)" if sh_degree is None else "(N, K, D) with sh_degree"
+        raise ValueError(f"colors has shape {tuple(colors.shape)}; expected {kind} with N = {n}")
+    if sh_degree is not None and colors.shape[1] < num_bases(sh_degree):
+        raise ValueError(
+            f"colors has {colors.shape[1]} coefficients; sh_degree {sh_degree} needs {num_bases(sh_degree)}"
+        )
+    if backgrounds is not None and tuple(backgrounds.shape) != (len(viewmats), colors.shape[-1]):
+        raise ValueError(
+            f"backgrounds has shape {tuple(backgrounds.shape)}; expected {(len(viewmats), colors.shape[-1])}"
+        )
+    if width < 1 or height < 1:
+        raise ValueError(f"the image is {width}×{height}; both must be 1 or more")
