@@ -1,0 +1,27 @@
+"""What is given: scenes, views, cameras, sparse points; a loader per data set. Imports nothing else of tdgbench."""
+
+from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
+from tdgbench.scenes.layout import ReadOptions
+from tdgbench.scenes.scene import (
+    Camera,
+    MissingScenes,
+    PointCloud,
+    Scene,
+    SceneError,
+    TemperatureRange,
+    View,
+)
+
+__all__ = [
+    "Camera",
+    "Dataset",
+    "FolderDataset",
+    "MissingScenes",
+    "PointCloud",
+    "ReadOptions",
+    "RegisteredDataset",
+    "Scene",
+    "SceneError",
+    "TemperatureRange",
+    "View",
+]

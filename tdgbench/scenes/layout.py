@@ -1,0 +1,165 @@
+"""The RGBT-Scenes folder layout, which every data set here shares.
+
+    <scene>/thermal/[train|test/]<view>.png    rgb/[train|test/]<view>.jpg    sparse/0/    [temperature.json]
+
+Thermal and RGB files belong together by view name, whatever their extensions; poses come from the COLMAP model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.scenes.colmap import Posed, read_model
+from tdgbench.scenes.images import SUFFIXES, Radiometry, is_gray, read_image, read_radiometry, resize
+from tdgbench.scenes.scene import Scene, SceneError, View
+from tdgbench.scenes.splits import split_names
+
+LAYOUT = "<scene>/{rgb,thermal}/[train|test]/<view>.png, <scene>/sparse/0 (COLMAP), [<scene>/temperature.json]"
+ASPECT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How a scene's folder is read.
+
+    width: images are resized to this many pixels (None: as they are). channels: 1, 3, or "auto" (1 where all thermal
+    images are gray). skip_unpaired: leave out posed views without a thermal image instead of stopping.
+    """
+
+    split: str = "eighty_twenty"
+    width: int | None = None
+    channels: int | str = "auto"
+    skip_unpaired: bool = False
+
+
+def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
+    """Images by view name, and where train/ and test/ exist, which of them each came from."""
+    paths: dict[str, Path] = {}
+    shipped: dict[str, str] = {}
+    subfolders = [name for name in ("train", "test") if (folder / name).is_dir()]
+    for sub in subfolders or [""]:
+        for path in sorted((folder / sub).iterdir()):
+            if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
+                continue
+            if path.stem in paths:
+                raise SceneError(f"{path} and {paths[path.stem]} are both view {path.stem}; keep one of them")
+            paths[path.stem] = path
+            if sub:
+                shipped[path.stem] = sub
+    return paths, shipped
+
+
+def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadOptions) -> Scene:
+    """Read one scene's folder. Raises SceneError naming the file or view and what to do."""
+    if not (folder / "thermal").is_dir():
+        raise SceneError(f"{folder} has no thermal/ folder; the layout is {LAYOUT}")
+    thermal, shipped = find_images(folder / "thermal")
+    rgb = find_images(folder / "rgb")[0] if (folder / "rgb").is_dir() else {}
+    model_folder = next((f for f in (folder / "sparse" / "0", folder / "sparse") if f.is_dir()), None)
+    if model_folder is None:
+        raise SceneError(f"{folder} has no COLMAP model in sparse/0; run COLMAP on its RGB images first")
+    posed, points = read_model(model_folder)
+    notes = []
+    unposed = sorted(set(thermal) - set(posed))
+    if unposed:
+        notes.append(f"{len(unposed)} thermal images have no pose and are left out: {', '.join(unposed[:5])}")
+    unpaired = sorted(set(posed) - set(thermal))
+    if unpaired and not options.skip_unpaired:
+        raise SceneError(
+            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({', '.join(unpaired[:5])}); "
+            "add them, or set dataset.options.skip_unpaired=true"
+        )
+    if unpaired:
+        notes.append(
+            f"{len(unpaired)} posed views have no thermal image and are left out: {', '.join(unpaired[:5])}"
+        )
+    names = sorted(set(posed) & set(thermal))
+    if not names:
+        raise SceneError(
+            f"{folder}: no thermal image has the name of a view of {model_folder} "
+            f"(thermal: {sorted(thermal)[:2]}, COLMAP: {sorted(posed)[:2]})"
+        )
+    try:
+        train, test = split_names(names, options.split, shipped)
+    except ValueError as error:
+        raise SceneError(f"{folder}: {error}") from error
+    radiometry = read_radiometry(folder / "temperature.json")
+    channels = _decide_channels([thermal[n] for n in names], radiometry, options.channels)
+    views = {
+        n: _make_view(posed[n], thermal[n], rgb.get(n), folder / "depth", radiometry, channels, options)
+        for n in names
+    }
+    return Scene(
+        name=name,
+        dataset=dataset,
+        group=group,
+        train=[views[n] for n in train],
+        test=[views[n] for n in test],
+        points=points,
+        temperature=None if radiometry is None else radiometry.range,
+        split=options.split,
+        fingerprint=_fingerprint(folder, [*thermal.values(), *rgb.values()], model_folder),
+        channels=channels,
+        notes=notes,
+    )
+
+
+def _decide_channels(paths: list[Path], radiometry: Radiometry | None, wanted: int | str) -> int:
+    if wanted == "auto":
+        return 1 if all(is_gray(read_image(path, radiometry)) for path in paths) else 3
+    if wanted not in (1, 3):
+        raise SceneError(f"dataset.options.channels is {wanted!r}; it must be auto, 1 or 3")
+    return int(wanted)
+
+
+def _make_view(posed: Posed, thermal: Path, rgb: Path | None, depth_folder: Path, radiometry, channels: int,
+               options: ReadOptions) -> View:  # fmt: skip
+    camera = posed.camera
+    if options.width is not None:
+        camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))
+    depth = depth_folder / f"{posed.name}.npy"
+    return View(
+        name=posed.name,
+        camera=camera,
+        load_thermal=partial(_load, thermal, posed, camera.width, camera.height, channels, radiometry),
+        load_rgb=None if rgb is None else partial(_load, rgb, posed, camera.width, camera.height, 3, None),
+        thermal_path=thermal,
+        true_depth_path=depth if depth.exists() else None,
+    )
+
+
+def _load(path: Path, posed: Posed, width: int, height: int, channels: int, radiometry) -> np.ndarray:
+    """Read, undistort, resize, and bring to the number of channels."""
+    image = read_image(path, radiometry)
+    source = (
+        (posed.camera.width, posed.camera.height)
+        if posed.undistortion is None
+        else posed.undistortion.source_size
+    )
+    if abs(image.shape[1] / image.shape[0] * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
+        raise SceneError(
+            f"{path} is {image.shape[1]}×{image.shape[0]}, but its camera is {source[0]}×{source[1]}: another shape"
+        )
+    if posed.undistortion is not None:
+        image = posed.undistortion.apply(image)
+    image = resize(image, width, height)
+    if channels == 1 and image.shape[2] == 3:
+        image = image[..., :1] if is_gray(image) else image.mean(axis=2, keepdims=True)
+    if channels == 3 and image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    return np.ascontiguousarray(image, np.float32)
+
+
+def _fingerprint(folder: Path, images: list[Path], model: Path) -> str:
+    """A hash of the images' names, sizes and contents, and of the model's files."""
+    digest = hashlib.sha256()
+    extra = [folder / "temperature.json"] if (folder / "temperature.json").exists() else []
+    for path in sorted([*images, *(p for p in model.iterdir() if p.is_file()), *extra]):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,74 @@
+"""The 14 scenes of the paper's Table 1: data set, group, and the folder names under which they are found."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+GROUPS = {
+    "day": "Day light conditions",
+    "dark": "Dark light conditions",
+    "360": "360-degree scenes",
+    "forward": "Forward-facing scenes",
+}
+DATASETS = {"rgbt_scenes": "RGBT-Scenes", "thermalmix": "ThermalMix"}
+PUBLISHED_AT = {
+    "rgbt_scenes": "the ThermalGaussian project page (Lu et al. 2024), data set RGBT-Scenes",
+    "thermalmix": "Zenodo record 11065834 (Özer et al. 2024), data set ThermalMix",
+}
+
+
+@dataclass(frozen=True)
+class RegisteredScene:
+    """One scene of Table 1."""
+
+    name: str
+    dataset: str  # a key of DATASETS
+    group: str  # a key of GROUPS
+    label: str  # as the paper prints it
+    aliases: tuple[str, ...] = ()
+
+    def matches(self, folder: str) -> bool:
+        """Whether a folder's name means this scene, whatever its case, spaces and underscores."""
+        return _plain(folder) in {_plain(name) for name in (self.name, *self.aliases)}
+
+    def find(self, dataset_folder: Path) -> Path | None:
+        """This scene's folder inside the data set's, if it is there."""
+        if not dataset_folder.is_dir():
+            return None
+        found = sorted(p for p in dataset_folder.iterdir() if p.is_dir() and self.matches(p.name))
+        return found[0] if found else None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+SCENES = tuple(
+    RegisteredScene(name, dataset, group, label, aliases)
+    for name, dataset, group, label, aliases in [
+        ("Dimsum", "rgbt_scenes", "day", "Dimsum", ()),
+        ("DailyStuff", "rgbt_scenes", "day", "DailyStuff", ("DailyStuffs",)),
+        ("Ebike", "rgbt_scenes", "day", "Ebike", ("E-Bikes", "Ebikes")),
+        ("RoadBlock", "rgbt_scenes", "day", "Road Block", ("RoadBlocks",)),
+        ("Truck", "rgbt_scenes", "day", "Truck", ()),
+        ("RotaryKiln", "rgbt_scenes", "day", "Rotary Kiln", ()),
+        ("Parterre", "rgbt_scenes", "day", "Parterre", ()),
+        ("GlassCup", "rgbt_scenes", "day", "Glass Cup", ("GlassCups",)),
+        ("DarkScenes", "rgbt_scenes", "dark", "Dark Scenes", ("DarkScene", "Dark")),
+        ("Laptop", "thermalmix", "360", "Laptop", ()),
+        ("Pan", "thermalmix", "360", "Pan", ()),
+        ("Lion", "thermalmix", "360", "Lion", ()),
+        ("Hand", "thermalmix", "forward", "Hand", ("Hands",)),
+        ("Face", "thermalmix", "forward", "Face", ("Faces",)),
+    ]
+)
+
+
+def registered(name: str) -> RegisteredScene:
+    """The registered scene of a name or alias. Raises KeyError listing what there is."""
+    for scene in SCENES:
+        if scene.matches(name):
+            return scene
+    raise KeyError(f"{name!r} is not one of the paper's scenes: {', '.join(s.name for s in SCENES)}")

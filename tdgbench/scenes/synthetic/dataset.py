@@ -1,0 +1,54 @@
+"""The built-in scenes as a data set: made at first use, then read like any other."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from tdgbench.scenes.layout import ReadOptions, read_scene
+from tdgbench.scenes.scene import Scene, SceneError
+from tdgbench.scenes.synthetic.worlds import WORLDS
+from tdgbench.scenes.synthetic.write import write_scene
+
+
+class SyntheticDataset:
+    """Scenes under <root>/synthetic/, one folder per name, size, number of views and points, and seed."""
+
+    def __init__(
+        self,
+        root: str,
+        options: ReadOptions,
+        width: int = 160,
+        height: int = 120,
+        views: int = 40,
+        points: int = 4000,
+        seed: int = 0,
+    ) -> None:
+        self.root = Path(root)
+        self.options = options
+        self.width, self.height, self.views, self.points, self.seed = width, height, views, points, seed
+
+    def names(self) -> list[str]:
+        return list(WORLDS)
+
+    def missing(self, names: list[str]) -> list[str]:
+        return [name for name in names if name not in WORLDS]
+
+    def explain_missing(self, names: list[str]) -> str:
+        return f"there is no synthetic scene {', '.join(names)}; there are {', '.join(WORLDS)}"
+
+    def load(self, name: str | None) -> Scene:
+        name = name or next(iter(WORLDS))
+        if name not in WORLDS:
+            raise SceneError(self.explain_missing([name]))
+        world = WORLDS[name](self.seed)
+        folder = self.root / "synthetic" / self._folder_name(name)
+        if not folder.exists():
+            write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
+        return read_scene(folder, name, "synthetic", world.group, self.options)
+
+    def _folder_name(self, name: str) -> str:
+        """Says what the scene was made with; a change of the generator makes a new folder."""
+        source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
+        version = hashlib.sha256(source).hexdigest()[:8]
+        return f"{name}-{self.width}x{self.height}-{self.views}v-{self.points}p-seed{self.seed}-{version}"

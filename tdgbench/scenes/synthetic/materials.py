@@ -1,0 +1,61 @@
+"""How surfaces look and how warm they are: smooth procedural patterns, functions of the point alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Waves:
+    """A band-limited pattern in [0, 1]: the mean of plane waves with random directions and phases."""
+
+    seed: int
+    per_metre: float
+    count: int = 6
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        rng = np.random.default_rng(self.seed)
+        directions = rng.normal(size=(self.count, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        wave_numbers = directions * (2 * np.pi * self.per_metre * rng.uniform(0.4, 1.0, (self.count, 1)))
+        phases = rng.uniform(0, 2 * np.pi, self.count)
+        return 0.5 + 0.5 * np.sin(points @ wave_numbers.T + phases).mean(axis=1) * np.sqrt(self.count / 2)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A smooth warmer (or colder) place: degC × exp(−½ |(p − center) / size|²)."""
+
+    center: tuple[float, float, float]
+    size: tuple[float, float, float]
+    degC: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        scaled = (points - np.array(self.center)) / np.array(self.size)
+        return self.degC * np.exp(-0.5 * (scaled**2).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Material:
+    """Two colours mixed by a pattern, and a temperature with a pattern, a vertical gradient and spots."""
+
+    color_a: tuple[float, float, float]
+    color_b: tuple[float, float, float]
+    pattern: Waves
+    degC: float
+    degC_pattern: float = 0.0
+    degC_per_metre: float = 0.0
+    spots: tuple[Spot, ...] = field(default_factory=tuple)
+    sharpness: float = 4.0
+
+    def albedo(self, points: np.ndarray) -> np.ndarray:
+        mix = 1 / (1 + np.exp(-self.sharpness * 4 * (self.pattern(points) - 0.5)))
+        return mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
+
+    def temperature(self, points: np.ndarray) -> np.ndarray:
+        pattern = self.degC_pattern * (self.pattern(points) - 0.5)
+        return (
+            self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
+        )

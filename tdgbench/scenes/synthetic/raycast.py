@@ -1,0 +1,107 @@
+"""Exact ray casting of simple solids. World axes: x, y on the ground, z up; rays are not normalised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+EPSILON = 1e-9
+
+
+class Solid(Protocol):
+    """A surface that rays can hit."""
+
+    def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest positive t (N,) with origin + t · ray on the surface (inf: none), and outward normals (N, 3)."""
+
+
+@dataclass(frozen=True)
+class Sphere:
+    center: tuple[float, float, float]
+    radius: float
+
+    def intersect(self, origin, rays):
+        offset = origin - np.array(self.center)
+        a = (rays * rays).sum(axis=1)
+        b = rays @ offset
+        discriminant = b * b - a * (offset @ offset - self.radius**2)
+        root = np.sqrt(np.maximum(discriminant, 0))
+        near, far = (-b - root) / a, (-b + root) / a
+        t = np.where(near > EPSILON, near, far)
+        t = np.where((discriminant >= 0) & (t > EPSILON), t, np.inf)
+        normal = (offset + np.where(np.isfinite(t), t, 0)[:, None] * rays) / self.radius
+        return t, normal
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A flat patch: centre and two perpendicular half-edges."""
+
+    center: tuple[float, float, float]
+    half_u: tuple[float, float, float]
+    half_v: tuple[float, float, float]
+
+    def intersect(self, origin, rays):
+        u, v = np.array(self.half_u), np.array(self.half_v)
+        normal = np.cross(u, v)
+        normal = normal / np.linalg.norm(normal)
+        facing = rays @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (np.array(self.center) - origin) @ normal / facing
+            hit = origin + t[:, None] * rays - np.array(self.center)
+            inside = (np.abs(hit @ u) <= u @ u) & (np.abs(hit @ v) <= v @ v)
+        t = np.where(inside & (t > EPSILON), t, np.inf)
+        return t, np.where(facing[:, None] > 0, -normal, normal)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box turned by `yaw` (radians) about the vertical axis."""
+
+    center: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+    yaw: float = 0.0
+
+    def intersect(self, origin, rays):
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        to_box = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        o, d = to_box @ (origin - np.array(self.center)), rays @ to_box.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t1, t2 = (-np.array(self.half_size) - o) / d, (np.array(self.half_size) - o) / d
+        entry, leave = np.minimum(t1, t2), np.maximum(t1, t2)
+        axis = entry.argmax(axis=1)
+        near, far = entry.max(axis=1), leave.min(axis=1)
+        t = np.where((near <= far) & (near > EPSILON), near, np.inf)
+        local = np.zeros_like(rays)
+        rows = np.arange(len(rays))
+        local[rows, axis] = -np.sign(d[rows, axis])
+        return t, local @ to_box
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright cylinder with a flat top, standing at `base`."""
+
+    base: tuple[float, float, float]
+    radius: float
+    height: float
+
+    def intersect(self, origin, rays):
+        offset = origin - np.array(self.base)
+        a = (rays[:, :2] ** 2).sum(axis=1)
+        b = rays[:, :2] @ offset[:2]
+        discriminant = b * b - a * (offset[:2] @ offset[:2] - self.radius**2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            side = (-b - np.sqrt(np.maximum(discriminant, 0))) / a
+            z = offset[2] + side * rays[:, 2]
+            on_side = (discriminant >= 0) & (side > EPSILON) & (z >= 0) & (z <= self.height)
+            top = (self.height - offset[2]) / rays[:, 2]
+            reach = offset[:2] + top[:, None] * rays[:, :2]
+            on_top = (top > EPSILON) & ((reach**2).sum(axis=1) <= self.radius**2)
+        side, top = np.where(on_side, side, np.inf), np.where(on_top, top, np.inf)
+        t = np.minimum(side, top)
+        hit = offset + np.where(np.isfinite(t), t, 0)[:, None] * rays
+        radial = np.concatenate([hit[:, :2] / self.radius, np.zeros((len(rays), 1))], axis=1)
+        return t, np.where((side <= top)[:, None], radial, np.array([0.0, 0.0, 1.0]))

@@ -1,0 +1,64 @@
+"""One view of a world: RGB, temperature and depth per pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.synthetic.worlds import World
+
+AMBIENT = 0.35
+
+
+def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """World-to-camera (4, 4) of a camera at `eye` that looks at `target`, upright."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ eye
+    return pose
+
+
+def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour (N, 3), temperature in °C (N,) and depth z (N,) seen through image points (N, 2)."""
+    local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
+    rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
+    depth = np.full(len(pixels), np.inf)
+    normals = np.zeros((len(pixels), 3))
+    owner = np.full(len(pixels), -1)
+    for index, (solid, _) in enumerate(world.objects):
+        t, normal = solid.intersect(camera.center, rays)
+        nearer = t < depth
+        depth[nearer], normals[nearer], owner[nearer] = t[nearer], normal[nearer], index
+    if (owner < 0).any():
+        raise ValueError(f"{int((owner < 0).sum())} rays leave the world; it must enclose its cameras")
+    points = camera.center + depth[:, None] * rays
+    light = np.array(world.light) / np.linalg.norm(world.light)
+    diffuse = np.abs(normals @ light)
+    color, degC = np.zeros((len(pixels), 3)), np.zeros(len(pixels))
+    for index, (_, material) in enumerate(world.objects):
+        own = owner == index
+        if own.any():
+            color[own] = material.albedo(points[own])
+            degC[own] = material.temperature(points[own])
+    color *= (AMBIENT + (1 - AMBIENT) * diffuse)[:, None] * world.exposure
+    return color, degC, depth
+
+
+def render(world: World, camera: Camera, supersampling: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """RGB (H, W, 3) in [0, 1], temperature (H, W) in °C, both area-sampled, and depth (H, W) at pixel centres."""
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    corner = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
+    shape = (camera.height, camera.width)
+    color, degC = np.zeros((len(corner), 3)), np.zeros(len(corner))
+    offsets = (np.arange(supersampling) + 0.5) / supersampling
+    for dy in offsets:
+        for dx in offsets:
+            sample_color, sample_degC, _ = cast(world, camera, corner + [dx, dy])
+            color += sample_color / supersampling**2
+            degC += sample_degC / supersampling**2
+    _, _, depth = cast(world, camera, corner + 0.5)
+    return color.clip(0, 1).reshape(*shape, 3), degC.reshape(shape), depth.reshape(shape)

@@ -1,0 +1,164 @@
+"""The built-in scenes, one for each group of the paper's table.
+
+`orbit`: day light, pseudo-colour, a walk around a table top. `night`: RGB nearly black, warm machines before a wall
+that leaks heat. `turntable`: a full 360° circle, gray thermal. `facade`: forward-facing, gray thermal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tdgbench.scenes.synthetic.materials import Material, Spot, Waves
+from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Solid, Sphere
+
+BRICK, MORTAR = (0.62, 0.30, 0.22), (0.72, 0.68, 0.62)
+WOOD, DARK_WOOD = (0.65, 0.47, 0.28), (0.38, 0.25, 0.14)
+STEEL, PAINT = (0.55, 0.58, 0.62), (0.20, 0.38, 0.62)
+CERAMIC, GLAZE = (0.90, 0.88, 0.82), (0.25, 0.52, 0.45)
+PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
+
+
+@dataclass(frozen=True)
+class World:
+    """Surfaces with their materials, the cameras, and how the thermal image is stored."""
+
+    group: str
+    pseudo_color: bool
+    objects: list[tuple[Solid, Material]]
+    cameras: Callable[[int, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]  # eye, target
+    temperatures: tuple[float, float]  # °C at the values 0 and 1
+    focal: float  # × image width
+    light: tuple[float, float, float] = (0.4, 0.3, 0.85)
+    exposure: float = 1.0
+    point_share: float = 1.0  # of the usual number of sparse points
+
+
+def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):
+    """Cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
+
+    def cameras(count: int, rng: np.random.Generator):
+        whole = arc >= 2 * np.pi
+        steps = np.arange(count) / (count if whole else max(count - 1, 1)) - (0.0 if whole else 0.5)
+        result = []
+        for i, step in enumerate(steps):
+            angle = centre_angle + arc * step
+            eye = np.array([np.cos(angle), np.sin(angle), 0]) * radius
+            eye[2] = height * (1.0 + 0.25 * (i % 2)) + rng.normal(0, 0.02)
+            result.append((eye + np.array([target[0], target[1], 0]), np.array(target)))
+        return result
+
+    return cameras
+
+
+def _grid(distance: float, half_width: float, half_height: float, height: float):
+    """Cameras on a wavy grid in front of a wall at y = 0, looking along +y."""
+
+    def cameras(count: int, rng: np.random.Generator):
+        columns = int(np.ceil(np.sqrt(count * half_width / half_height)))
+        rows = int(np.ceil(count / columns))
+        result = []
+        for i in range(count):
+            u = 2 * (i % columns) / max(columns - 1, 1) - 1
+            v = 2 * (i // columns) / max(rows - 1, 1) - 1
+            jitter = rng.normal(0, 0.03, 3)
+            eye = np.array([u * half_width, -distance, height + v * half_height]) + jitter
+            result.append((eye, np.array([0.6 * eye[0], 0.0, height + 0.3 * (eye[2] - height)])))
+        return result
+
+    return cameras
+
+
+def _orbit(seed: int) -> World:
+    wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    objects: list[tuple[Solid, Material]] = [
+        (Sphere((0, 0, 0), 9.0), Material((0.55, 0.70, 0.90), (0.80, 0.85, 0.90), wave(1, 0.10), 12.0, 3.0)),
+        (
+            Rectangle((0, 0, 0), (8.7, 0, 0), (0, 8.7, 0)),
+            Material((0.45, 0.50, 0.33), (0.60, 0.57, 0.45), wave(2, 0.6), 17.0, 4.0),
+        ),
+        (
+            Cylinder((0, 0, 0), 1.3, 0.5),
+            Material(WOOD, DARK_WOOD, wave(3, 1.5), 20.0, 2.5, spots=(Spot((0.5, 0.2, 0.5), (0.4, 0.4, 0.4), 9.0),)),
+        ),
+        (
+            Box((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
+            Material(STEEL, PAINT, wave(4, 2.0), 29.0, 3.0, spots=(Spot((-0.35, 0.1, 0.9), (0.2, 0.2, 0.2), 8.0),)),
+        ),
+        (Sphere((0.45, 0.25, 0.78), 0.28), Material(CERAMIC, GLAZE, wave(5, 2.0), 40.0, 2.0, -6.0)),
+        (Cylinder((0.1, -0.55, 0.5), 0.2, 0.55), Material(GLAZE, CERAMIC, wave(6, 2.5), 8.0, 2.0, 6.0)),
+    ]  # fmt: skip
+    return World("day", True, objects, _ring(3.2, 1.7, (0, 0, 0.6), 2 * np.pi), (5.0, 42.0), 0.95)
+
+
+def _night(seed: int) -> World:
+    wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    leak = Spot((1.3, 3.0, 1.2), (0.35, 1.0, 0.9), 12.0)
+    objects: list[tuple[Solid, Material]] = [
+        (Sphere((0, 0, 0), 14.0), Material((0.20, 0.22, 0.30), (0.12, 0.13, 0.20), wave(1, 0.08), 2.0, 2.0)),
+        (
+            Rectangle((0, 0, 0), (13.5, 0, 0), (0, 13.5, 0)),
+            Material((0.30, 0.30, 0.30), (0.42, 0.41, 0.39), wave(2, 0.5), 7.0, 3.0),
+        ),
+        (
+            Rectangle((0, 3.0, 1.6), (4.0, 0, 0), (0, 0, 1.6)),
+            Material(BRICK, MORTAR, wave(3, 1.2), 11.0, 2.5, 0.8, (leak,)),
+        ),
+        (
+            Box((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
+            Material(PAINT, STEEL, wave(4, 1.4), 18.0, 2.5, spots=(Spot((-0.5, 0.5, 0.6), (0.4, 0.4, 0.3), 16.0),)),
+        ),
+        (Cylinder((0.9, 0.6, 0.0), 0.35, 1.3), Material(STEEL, STAIN, wave(5, 1.6), 24.0, 2.0, 5.0)),
+        (Sphere((0.1, -0.3, 0.3), 0.3), Material(CERAMIC, STAIN, wave(6, 1.8), 33.0, 2.0, -5.0)),
+    ]  # fmt: skip
+    cameras = _ring(4.2, 1.5, (0, 0.9, 0.8), np.radians(110), np.radians(-90))
+    return World(
+        "dark", True, objects, cameras, (0.0, 36.0), 0.9, (0.2, -0.6, 0.75), exposure=0.05, point_share=0.6
+    )
+
+
+def _turntable(seed: int) -> World:
+    wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    objects: list[tuple[Solid, Material]] = [
+        (Sphere((0, 0, 0), 6.0), Material(PLASTER, STAIN, wave(1, 0.15), 21.0, 2.0)),
+        (
+            Rectangle((0, 0, 0), (5.7, 0, 0), (0, 5.7, 0)),
+            Material(DARK_WOOD, WOOD, wave(2, 0.7), 20.0, 2.5, spots=(Spot((0, 0, 0), (0.8, 0.8, 0.5), 5.0),)),
+        ),
+        (
+            Cylinder((0, 0, 0), 0.55, 0.7),
+            Material(STEEL, STAIN, wave(3, 1.8), 38.0, 2.0, 9.0, (Spot((0.4, 0.3, 0.2), (0.3, 0.3, 0.2), 8.0),)),
+        ),
+        (Sphere((0.0, 0.0, 0.95), 0.38), Material(CERAMIC, GLAZE, wave(4, 1.6), 33.0, 4.0)),
+        (Box((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
+        (Box((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
+    ]  # fmt: skip
+    return World("360", False, objects, _ring(2.8, 1.4, (0, 0, 0.5), 2 * np.pi), (14.0, 50.0), 0.95)
+
+
+def _facade(seed: int) -> World:
+    wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    leaks = (
+        Spot((1.1, 0.0, 2.3), (0.25, 1.0, 0.5), 6.0),
+        Spot((-1.2, 0.0, 0.9), (0.5, 1.0, 0.22), 8.0),
+    )
+    wall = Material(PLASTER, BRICK, wave(1, 0.9), 12.0, 2.0, 0.6, leaks)
+    window = Material((0.25, 0.32, 0.38), (0.45, 0.52, 0.58), wave(2, 1.2), 17.0, 2.0, 0.8)
+    objects: list[tuple[Solid, Material]] = [
+        (Rectangle((0, 0.0, 1.8), (6.0, 0, 0), (0, 0, 4.0)), wall),
+        (Box((-0.7, 0.0, 2.1), (0.45, 0.12, 0.6)), window),
+        (Box((0.6, -0.05, 1.2), (0.4, 0.25, 0.35)), Material(STEEL, PAINT, wave(3, 1.6), 24.0, 3.0, 3.0)),
+        (Cylinder((1.35, -0.5, 0.2), 0.16, 2.0), Material(STEEL, STAIN, wave(4, 1.6), 30.0, 2.0, -3.0)),
+        (Sphere((-0.35, -0.6, 0.85), 0.25), Material(CERAMIC, GLAZE, wave(5, 1.8), 8.0, 2.0, 2.0)),
+    ]
+    return World("forward", False, objects, _grid(3.2, 0.9, 0.5, 1.5), (4.0, 34.0), 0.95, (0.3, -0.8, 0.5))
+
+
+WORLDS: dict[str, Callable[[int], World]] = {
+    "orbit": _orbit,
+    "night": _night,
+    "turntable": _turntable,
+    "facade": _facade,
+}
