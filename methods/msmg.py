@@ -1,0 +1,60 @@
+"""MSMG, multiple single-modal Gaussians: an RGB and a thermal model trained together (ThermalGaussian, Lu et al. 2024).
+
+The two models share nothing but their first points and one sum: each loss is weighted by the *other* model's share
+of all Gaussians, which shrinks the gradients that density control looks at, and so how many Gaussians grow.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tdgbench.scenes import Camera
+from tdgbench.training.losses import photometric, smoothness
+from tdgbench.training.method import Context, Step, rgb_tensor, thermal_tensor
+from tdgbench.training.model import Render, SplatModel
+
+
+class MSMG:
+    """total = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, w: shares of the Gaussian counts."""
+
+    name = "msmg"
+    needs_rgb = True
+    needs_prior = False
+
+    def __init__(
+        self, lambda_ssim: float, lambda_smooth: float, smooth: str, weight_rgb: float, weight_thermal: float
+    ) -> None:
+        self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
+        self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
+
+    def setup(self, context: Context) -> None:
+        self.rgb = context.make_model(3)
+        self.thermal = context.make_model(context.scene.channels)
+        self.rgb_views = context.view_order()
+        self.thermal_views = context.view_order()
+
+    def thermal_loss(self, image: Tensor, target: Tensor) -> Tensor:
+        loss = photometric(image, target, self.lambda_ssim)
+        return loss + self.lambda_smooth * smoothness(image, self.smooth)
+
+    def step(self, iteration: int) -> Step:
+        rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
+        loss_rgb = photometric(
+            self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view), self.lambda_ssim
+        )
+        render = self.thermal.render(thermal_view.camera)
+        target = thermal_tensor(thermal_view)
+        loss_thermal = self.thermal_loss(render.image, target)
+        share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
+        loss = (
+            self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
+        )
+        return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target)
+
+    def models(self) -> dict[str, SplatModel]:
+        return {"rgb": self.rgb, "thermal": self.thermal}
+
+    @torch.no_grad()
+    def render(self, camera: Camera) -> Render:
+        return self.thermal.render(camera, depth=True)

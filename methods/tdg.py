@@ -1,0 +1,105 @@
+"""TDg: one Gaussian model trained on thermal images, guided by a depth prior estimated from them.
+
+Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimation", section Method.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tdgbench.priors import DepthPrior
+from tdgbench.scenes import Camera
+from tdgbench.training.losses import l1, photometric, smoothness, ssim
+from tdgbench.training.method import Context, Step, thermal_tensor
+from tdgbench.training.model import Render, SplatModel
+
+MIN_ALPHA = 1e-3  # where less light than this is stopped, there is no depth to invert
+MIN_RANGE = 1e-8
+
+
+def min_max(values: Tensor, valid: Tensor) -> Tensor:
+    """Min-max normalisation to [0, 1] over the valid pixels (the text before eq. 4).
+
+    A map without any range is all zeros, and its gradient is zero: there is nothing to compare.
+    """
+    low, high = values[valid].min(), values[valid].max()
+    if (high - low).item() < MIN_RANGE:
+        return values * 0.0
+    return (values - low) / (high - low)
+
+
+def comparable_depth(render: Render, kind: str) -> Tensor:
+    """The rendered map in the prior's own kind of number: accumulated z (eq. 3), or inverse z for a disparity.
+
+    1 / (expected z) = alpha / accumulated z; where nothing is rendered it is 0, infinitely far.
+    """
+    assert render.depth is not None
+    if kind != "disparity":
+        return render.depth
+    solid = render.alpha > MIN_ALPHA
+    depth = torch.where(solid, render.depth, 1.0)
+    return torch.where(solid, render.alpha / depth, 0.0)
+
+
+def depth_loss(rendered: Tensor, prior: Tensor) -> Tensor:
+    """Depth loss (TDg, eq. 4): L1 + (1 − SSIM) of the min-max normalised maps (H, W), where the prior is known."""
+    valid = torch.isfinite(prior)
+    a = min_max(rendered, valid)
+    b = min_max(torch.where(valid, prior, 0.0), valid)
+    a, b = torch.where(valid, a, 0.0)[..., None], torch.where(valid, b, 0.0)[..., None]
+    return l1(a, b) * (valid.numel() / valid.sum()) + (1 - ssim(a, b))
+
+
+def decay_weight(iteration: int, start: int, end: int) -> float:
+    """Progressive weight (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`."""
+    return max(0.0, 1.0 - (iteration - start) / max(end - start, 1))
+
+
+class TDg:
+    """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
+
+    name = "tdg"
+    needs_rgb = False
+    needs_prior = True
+
+    def __init__(
+        self, lambda_ssim: float, lambda_smooth: float, smooth: str, lambda_depth: float, decay_end: float
+    ) -> None:
+        """decay_end: where the depth loss has faded out, as a share of all iterations."""
+        self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
+        self.lambda_depth, self.decay_end = lambda_depth, decay_end
+
+    def setup(self, context: Context) -> None:
+        self.model = context.make_model(context.scene.channels)
+        self.views = context.view_order()
+        self.priors: dict[str, DepthPrior] = context.priors
+        self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
+
+    def thermal_loss(self, image: Tensor, target: Tensor) -> Tensor:
+        """Thermal loss (TDg, eq. 5): L1, SSIM and smoothness."""
+        loss = photometric(image, target, self.lambda_ssim)
+        if self.lambda_smooth > 0:
+            loss = loss + self.lambda_smooth * smoothness(image, self.smooth)
+        return loss
+
+    def step(self, iteration: int) -> Step:
+        view = self.views.next()
+        weight = self.lambda_depth * decay_weight(iteration, 1, self.last_depth_iteration)
+        render = self.model.render(view.camera, depth=weight > 0)
+        target = thermal_tensor(view)
+        loss = thermal = self.thermal_loss(render.image, target)
+        terms = {"thermal": thermal.item()}
+        if weight > 0:
+            prior = self.priors[view.name]
+            depth = depth_loss(comparable_depth(render, prior.kind), torch.from_numpy(prior.values))
+            terms["depth"] = depth.item()
+            loss = thermal + weight * depth
+        return Step(loss, terms, render, target)
+
+    def models(self) -> dict[str, SplatModel]:
+        return {"thermal": self.model}
+
+    @torch.no_grad()
+    def render(self, camera: Camera) -> Render:
+        return self.model.render(camera, depth=True)

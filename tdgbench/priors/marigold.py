@@ -1,0 +1,73 @@
+"""Marigold (Ke et al. 2024), the estimator that the paper used: affine-invariant depth by diffusion.
+
+Needs the optional extra `depth`, and its weights from the Hugging Face hub at first use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from tdgbench.priors.prior import DepthPrior, PriorError
+from tdgbench.scenes import Scene, View
+
+
+class MarigoldPrior:
+    """kind `depth`: 0 is near, 1 is far. The same seed and image give the same map on one machine."""
+
+    def __init__(self, model: str, steps: int | None, ensemble: int, resolution: int | None, device: str, seed: int):
+        self.model, self.steps, self.ensemble, self.resolution = model, steps, ensemble, resolution
+        self.device, self.seed = device, seed
+
+    def identity(self) -> dict[str, object]:
+        names = ("model", "steps", "ensemble", "resolution", "seed")
+        return {"estimator": "marigold", **{name: getattr(self, name) for name in names}}
+
+    @cached_property
+    def _pipeline(self):
+        try:
+            import diffusers
+        except ImportError as error:
+            raise PriorError(
+                f"prior=marigold needs diffusers ({error}): pip install 'tdgbench[depth]', "
+                "or choose prior=sfm_points or prior=files"
+            ) from error
+        half = self._device.type == "cuda"
+        try:
+            pipeline = diffusers.MarigoldDepthPipeline.from_pretrained(
+                self.model,
+                variant="fp16" if half else None,
+                torch_dtype=torch.float16 if half else torch.float32,
+            )
+        except Exception as error:
+            raise PriorError(
+                f"the weights of {self.model} cannot be had ({type(error).__name__}: {error}); connect to the hub once, "
+                "set HF_HOME to a cache that has them, or choose prior=sfm_points or prior=files"
+            ) from error
+        pipeline.set_progress_bar_config(disable=True)
+        return pipeline.to(self._device)
+
+    @property
+    def _device(self) -> torch.device:
+        if self.device == "auto":
+            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        return torch.device(self.device)
+
+    def estimate(self, scene: Scene, view: View) -> DepthPrior:
+        image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3))
+        own = int.from_bytes(hashlib.sha256(f"{self.seed}/{view.name}".encode()).digest()[:7], "big")
+        generator = torch.Generator(self._device).manual_seed(own)
+        options = {} if self.resolution is None else {"processing_resolution": self.resolution}
+        result = self._pipeline(
+            np.ascontiguousarray(image),
+            num_inference_steps=self.steps,
+            ensemble_size=self.ensemble,
+            match_input_resolution=True,
+            generator=generator,
+            output_type="np",
+            **options,
+        )
+        return DepthPrior(np.asarray(result.prediction)[0, :, :, 0].astype(np.float32), "depth")

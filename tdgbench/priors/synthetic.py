@@ -1,0 +1,43 @@
+"""The prior of a synthetic scene: its true depth, spoiled as a monocular network spoils it."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tdgbench.priors.prior import DepthPrior, Kind, PriorError
+from tdgbench.scenes import Scene, View
+
+
+class SyntheticPrior:
+    """True depth (or its inverse), blurred, with smooth and white noise and an unknown scale and shift per view.
+
+    blur_px and bump_px are in pixels of the image; noise and bumps are relative to the range of the map.
+    """
+
+    def __init__(self, kind: Kind, blur_px: float, noise: float, bumps: float, bump_px: float, seed: int) -> None:
+        self.kind = kind
+        self.blur_px, self.noise, self.bumps, self.bump_px, self.seed = blur_px, noise, bumps, bump_px, seed
+
+    def identity(self) -> dict[str, object]:
+        return {"estimator": "synthetic", **vars(self)}
+
+    def estimate(self, scene: Scene, view: View) -> DepthPrior:
+        if view.true_depth is None:
+            raise PriorError(
+                f"view {view.name} of {scene.name} has no true depth; prior=synthetic is for the synthetic scenes "
+                "(use prior=sfm_points, marigold or files)"
+            )
+        rng = np.random.default_rng([self.seed, zlib.crc32(f"{scene.name}/{view.name}".encode())])
+        depth = view.true_depth.astype(np.float64)
+        values = gaussian_filter(1 / depth if self.kind == "disparity" else depth, self.blur_px)
+        spread = values.max() - values.min()
+        bumps = gaussian_filter(rng.normal(size=values.shape), self.bump_px)
+        values = values + spread * self.bumps * bumps / max(float(bumps.std()), 1e-12)
+        values = values + spread * self.noise * rng.normal(size=values.shape)
+        if self.kind != "metric":
+            scale, shift = rng.uniform(0.5, 2.0), rng.uniform(-0.5, 0.5) * spread
+            values = scale * values + shift
+        return DepthPrior(values.astype(np.float32), self.kind)

@@ -1,0 +1,139 @@
+"""The convolutional trunks of LPIPS in plain torch layers, with torchvision's state-dict names, and their weights."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+DOWNLOAD_TIMEOUT_SECONDS = 20
+
+
+class BackboneUnavailable(Exception):
+    """No weights for the trunk; the message is the reason that records and tables give."""
+
+
+@dataclass(frozen=True)
+class TrunkSpec:
+    """Where a trunk's weights are found, and after which layers LPIPS looks at it."""
+
+    file: str
+    url: str
+    ends: tuple[int, ...]  # layer counts after which features are taken
+    channels: tuple[int, ...]
+
+
+_HUB = "https://download.pytorch.org/models/"
+SPECS = {
+    "vgg": TrunkSpec(
+        "vgg16-397923af.pth", _HUB + "vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)
+    ),
+    "alex": TrunkSpec(
+        "alexnet-owt-7be5be79.pth",
+        _HUB + "alexnet-owt-7be5be79.pth",
+        (2, 5, 8, 10, 12),
+        (64, 192, 384, 256, 256),
+    ),
+    "squeeze": TrunkSpec(
+        "squeezenet1_1-b8a52dc0.pth",
+        _HUB + "squeezenet1_1-b8a52dc0.pth",
+        (2, 5, 8, 10, 11, 12, 13),
+        (64, 128, 256, 384, 384, 512, 512),
+    ),
+}
+
+
+class Fire(nn.Module):
+    """SqueezeNet's block: squeeze, then expand with 1×1 and 3×3 kernels side by side."""
+
+    def __init__(self, inputs: int, squeeze: int, expand: int) -> None:
+        super().__init__()
+        self.squeeze = nn.Conv2d(inputs, squeeze, 1)
+        self.expand1x1 = nn.Conv2d(squeeze, expand, 1)
+        self.expand3x3 = nn.Conv2d(squeeze, expand, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.squeeze(x).relu()
+        return torch.cat([self.expand1x1(x).relu(), self.expand3x3(x).relu()], dim=1)
+
+
+def make_trunk(net: str) -> nn.Sequential:
+    """The `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
+    if net == "vgg":
+        layers: list[nn.Module] = []
+        inputs = 3
+        for width, count in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+            for _ in range(count):
+                layers += [nn.Conv2d(inputs, width, 3, padding=1), nn.ReLU()]
+                inputs = width
+            layers.append(nn.MaxPool2d(2, 2))
+        return nn.Sequential(*layers)
+    if net == "alex":
+        return nn.Sequential(
+            nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2),
+            nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2),
+            nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(),
+            nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(),
+            nn.Conv2d(256, 256, 3, padding=1), nn.ReLU(), nn.MaxPool2d(3, 2),
+        )  # fmt: skip
+    return nn.Sequential(
+        nn.Conv2d(3, 64, 3, stride=2), nn.ReLU(), nn.MaxPool2d(3, 2, ceil_mode=True),
+        Fire(64, 16, 64), Fire(128, 16, 64), nn.MaxPool2d(3, 2, ceil_mode=True),
+        Fire(128, 32, 128), Fire(256, 32, 128), nn.MaxPool2d(3, 2, ceil_mode=True),
+        Fire(256, 48, 192), Fire(384, 48, 192), Fire(384, 64, 256), Fire(512, 64, 256),
+    )  # fmt: skip
+
+
+def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tensor]:
+    """The trunk's state dict (`features.*` of torchvision's names, prefix removed).
+
+    From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailable with the reason.
+    """
+    spec = SPECS[net]
+    cached = Path(torch.hub.get_dir()) / "checkpoints" / spec.file
+    if file is not None:
+        state = _read(Path(file))
+    elif cached.exists():
+        state = _read(cached)
+    elif download:
+        state = _download(spec)
+    else:
+        raise BackboneUnavailable(
+            f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false"
+        )
+    features = {k.removeprefix("features."): v for k, v in state.items() if k.startswith("features.")}
+    expected = make_trunk(net).state_dict()
+    wrong = [k for k, v in expected.items() if k not in features or features[k].shape != v.shape]
+    if wrong:
+        raise BackboneUnavailable(f"{file or cached} does not hold the {net} backbone (features.{wrong[0]})")
+    return {k: features[k].float() for k in expected}
+
+
+def _read(path: Path) -> dict[str, Tensor]:
+    try:
+        if path.suffix == ".npz":
+            with np.load(path, allow_pickle=False) as stored:
+                return {k: torch.from_numpy(stored[k].astype(np.float32)) for k in stored.files}
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise BackboneUnavailable(f"{path} cannot be read as backbone weights: {error}") from error
+
+
+def _download(spec: TrunkSpec) -> dict[str, Tensor]:
+    timeout = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(DOWNLOAD_TIMEOUT_SECONDS)
+    try:
+        return torch.hub.load_state_dict_from_url(
+            spec.url, map_location="cpu", progress=False, check_hash=True, weights_only=True
+        )
+    except Exception as error:
+        raise BackboneUnavailable(
+            f"backbone {spec.file} could not be downloaded ({error}); put it into torch's cache or set "
+            "metrics.lpips.weights=FILE"
+        ) from error
+    finally:
+        socket.setdefaulttimeout(timeout)

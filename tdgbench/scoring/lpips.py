@@ -1,0 +1,102 @@
+"""LPIPS v0.1 (Zhang et al. 2018), through the `lpips` package where it can be imported.
+
+`lpips` imports torchvision, which fails beside a CPU build of torch. Then the same trunk from plain torch layers is
+used with the linear heads that the package ships; the two agree to float rounding (tested).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from tdgbench.scoring.backbones import SPECS, BackboneUnavailable, make_trunk, trunk_weights
+
+Net = Literal["vgg", "alex", "squeeze"]
+Range = Literal["unit", "signed"]
+SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+
+
+class LPIPS:
+    """Perceptual distance of two images.
+
+    input_range `signed`: images are mapped to [−1, 1] as LPIPS asks; `unit`: they are fed in [0, 1] as 3DGS's
+    metrics.py does (a quirk of published tables). Raises BackboneUnavailable where no weights can be had.
+    """
+
+    def __init__(self, net: Net, input_range: Range, weights: str | None = None, download: bool = True) -> None:
+        if net not in SPECS:
+            raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
+        self.input_range = input_range
+        state = trunk_weights(net, weights, download)
+        package = _package_model(net, state)
+        self.through_package = package is not None
+        self.model: nn.Module = _PlainLPIPS(net, state) if package is None else package
+        self.model.eval().requires_grad_(False)
+
+    @torch.no_grad()
+    def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
+        """Distance of images (H, W, 1 or 3) in [0, 1]; gray ones are shown as three equal channels."""
+        return float(self.model(self._prepare(image), self._prepare(target)))
+
+    def _prepare(self, image: np.ndarray) -> Tensor:
+        tensor = torch.from_numpy(np.ascontiguousarray(image, np.float32)).permute(2, 0, 1)[None]
+        tensor = tensor.expand(1, 3, *tensor.shape[2:])
+        return tensor * 2 - 1 if self.input_range == "signed" else tensor
+
+
+class _PlainLPIPS(nn.Module):
+    """The distance itself: differences of unit-length features, weighted by the heads, averaged over the image."""
+
+    def __init__(self, net: Net, state: dict[str, Tensor]) -> None:
+        super().__init__()
+        self.spec = SPECS[net]
+        self.trunk = make_trunk(net)
+        self.trunk.load_state_dict(state)
+        self.heads = _heads(net)
+        self.register_buffer("shift", torch.tensor(SHIFT).view(1, 3, 1, 1))
+        self.register_buffer("scale", torch.tensor(SCALE).view(1, 3, 1, 1))
+
+    def forward(self, a: Tensor, b: Tensor) -> Tensor:
+        features = zip(self._features(a), self._features(b), strict=True)
+        distance = torch.zeros(len(a))
+        for (x, y), head in zip(features, self.heads, strict=True):
+            distance = distance + ((x - y) ** 2 * head).sum(dim=1).mean(dim=(1, 2))
+        return distance
+
+    def _features(self, image: Tensor) -> list[Tensor]:
+        x, found = (image - self.shift) / self.scale, []
+        for count, layer in enumerate(self.trunk, start=1):
+            x = layer(x)
+            if count in self.spec.ends:
+                found.append(x / (x.square().sum(dim=1, keepdim=True).sqrt() + 1e-10))
+            if count == self.spec.ends[-1]:
+                break
+        return found
+
+
+def _heads(net: Net) -> list[Tensor]:
+    """The linear heads (1, C, 1, 1) from the files inside the lpips package, which is not imported for it."""
+    found = importlib.util.find_spec("lpips")
+    if found is None or not found.submodule_search_locations:
+        raise BackboneUnavailable("the lpips package, which holds the linear heads, is not installed")
+    path = Path(found.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    return [state[f"lin{i}.model.1.weight"] for i in range(len(SPECS[net].ends))]
+
+
+def _package_model(net: Net, state: dict[str, Tensor]) -> nn.Module | None:
+    """lpips.LPIPS with our trunk weights, or None where the package cannot be imported."""
+    try:
+        import lpips
+    except Exception:  # torchvision beside a CPU torch raises RuntimeError, not ImportError
+        return None
+    model = lpips.LPIPS(net=net, pnet_rand=True, verbose=False)
+    with torch.no_grad():
+        for name, parameter in model.net.named_parameters():
+            parameter.copy_(state[name.split(".", 1)[1]])  # slice2.3.squeeze.weight → 3.squeeze.weight
+    return model

@@ -1,0 +1,46 @@
+"""Structural similarity (Wang et al. 2004): 11×11 Gaussian window, sigma 1.5, C1 = 0.01², C2 = 0.03², in float64."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+WINDOW, SIGMA = 11, 1.5
+C1, C2 = 0.01**2, 0.03**2
+
+Border = Literal["zero", "valid"]
+
+
+def ssim(image: np.ndarray, target: np.ndarray, border: Border) -> float:
+    """Mean SSIM over pixels and channels of images (H, W, C) in [0, 1].
+
+    border `zero`: zeros outside the image, mean over all of it (3DGS). `valid`: only where the window fits
+    (scikit-image with gaussian_weights, sigma 1.5, use_sample_covariance=False).
+    """
+    if image.shape != target.shape:
+        raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
+    half = WINDOW // 2
+    if border == "valid" and min(image.shape[:2]) < WINDOW:
+        raise ValueError(
+            f"SSIM on the valid region needs {WINDOW}×{WINDOW} pixels; the image is {image.shape[:2]}"
+        )
+    a, b = image.astype(np.float64), target.astype(np.float64)
+    mu_a, mu_b = _blur(a), _blur(b)
+    var_a, var_b = _blur(a * a) - mu_a**2, _blur(b * b) - mu_b**2
+    covariance = _blur(a * b) - mu_a * mu_b
+    values = ((2 * mu_a * mu_b + C1) * (2 * covariance + C2)) / (
+        (mu_a**2 + mu_b**2 + C1) * (var_a + var_b + C2)
+    )
+    if border == "valid":
+        values = values[half:-half, half:-half]
+    return float(values.mean())
+
+
+def _blur(image: np.ndarray) -> np.ndarray:
+    offsets = np.arange(WINDOW) - WINDOW // 2
+    weights = np.exp(-(offsets**2) / (2 * SIGMA**2))
+    weights /= weights.sum()
+    rows = correlate1d(image, weights, axis=0, mode="constant")
+    return correlate1d(rows, weights, axis=1, mode="constant")

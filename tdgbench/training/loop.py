@@ -1,0 +1,102 @@
+"""The loop that every method shares."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+
+from tdgbench.training.method import Method, Step
+
+LOG_LINES = 200
+
+
+class NonFinite(Exception):
+    """Training met a number that is not finite; says where it was first seen."""
+
+    def __init__(self, iteration: int, tensor: str) -> None:
+        super().__init__(f"{tensor} is not finite at iteration {iteration}")
+        self.iteration, self.tensor = iteration, tensor
+
+
+@dataclass
+class LogLine:
+    """Training at one moment. psnr is of the training view just rendered, smoothed."""
+
+    iteration: int
+    seconds: float
+    loss: float
+    psnr: float
+    gaussians: int
+    terms: dict[str, float]
+
+
+@dataclass
+class TrainingLog:
+    """What happened, thinned to some 200 lines."""
+
+    lines: list[LogLine] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def train(
+    method: Method, iterations: int, on_line: Callable[[LogLine], None] | None = None
+) -> TrainingLog:
+    """Train a method that is set up. Raises NonFinite at the first loss or parameter gradient that is not finite."""
+    log = TrainingLog()
+    every = max(1, iterations // LOG_LINES)
+    smoothed: float | None = None
+    start = time.perf_counter()
+    for iteration in range(1, iterations + 1):
+        models = method.models()
+        for model in models.values():
+            model.begin(iteration)
+        step = method.step(iteration)
+        loss = step.loss.item()
+        if not math.isfinite(loss):
+            raise NonFinite(iteration, _first_bad(step))
+        step.loss.backward()
+        for name, model in models.items():
+            model.finish(iteration)
+        if iteration % every == 0 or iteration in (1, iterations):
+            for name, model in models.items():
+                _check_parameters(name, model.gaussians, iteration)
+            psnr = _psnr(step)
+            smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
+            line = LogLine(
+                iteration=iteration,
+                seconds=time.perf_counter() - start,
+                loss=loss,
+                psnr=smoothed,
+                gaussians=sum(len(model) for model in models.values()),
+                terms=step.terms,
+            )
+            log.lines.append(line)
+            if on_line is not None:
+                on_line(line)
+    log.seconds = time.perf_counter() - start
+    return log
+
+
+@torch.no_grad()
+def _psnr(step: Step) -> float:
+    mse = (step.thermal.image - step.target).square().mean().item()
+    return -10 * math.log10(max(mse, 1e-12))
+
+
+def _first_bad(step: Step) -> str:
+    """The render or loss term that is not finite."""
+    for name, tensor in (("thermal render", step.thermal.image), ("depth render", step.thermal.depth)):
+        if tensor is not None and not torch.isfinite(tensor).all():
+            return name
+    bad = [name for name, value in step.terms.items() if not math.isfinite(value)]
+    return f"loss term {bad[0]}" if bad else "loss"
+
+
+def _check_parameters(model: str, gaussians, iteration: int) -> None:
+    for name, tensor in gaussians.items():
+        if not torch.isfinite(tensor).all():
+            raise NonFinite(iteration, f"{model} {name}")

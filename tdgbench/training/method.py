@@ -1,0 +1,99 @@
+"""The contract of a method plug-in, and what it is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tdgbench.priors import DepthPrior
+from tdgbench.scenes import Camera, PointCloud, Scene, View
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.training.budget import Budget
+from tdgbench.training.model import Render, SplatModel
+
+
+class ViewOrder:
+    """Views in random order without replacement, shuffled anew when all were drawn (3DGS)."""
+
+    def __init__(self, views: list[View], generator: torch.Generator) -> None:
+        self._views = views
+        self._generator = generator
+        self._order: list[int] = []
+
+    def next(self) -> View:
+        if not self._order:
+            self._order = torch.randperm(len(self._views), generator=self._generator).tolist()
+        return self._views[self._order.pop()]
+
+
+@dataclass
+class Context:
+    """What a method may use: the scene, its first points, the priors (empty if it asked for none), the budget."""
+
+    scene: Scene
+    points: PointCloud
+    priors: dict[str, DepthPrior]
+    budget: Budget
+    backend: str
+    seed: int
+    _streams: int = field(default=0, repr=False)
+
+    def generator(self) -> torch.Generator:
+        """A new independent random stream; the same seed gives the same streams in the same order."""
+        self._streams += 1
+        state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
+        return torch.Generator().manual_seed(int(state) % 2**63)
+
+    def make_model(self, channels: int) -> SplatModel:
+        """Gaussians at the first points, ready to train."""
+        start = gaussians_from_points(
+            self.points.points, self.points.colors, channels, self.budget.sh_degree
+        )
+        return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator())
+
+    def view_order(self) -> ViewOrder:
+        return ViewOrder(self.scene.train, self.generator())
+
+
+@dataclass
+class Step:
+    """One training step before its backward pass."""
+
+    loss: Tensor
+    terms: dict[str, float]
+    thermal: Render
+    target: Tensor  # (H, W, C): what `thermal` should have been
+
+
+class Method(Protocol):
+    """A way to train; lives in one file of `methods/` with one YAML file in `conf/method/`."""
+
+    name: str
+    needs_rgb: bool
+    needs_prior: bool
+
+    def setup(self, context: Context) -> None:
+        """Make the models. Called once, before the first step."""
+
+    def step(self, iteration: int) -> Step:
+        """The loss of an iteration (1-based) and the thermal render it used."""
+
+    def models(self) -> dict[str, SplatModel]:
+        """The models in training, by modality; `thermal` is the one that is scored."""
+
+    def render(self, camera: Camera) -> Render:
+        """The thermal image and depth from a camera, without gradients."""
+
+
+def thermal_tensor(view: View) -> Tensor:
+    """A view's thermal image (H, W, C) as a tensor that shares its memory."""
+    return torch.from_numpy(view.thermal)
+
+
+def rgb_tensor(view: View) -> Tensor:
+    """A view's RGB image (H, W, 3) as a tensor that shares its memory."""
+    return torch.from_numpy(view.rgb)
