@@ -1,0 +1,1 @@
+"""tdgbench: benchmark and reproduction harness for thermal Gaussian splatting."""

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.layout import LAYOUT, ReadOptions, read_scene
 from tdgbench.scenes.scene import MissingScenes, Scene, SceneError
+
+
+@dataclass(frozen=True)
+class Description:
+    """A scene's place in results."""
+
+    scene: str
+    dataset: str
+    group: str
 
 
 class Dataset(Protocol):
@@ -18,6 +28,12 @@ class Dataset(Protocol):
 
     def missing(self, names: list[str]) -> list[str]:
         """Those of the names that are not there."""
+
+    def explain_missing(self, names: list[str]) -> str:
+        """One message for all missing scenes: which, where they are expected, who publishes them."""
+
+    def describe(self, name: str | None) -> Description:
+        """What a scene is called in results, without reading it. Raises SceneError for a name it cannot know."""
 
     def load(self, name: str | None) -> Scene:
         """One scene. Raises MissingScenes or SceneError."""
@@ -40,18 +56,22 @@ class RegisteredDataset:
     def missing(self, names: list[str]) -> list[str]:
         return [name for name in names if self._find(name) is None]
 
-    def load(self, name: str | None) -> Scene:
+    def describe(self, name: str | None) -> Description:
         if name is None:
             raise SceneError(f"choose a scene with scene=…: {', '.join(self.names())}")
         scene = self._registered(name)
-        folder = self._find(name)
+        return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
+
+    def load(self, name: str | None) -> Scene:
+        what = self.describe(name)
+        folder = self._find(what.scene)
         if folder is None:
-            raise MissingScenes([scene.name], self.explain_missing([scene.name]))
-        return read_scene(folder, scene.name, registry.DATASETS[scene.dataset], scene.group, self.options)
+            raise MissingScenes([what.scene], self.explain_missing([what.scene]))
+        return read_scene(folder, what.scene, what.dataset, what.group, self.options)
 
     def explain_missing(self, names: list[str]) -> str:
         """One message for all missing scenes: which, where they are expected, and who publishes them."""
-        lines = [f"{len(names)} scenes are not in {self.root}:"]
+        lines = [f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} not in {self.root}:"]
         for key in dict.fromkeys(self._registered(name).dataset for name in names):
             own = [name for name in names if self._registered(name).dataset == key]
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(own)}")
@@ -99,12 +119,16 @@ class FolderDataset:
             f"a folder of scenes; layout: {LAYOUT}"
         )
 
-    def load(self, name: str | None) -> Scene:
+    def describe(self, name: str | None) -> Description:
         names = self.names()
-        if name is None and len(names) == 1:
-            name = names[0]
-        if name is None or name not in names:
-            wanted = [name] if name is not None else ["a scene (scene=…)"]
+        if name is None and len(names) != 1:
+            wanted = ["a scene (scene=…)"]
             raise MissingScenes(wanted, self.explain_missing(wanted))
-        folder = self.root if (self.root / "thermal").is_dir() else self.root / name
-        return read_scene(folder, name, "folder", "", self.options)
+        return Description(names[0] if name is None else name, "folder", "")
+
+    def load(self, name: str | None) -> Scene:
+        what = self.describe(name)
+        if what.scene not in self.names():
+            raise MissingScenes([what.scene], self.explain_missing([what.scene]))
+        folder = self.root if (self.root / "thermal").is_dir() else self.root / what.scene
+        return read_scene(folder, what.scene, what.dataset, what.group, self.options)

@@ -1,0 +1,1 @@
+"""Aggregate records, compare them with the published numbers, write LaTeX and CSV."""

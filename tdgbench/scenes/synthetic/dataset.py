@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from tdgbench.scenes.datasets import Description
 from tdgbench.scenes.layout import ReadOptions, read_scene
 from tdgbench.scenes.scene import Scene, SceneError
 from tdgbench.scenes.synthetic.worlds import WORLDS
@@ -37,15 +38,20 @@ class SyntheticDataset:
     def explain_missing(self, names: list[str]) -> str:
         return f"there is no synthetic scene {', '.join(names)}; there are {', '.join(WORLDS)}"
 
-    def load(self, name: str | None) -> Scene:
+    def describe(self, name: str | None) -> Description:
         name = name or next(iter(WORLDS))
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
+        return Description(name, "synthetic", WORLDS[name](self.seed).group)
+
+    def load(self, name: str | None) -> Scene:
+        what = self.describe(name)
+        name = what.scene
         world = WORLDS[name](self.seed)
         folder = self.root / "synthetic" / self._folder_name(name)
         if not folder.exists():
             write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
-        return read_scene(folder, name, "synthetic", world.group, self.options)
+        return read_scene(folder, name, what.dataset, what.group, self.options)
 
     def _folder_name(self, name: str) -> str:
         """Says what the scene was made with; a change of the generator makes a new folder."""

@@ -1,0 +1,275 @@
+"""Run one cell: load, prior, init, train, render, score; write its folder whole, or a record of the failure."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from PIL import Image
+
+from tdgbench.bench.environment import (
+    code_version,
+    describe_environment,
+    peak_memory_mb,
+    reset_peak_memory,
+)
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import Failure, Record, read_record
+from tdgbench.priors import DepthPrior, PriorError, estimate_all
+from tdgbench.scenes import Dataset, MissingScenes, Scene, SceneError, View
+from tdgbench.scoring import METRICS, mean_scores, to_8bit
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.ply import save_ply
+from tdgbench.splats.rasterization import choose_backend
+from tdgbench.training.loop import NonFinite, TrainingLog, train
+from tdgbench.training.method import Context, Method
+
+OVERWRITE = ("only-missing", "always", "never")
+Status = Literal["ok", "kept", "failed", "missing"]
+FAILURES_OF_THE_INPUT = (SceneError, PriorError, NonFinite)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a cell: run (`ok`), already there (`kept`), `failed`, or its scene is not on disk (`missing`)."""
+
+    status: Status
+    title: str
+    message: str = ""
+
+
+def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
+    """Run the cell that a resolved configuration describes. Never raises for a cell's own failure."""
+    if cfg.overwrite not in OVERWRITE:
+        raise ValueError(f"overwrite is {cfg.overwrite!r}; it must be one of {', '.join(OVERWRITE)}")
+    pool.set_threads(cfg.threads)
+    torch.set_num_threads(1)  # the kernels have their own pool; idle OpenMP workers only cost time
+    record = Record(
+        method=cfg.method.name,
+        dataset="",
+        scene=str(cfg.scene),
+        init=cfg.init.name,
+        seed=int(cfg.seed),
+        experiment=cfg.experiment,
+        variant=variant,
+        environment=describe_environment(),
+    )
+    experiment = Path(cfg.results) / cfg.experiment
+    stages = _Stages(record, progress)
+    progress.begin(record.title)
+    try:
+        with stages("load"):
+            dataset: Dataset = instantiate(cfg.dataset.loader)
+            what = dataset.describe(cfg.scene)
+            record.scene, record.dataset, record.group = what.scene, what.dataset, what.group
+            progress.rename(record.title)
+            scene = dataset.load(cfg.scene)
+            method: Method = instantiate(cfg.method.method)
+            record.config = relevant_config(cfg, method)
+            record.key = cell_key(record.config, scene)
+        folder = cell_folder_of(experiment, record)
+        existing = _existing(folder)
+        if existing is not None and existing.status == "ok" and cfg.overwrite != "always":
+            if existing.key == record.key:
+                return Outcome("kept", record.title)
+            if cfg.overwrite == "never":
+                return Outcome("kept", record.title, "made with other settings; overwrite=never keeps it")
+        _run(cfg, record, scene, method, folder, stages)
+        return Outcome("ok", record.title)
+    except MissingScenes as error:
+        return Outcome("missing", record.title, str(error))
+    except Exception as error:
+        message = str(error) if isinstance(error, FAILURES_OF_THE_INPUT) else f"{type(error).__name__}: {error}"
+        record.status = "failed"
+        record.failure = Failure(
+            stage=stages.current,
+            error=f"{type(error).__name__}: {error}",
+            traceback=traceback.format_exc(),
+            iteration=getattr(error, "iteration", None) if isinstance(error, NonFinite) else None,
+            tensor=getattr(error, "tensor", None) if isinstance(error, NonFinite) else None,
+        )
+        _write_failure(cell_folder_of(experiment, record), record)
+        return Outcome("failed", record.title, f"{stages.current}: {message}")
+    finally:
+        progress.end()
+
+
+def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
+    """The part of the configuration that the result depends on."""
+    plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    loader = {k: v for k, v in plain["dataset"]["loader"].items() if k != "root"}
+    metrics = json.loads(json.dumps(plain["metrics"]))
+    metrics["lpips"].pop("download")
+    return {
+        "dataset": loader,
+        "init": plain["init"],
+        "prior": plain["prior"] if method.needs_prior else None,
+        "method": plain["method"],
+        "backend": plain["backend"],
+        "budget": plain["budget"],
+        "metrics": metrics,
+        "seed": plain["seed"],
+    }
+
+
+def cell_key(config: dict[str, Any], scene: Scene) -> str:
+    """Names a result: the configuration it depends on, the data, the code."""
+    content = {"config": config, "data": scene.fingerprint, "scene": scene.name, "code": code_version()}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def cell_folder_of(experiment: Path, record: Record) -> Path:
+    """<experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<other overrides>]."""
+    last = f"seed{record.seed}" + (f",{record.variant}" if record.variant else "")
+    parts = [record.method, record.dataset or "unknown", record.scene, record.init, last]
+    safe = ["".join(c if c.isalnum() or c in "-_.,=+" else "_" for c in part) for part in parts]
+    return experiment / "cells" / Path(*safe)
+
+
+class _Stages:
+    """Times the stages of a cell into its record."""
+
+    def __init__(self, record: Record, progress: CellProgress) -> None:
+        self.record, self.progress, self.current = record, progress, "load"
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        self.current = name
+        self.progress.stage(name)
+        start = time.perf_counter()
+        yield
+        self.record.seconds[name] = round(time.perf_counter() - start, 3)
+
+
+def _run(cfg: DictConfig, record: Record, scene: Scene, method: Method, folder: Path, stages: _Stages) -> None:
+    reset_peak_memory()
+    budget = instantiate(cfg.budget)
+    scorer = instantiate(cfg.metrics)
+    record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
+    record.convention, record.iterations = scorer.convention, budget.iterations
+    record.views = {"train": len(scene.train), "test": len(scene.test)}
+    record.backend = choose_backend(cfg.backend.name, torch.device("cpu"), torch.float32)
+    with stages("images"):  # read here, so that training does not pay for it
+        for view in scene.train:
+            _ = view.thermal, view.rgb if method.needs_rgb else None
+    priors: dict[str, DepthPrior] = {}
+    if method.needs_prior:
+        with stages("prior"):
+            estimator = instantiate(cfg.prior.estimator)
+            cache = Path(cfg.data.root) / "cache" / "priors"
+            priors = estimate_all(estimator, scene, cache, stages.progress.count)
+            record.prior = {**estimator.identity(), "kind": next(iter(priors.values())).kind}
+    with stages("init"):
+        init = instantiate(cfg.init.points)
+        context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed))
+        record.init_points = init.describe(scene)
+        method.setup(context)
+    with stages("train"):
+        log = train(method, budget.iterations, stages.progress.line)
+    record.seconds["train"] = round(log.seconds, 3)
+    record.gaussians = {name: len(model) for name, model in method.models().items()}
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        with stages("render"):
+            renders = _render_views(method, scene.test, part)
+        with stages("score"):
+            scores = {
+                view.name: scorer.score(scene, view, image, depth)
+                for view, (image, depth) in zip(scene.test, renders, strict=True)
+            }
+        record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
+        with stages("write"):
+            for name, model in method.models().items():
+                save_ply(model.gaussians, part / ("model.ply" if name == "thermal" else f"model_{name}.ply"))
+            _write_views(part / "views.csv", scores)
+            _write_log(part / "log.csv", log)
+        record.hashes = {p.relative_to(part).as_posix(): _hash(p) for p in sorted(part.rglob("*")) if _is_result(p)}
+        record.peak_rss_mb = peak_memory_mb()
+        record.write(part)
+        _put_in_place(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _render_views(method: Method, views: list[View], folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Write each view's render and ground truth as PNG; returns render (H, W, C) uint8 and expected depth (H, W)."""
+    for sub in ("renders", "targets"):
+        (folder / sub).mkdir()
+    results = []
+    for view in views:
+        render = method.render(view.camera)
+        assert render.depth is not None
+        image = to_8bit(render.image.cpu().numpy())
+        for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
+            Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
+        depth = render.depth / render.alpha.clamp_min(1e-6)
+        results.append((image, depth.cpu().numpy().astype(np.float64)))
+    return results
+
+
+def _write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["view", *METRICS])
+        for name, values in scores.items():
+            writer.writerow([name, *("n/a" if values[m] is None else values[m] for m in METRICS)])
+
+
+def _write_log(path: Path, log: TrainingLog) -> None:
+    terms = sorted({term for line in log.lines for term in line.terms})
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["iteration", "seconds", "loss", "train_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
+        for line in log.lines:
+            own = [line.terms.get(term, "") for term in terms]
+            writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *own])
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_file() and path.suffix in (".png", ".ply")
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _existing(folder: Path) -> Record | None:
+    """The record that is there; a broken one counts as none (it will be made anew)."""
+    try:
+        return read_record(folder)
+    except ValueError:
+        return None
+
+
+def _put_in_place(part: Path, folder: Path) -> None:
+    """Rename the finished folder into place; what was there goes only once the new one is complete."""
+    old = folder.with_name(f".{folder.name}-old-{os.getpid()}")
+    if folder.exists():
+        os.replace(folder, old)
+    os.replace(part, folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _write_failure(folder: Path, record: Record) -> None:
+    """Put the failure in the cell's place; a finished result of other settings is kept beside it, hidden."""
+    existing = _existing(folder)
+    if existing is not None and existing.status == "ok":
+        os.replace(folder, folder.with_name(f".{folder.name}-{existing.key[:8]}"))
+    folder.mkdir(parents=True, exist_ok=True)
+    record.write(folder)

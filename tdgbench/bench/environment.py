@@ -1,0 +1,104 @@
+"""On what a result was made: versions, processor, commit."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.simd import LANES
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core")
+CODE_OF_A_RESULT = (
+    "tdgbench/scenes",
+    "tdgbench/priors",
+    "tdgbench/splats",
+    "tdgbench/training",
+    "tdgbench/scoring",
+    "methods",
+)
+
+
+def describe_environment() -> dict[str, object]:
+    """What the record keeps of the machine and the software."""
+    return {
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in PACKAGES},
+        "platform": platform.platform(),
+        "cpu": cpu_model(),
+        "cores": os.cpu_count(),
+        "threads": pool.get_threads(),
+        "simd_lanes": LANES,
+        "gpu": torch.cuda.get_device_name(0) if torch.cuda.is_available() else None,
+        "git": git_state(),
+    }
+
+
+@cache
+def code_version() -> str:
+    """A hash of the source files that a result depends on."""
+    digest = hashlib.sha256()
+    for room in CODE_OF_A_RESULT:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def git_state() -> dict[str, object] | None:
+    """Commit and whether the tree differs from it; None outside a git checkout."""
+    try:
+        commit = _git("rev-parse", "HEAD")
+        return {"commit": commit, "dirty": bool(_git("status", "--porcelain"))}
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+@cache
+def cpu_model() -> str:
+    """The processor's name, as far as the platform tells it."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def reset_peak_memory() -> None:
+    """Begin a new peak, where the platform can (Linux)."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        pass
+
+
+def peak_memory_mb() -> float | None:
+    """Largest resident size since `reset_peak_memory`, in MB; None where the platform does not tell."""
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return round(int(line.split()[1]) / 1024, 1)
+    except OSError:
+        pass
+    return None
+
+
+def _git(*arguments: str) -> str:
+    command = ["git", "-C", str(ROOT), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,58 @@
+"""What Hydra runs once per cell, and the note each job leaves for the end of the sweep."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from rich.console import Console
+
+from tdgbench.bench.cell import Outcome, run_cell
+from tdgbench.bench.progress import CellProgress
+
+OUTCOME = "outcome.json"
+# Overrides that the path of a cell already says, or that do not change its result.
+NOT_A_VARIANT = (
+    "method", "dataset", "scene", "init", "seed", "experiment", "results", "overwrite", "threads", "data.root",
+    "metrics.lpips.download",
+)  # fmt: skip
+
+
+def run_job(cfg: DictConfig) -> None:
+    """Run a cell, say in one line what became of it, and note the outcome in the job's folder."""
+    console = Console(stderr=True)
+    outcome = run_cell(cfg, variant(), CellProgress(console, int(cfg.budget.iterations)))
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f".{OUTCOME}"
+    part.write_text(json.dumps(asdict(outcome)))
+    os.replace(part, folder / OUTCOME)
+    if outcome.status != "missing":
+        words = {"ok": "done", "kept": "already there", "failed": "[red]failed[/red]"}
+        console.print(f"{outcome.title}: {words[outcome.status]}", highlight=False)
+
+
+def variant() -> str:
+    """The task overrides that set this cell apart from others with the same path, as Hydra writes them."""
+    overrides = HydraConfig.get().overrides.task
+    own = [o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=")[0] not in NOT_A_VARIANT]
+    return ",".join(sorted(own))
+
+
+def read_outcomes(hydra_folder: Path) -> list[Outcome]:
+    """The outcomes that the jobs of a run or sweep left, in the order of the jobs."""
+    found = []
+    for path in hydra_folder.rglob(OUTCOME):
+        number = path.parent.name
+        found.append((int(number) if number.isdigit() else -1, Outcome(**json.loads(path.read_text()))))
+    return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
+
+
+def clear_outcomes(hydra_folder: Path) -> None:
+    """Forget the outcomes of an earlier sweep."""
+    for path in hydra_folder.rglob(OUTCOME):
+        path.unlink()

@@ -1,0 +1,100 @@
+"""The record of a cell: everything that is known about one result, as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+Status = Literal["ok", "failed"]
+FILE = "record.json"
+SCHEMA = 1
+
+
+@dataclass
+class Failure:
+    """Why a cell has no scores."""
+
+    stage: str
+    error: str  # type and message
+    traceback: str
+    iteration: int | None = None  # of the first number that was not finite
+    tensor: str | None = None
+
+
+@dataclass
+class Record:
+    """One cell's result. Scores are means over the test views; None is n/a, for the reason in `missing`."""
+
+    method: str
+    dataset: str
+    scene: str
+    init: str
+    seed: int
+    experiment: str
+    variant: str
+    group: str = ""
+    status: Status = "ok"
+    key: str = ""
+    split: str = ""
+    convention: str = ""
+    iterations: int = 0
+    channels: int = 0
+    views: dict[str, int] = field(default_factory=dict)
+    scores: dict[str, float | None] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    gaussians: dict[str, int] = field(default_factory=dict)
+    peak_rss_mb: float | None = None
+    init_points: dict[str, Any] = field(default_factory=dict)
+    prior: dict[str, Any] | None = None
+    backend: str = ""
+    notes: list[str] = field(default_factory=list)
+    hashes: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    failure: Failure | None = None
+    schema: int = SCHEMA
+
+    @property
+    def title(self) -> str:
+        """How messages name the cell."""
+        extra = f" [{self.variant}]" if self.variant else ""
+        return f"{self.method} on {self.dataset}/{self.scene}, {self.init}, seed {self.seed}{extra}"
+
+    def write(self, folder: Path) -> None:
+        """Write record.json, whole or not at all."""
+        part = folder / f".{FILE}.{os.getpid()}"
+        part.write_text(json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
+        os.replace(part, folder / FILE)
+
+
+def read_record(folder: Path) -> Record | None:
+    """The record in a cell's folder; None if there is none. Raises ValueError, naming the file, if it is broken."""
+    path = folder / FILE
+    try:
+        content = json.loads(path.read_text())
+        if content.get("schema") != SCHEMA:
+            raise ValueError(f"its schema is {content.get('schema')}, this version reads {SCHEMA}")
+        failure = content.pop("failure")
+        return Record(**content, failure=None if failure is None else Failure(**failure))
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            f"{path} is not a record: {error}; delete its folder to run the cell again"
+        ) from error
+
+
+def read_all(experiment: Path) -> list[Record]:
+    """Every record below <experiment>/cells, in the order of their paths (folders that begin with a dot are not cells)."""
+    found = []
+    for path in sorted((experiment / "cells").rglob(FILE)):
+        if any(part.startswith(".") for part in path.relative_to(experiment).parts):
+            continue
+        record = read_record(path.parent)
+        if record is not None:
+            found.append(record)
+    return found

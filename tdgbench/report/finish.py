@@ -1,0 +1,76 @@
+"""Before and after a run or sweep: say which scenes are missing; then tables, pictures, failures, exit status."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from rich.console import Console
+
+from tdgbench.bench.job import clear_outcomes, read_outcomes
+from tdgbench.bench.record import read_all
+from tdgbench.bench.sweep import swept
+from tdgbench.report.strip import draw_strip
+from tdgbench.scenes import SceneError
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.results import Plan
+from tdgbench.tables.show import show
+
+
+class Finish(Callback):
+    """A Hydra callback; the same for one cell and for many, and for every launcher."""
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        self._start(config)
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        self._start(config)
+
+    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
+        self._end(config, Path(config.hydra.run.dir))
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        self._end(config, Path(config.hydra.sweep.dir))
+
+    def _start(self, config: DictConfig) -> None:
+        """Plan the experiment, and name every missing scene in one message before hours of work begin."""
+        console = Console(stderr=True)
+        experiment = Path(config.results) / config.experiment
+        clear_outcomes(experiment / "hydra")
+        dataset = instantiate(config.dataset.loader)
+        try:
+            names = swept(config, "scene") or [config.scene]
+            found = [dataset.describe(name) for name in names]
+            missing = dataset.missing([what.scene for what in found])
+        except SceneError as error:
+            console.print(f"[red]error:[/red] {error}", highlight=False, soft_wrap=True)
+            raise SystemExit(1) from error
+        if missing:
+            console.print(f"[red]error:[/red] {dataset.explain_missing(missing)}", highlight=False, soft_wrap=True)
+        methods = swept(config, "method") or [config.method.name]
+        inits = swept(config, "init") or [config.init.name]
+        Plan(config.table, [vars(what) for what in found], methods, inits).write(experiment)
+
+    def _end(self, config: DictConfig, hydra_folder: Path) -> None:
+        """Tables and pictures of everything on disk; one line per failure; exit status 1 if anything is lacking."""
+        console = Console()
+        experiment = Path(config.results) / config.experiment
+        outcomes = read_outcomes(hydra_folder)
+        tables = build_tables(experiment)
+        show(tables, console)
+        draw_strip(read_all(experiment), experiment, experiment / "strip.png")
+        console.print(f"tables: {tables.folder}   pictures: {experiment / 'strip.png'}", highlight=False)
+        count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "failed", "missing")}
+        console.print(
+            f"{count['ok']} cells run, {count['kept']} already there, {count['failed']} failed, "
+            f"{count['missing']} without data",
+            highlight=False,
+        )
+        for outcome in outcomes:
+            if outcome.status == "failed":
+                console.print(f"[red]failed:[/red] {outcome.title}: {outcome.message}", highlight=False, soft_wrap=True)
+        if count["failed"] or count["missing"]:
+            raise SystemExit(1)

@@ -1,0 +1,55 @@
+"""One picture per experiment: a test view of each scene, ground truth | each method | its error | its depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from tdgbench.bench.cell import cell_folder_of
+from tdgbench.bench.record import Record
+
+ERROR_RANGE = 0.15
+
+
+def draw_strip(records: list[Record], experiment: Path, target: Path) -> None:
+    """Draw what the finished cells of an experiment rendered; nothing if there are none."""
+    done = [r for r in records if r.status == "ok"]
+    scenes = list(dict.fromkeys((r.dataset, r.scene) for r in done))
+    methods = list(dict.fromkeys(r.method for r in done))
+    if not done:
+        return
+    columns = 1 + 2 * len(methods)
+    figure = Figure(figsize=(2.4 * columns, 1.95 * len(scenes)), layout="constrained")
+    axes = figure.subplots(len(scenes), columns, squeeze=False)
+    for row, (dataset, scene) in zip(axes, scenes, strict=True):
+        for axis in row:
+            axis.set_axis_off()
+        for m, method in enumerate(methods):
+            own = [r for r in done if (r.dataset, r.scene, r.method) == (dataset, scene, method)]
+            if not own:
+                continue
+            truth, image = _pair(cell_folder_of(experiment, own[0]))
+            row[0].imshow(truth, vmin=0, vmax=1, cmap="inferno")
+            row[0].set_title(f"{scene}: ground truth", fontsize=8)
+            row[1 + m].imshow(image, vmin=0, vmax=1, cmap="inferno")
+            row[1 + m].set_title(f"{method} {own[0].scores['psnr']:.1f} dB", fontsize=8)
+            error = np.abs(image - truth)
+            error = error.mean(axis=2) if error.ndim == 3 else error
+            row[1 + len(methods) + m].imshow(error, vmin=0, vmax=ERROR_RANGE, cmap="magma")
+            row[1 + len(methods) + m].set_title(f"{method} error (0 to {ERROR_RANGE})", fontsize=8)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context({"savefig.dpi": 110}):
+        figure.savefig(target)
+
+
+def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Ground truth and render of the middle test view, in [0, 1]."""
+    names = sorted(p.name for p in (folder / "renders").glob("*.png"))
+    name = names[len(names) // 2]
+    return tuple(
+        np.asarray(Image.open(folder / sub / name)).astype(np.float32) / 255 for sub in ("targets", "renders")
+    )  # type: ignore[return-value]

@@ -1,0 +1,101 @@
+"""From an experiment's folder to its tables: main.csv, main.tex and, where something is published, difference.csv."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from tdgbench.bench.record import Record, read_all
+from tdgbench.scenes.registry import DATASETS
+from tdgbench.tables.difference import difference
+from tdgbench.tables.latex import ablation_table, main_table
+from tdgbench.tables.published import published_ablation, published_main
+from tdgbench.tables.results import (
+    KEYS,
+    METHOD_ORDER,
+    OVERALL,
+    Plan,
+    read_plan,
+    scene_rows,
+    with_averages,
+    with_bold,
+)
+
+INITS = ("random", "colmap")
+ABLATION_METRICS = ("psnr", "ssim")
+
+
+@dataclass
+class Tables:
+    """What was built. difference is None where nothing is published for these scenes."""
+
+    kind: str
+    main: pd.DataFrame
+    latex: str
+    difference: pd.DataFrame | None
+    folder: Path
+
+
+def build_tables(experiment: Path) -> Tables:
+    """Build and write the tables of what is on disk. Raises ValueError if there is nothing, naming the folder."""
+    records, plan = read_all(experiment), read_plan(experiment)
+    if not records and not plan.scenes:
+        raise ValueError(f"{experiment} holds no records; run an experiment first")
+    folder = experiment / "tables"
+    if plan.table == "ablation":
+        main = ablation_rows(records, plan)
+        against = difference(main, published_ablation(), ["method", "init", "metric"])
+        tables = Tables("ablation", main, ablation_table(main), against, folder)
+    elif plan.table == "main":
+        main = with_bold(with_averages(scene_rows(records, plan)))
+        of_paper = main["dataset"].isin(DATASETS.values()).any()
+        against = difference(main, published_main(), KEYS) if of_paper else None
+        tables = Tables("main", main, main_table(main), against, folder)
+    else:
+        raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main or ablation")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "main.csv", to_csv(tables.main))
+    write_text(folder / "main.tex", tables.latex)
+    if tables.difference is not None:
+        write_text(folder / "difference.csv", to_csv(tables.difference))
+    return tables
+
+
+def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
+    """method, init, metric, value, bold, reason: means over all scenes, per init; the better init is bold."""
+    parts = []
+    for init in INITS:
+        rows = with_averages(scene_rows(records, plan, init))
+        names = set(rows["dataset"]) - {""}
+        chosen = rows[rows["scene"] == (OVERALL if len(names) > 1 else "Average")]
+        parts.append(chosen[chosen["metric"].isin(ABLATION_METRICS)].assign(init=init))
+    table = pd.concat(parts, ignore_index=True)
+    order = {m: i for i, m in enumerate((*METHOD_ORDER, *table["method"].unique()[::-1]))}
+    table = table.sort_values("method", key=lambda c: c.map(order), kind="stable").reset_index(drop=True)
+    best = table.groupby(["method", "metric"])["value"].transform("max")
+    alone = table.groupby(["method", "metric"])["value"].transform("count") > 1
+    table["bold"] = (table["value"] == best) & alone
+    return table[["method", "init", "metric", "value", "bold", "reason"]]
+
+
+def to_csv(table: pd.DataFrame) -> str:
+    """CSV text with n/a for numbers that are not there."""
+    table = table.copy()
+    for column in ("value", "ours", "published", "difference"):
+        if column in table:
+            table[column] = [
+                "n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]
+            ]
+    if "bold" in table:
+        table["bold"] = table["bold"].map({True: "true", False: "false"})
+    return table.to_csv(index=False, lineterminator="\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_text(text)
+    os.replace(part, path)

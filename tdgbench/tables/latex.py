@@ -1,0 +1,97 @@
+"""The tables as LaTeX (booktabs), in the paper's rows, groups and bold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.scenes.registry import GROUPS, SCENES
+from tdgbench.tables.results import AVERAGE, METRICS, OVERALL, decimals
+
+HEADERS = {
+    "psnr": r"PSNR $\uparrow$",
+    "ssim": r"SSIM $\uparrow$",
+    "lpips": r"LPIPS $\downarrow$",
+    "hours": r"Time [h] $\downarrow$",
+}
+METHOD_NAMES = {"msmg": "MSMG", "tdg": "TDg", "splat": "3DGS"}
+LABELS = {scene.name: scene.label for scene in SCENES}
+ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+
+
+def escape(text: str) -> str:
+    """Text as LaTeX."""
+    return "".join(ESCAPES.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+
+
+def main_table(rows: pd.DataFrame) -> str:
+    """Scenes down, methods × metrics across; a standalone `tabular` that needs the package booktabs."""
+    methods = list(dict.fromkeys(rows["method"]))
+    cells = {
+        (r.method, r.dataset, r.scene, r.metric): _number(r.value, decimals(r.metric, r.scene), r.bold)
+        for r in rows.itertuples()
+    }
+
+    def line(label: str, dataset: str, scene: str) -> str:
+        values = [cells[m, dataset, scene, metric] for m in methods for metric in METRICS]
+        return f"{label} & {' & '.join(values)} \\\\"
+
+    width = 1 + len(methods) * len(METRICS)
+    heads = [rf"\multicolumn{{{len(METRICS)}}}{{c}}{{{_method(m)}}}" for m in methods]
+    rules = [
+        rf"\cmidrule(lr){{{2 + i * len(METRICS)}-{1 + (i + 1) * len(METRICS)}}}" for i in range(len(methods))
+    ]
+    lines = [
+        rf"\begin{{tabular}}{{l{'c' * (width - 1)}}}",
+        r"\toprule",
+        f"Dataset & {' & '.join(heads)} \\\\",
+        "".join(rules),
+        f" & {' & '.join(HEADERS[metric] for _ in methods for metric in METRICS)} \\\\",
+    ]
+    single = rows[rows["scene"] != OVERALL]
+    for dataset, of_dataset in single.groupby("dataset", sort=False):
+        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(str(dataset))}}}}} \\"]
+        scenes = of_dataset[of_dataset["scene"] != AVERAGE].drop_duplicates("scene")
+        for group, members in scenes.groupby("group", sort=False):
+            if group:
+                title = escape(GROUPS.get(str(group), str(group)))
+                lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
+            lines += [
+                line(rf"\qquad {escape(LABELS.get(s, s))}", str(dataset), s) for s in members["scene"]
+            ]
+        lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
+    if (rows["scene"] == OVERALL).any():
+        lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def ablation_table(rows: pd.DataFrame) -> str:
+    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2; rows: method, init, metric, value, bold."""
+    lines = [
+        r"\begin{tabular}{lccc}",
+        r"\toprule",
+        r" & Random & COLMAP & PSNR / SSIM \\",
+    ]
+    for method, own in rows.groupby("method", sort=False):
+        lines.append(r"\midrule")
+        for init in dict.fromkeys(own["init"]):
+            values = own[own["init"] == init].set_index("metric")
+            psnr, ssim = (_number(values.loc[m, "value"], d, False) for m, d in (("psnr", 2), ("ssim", 4)))
+            text = f"{psnr} / {ssim}"
+            if bool(values["bold"].any()):
+                text = rf"\textbf{{{text}}}"
+            marks = " & ".join(r"$\checkmark$" if init == i else r"$\times$" for i in ("random", "colmap"))
+            lines.append(f"{_method(str(method))} & {marks} & {text} \\\\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _method(label: str) -> str:
+    name, _, rest = label.partition(" ")
+    return escape(f"{METHOD_NAMES.get(name, name)} {rest}".strip())
+
+
+def _number(value: float, digits: int, bold: bool) -> str:
+    if np.isnan(value):
+        return "n/a"
+    text = f"{value:.{digits}f}"
+    return rf"\textbf{{{text}}}" if bold else text

@@ -1,0 +1,168 @@
+"""Records as a long table: one row per method, scene and metric; what is not there is n/a with its reason."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.bench.record import Record
+from tdgbench.scenes.registry import DATASETS, SCENES
+
+METRICS = ("psnr", "ssim", "lpips", "hours")  # of the published tables
+EXTRA_METRICS = ("mae_degC", "depth_abs_rel")
+HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False, "hours": False, "mae_degC": False, "depth_abs_rel": False}  # fmt: skip
+DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "hours": 3, "mae_degC": 3, "depth_abs_rel": 3}
+KEYS = ["method", "dataset", "group", "scene", "metric"]
+AVERAGE, OVERALL = "Average", "Average (Overall)"
+METHOD_ORDER = ("msmg", "tdg")
+PLAN_FILE = "experiment.json"
+NO_RECORD = "not run, or the scene is not on disk"
+
+
+@dataclass
+class Plan:
+    """What an experiment is to show: kind of table, and the scenes, methods and inits that were asked for."""
+
+    table: str = "main"
+    scenes: list[dict[str, str]] = field(default_factory=list)  # scene, dataset, group
+    methods: list[str] = field(default_factory=list)
+    inits: list[str] = field(default_factory=list)
+
+    def write(self, experiment: Path) -> None:
+        experiment.mkdir(parents=True, exist_ok=True)
+        part = experiment / f".{PLAN_FILE}.{os.getpid()}"
+        part.write_text(json.dumps(asdict(self), indent=1) + "\n")
+        os.replace(part, experiment / PLAN_FILE)
+
+
+def read_plan(experiment: Path) -> Plan:
+    """The plan of an experiment's folder; a main table of whatever is there if none was written."""
+    path = experiment / PLAN_FILE
+    return Plan(**json.loads(path.read_text())) if path.exists() else Plan()
+
+
+def method_label(record: Record, with_init: bool) -> str:
+    """The method as a column: other overrides, and inits other than COLMAP, set columns apart."""
+    label = record.method
+    if with_init and record.init != "colmap":
+        label += f" ({record.init})"
+    return label + (f" [{record.variant}]" if record.variant else "")
+
+
+def metric_value(record: Record, metric: str) -> tuple[float, str]:
+    """The value (NaN for n/a) and the reason if there is none."""
+    if record.failure is not None:
+        return np.nan, f"failed in {record.failure.stage}: {record.failure.error.splitlines()[0]}"
+    if metric == "hours":
+        return record.seconds["train"] / 3600, ""
+    value = record.scores.get(metric)
+    return (np.nan, record.missing.get(metric, "not scored")) if value is None else (value, "")
+
+
+def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
+    """Rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a rows where nothing is known.
+
+    With `init` only its records count, and inits do not make columns.
+    """
+    chosen = [r for r in records if init in (None, r.init)]
+    labels = [method_label(r, with_init=init is None) for r in chosen]
+    methods = sorted({*labels, *plan.methods}, key=_method_rank)
+    scenes = _scenes(chosen, plan)
+    if any(s["dataset"] in DATASETS.values() for s in scenes):
+        methods = sorted({*methods, *METHOD_ORDER}, key=_method_rank)
+    rows = []
+    for method in methods:
+        for scene in scenes:
+            own = [
+                r
+                for r, label in zip(chosen, labels, strict=True)
+                if label == method and (r.dataset, r.scene) == (scene["dataset"], scene["scene"])
+            ]
+            for metric in (*METRICS, *EXTRA_METRICS):
+                pairs = [metric_value(r, metric) for r in own] or [(np.nan, NO_RECORD)]
+                value = float(np.mean([v for v, _ in pairs]))  # NaN if any seed lacks it
+                reason = next((reason for _, reason in pairs if reason), "")
+                rows.append({"method": method, **scene, "metric": metric, "value": value, "reason": reason})
+    return pd.DataFrame(rows, columns=[*KEYS, "value", "reason"])
+
+
+def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows and their averages per data set and overall; an average over anything missing is n/a."""
+    parts = []
+    datasets = list(dict.fromkeys(rows["dataset"]))
+    for method, of_method in rows.groupby("method", sort=False):
+        for dataset in datasets:
+            own = of_method[of_method["dataset"] == dataset]
+            parts += [own, _average(own, str(method), dataset, AVERAGE)]
+        if len(datasets) > 1:
+            parts.append(_average(of_method, str(method), "", OVERALL))
+    return pd.concat(parts, ignore_index=True) if parts else rows
+
+
+def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mark the best method of each row of the table; values that print the same are a tie, and nobody is marked."""
+    rows = rows.copy()
+    rounded = [
+        np.nan if np.isnan(v) else round(v, decimals(metric, scene))
+        for v, metric, scene in zip(rows["value"], rows["metric"], rows["scene"], strict=True)
+    ]
+    rows["bold"] = False
+    for (_, _, metric), group in pd.Series(rounded, rows.index).groupby(
+        [rows["dataset"], rows["scene"], rows["metric"]], sort=False
+    ):
+        known = group.dropna()
+        best = known.max() if HIGHER_IS_BETTER[str(metric)] else known.min()
+        winners = known.index[known == best]
+        if len(known) > 1 and len(winners) == 1:
+            rows.loc[winners, "bold"] = True
+    return rows
+
+
+def decimals(metric: str, scene: str) -> int:
+    """Digits after the point, as the paper prints them (its overall SSIM has four)."""
+    return 4 if metric == "ssim" and scene == OVERALL else DECIMALS[metric]
+
+
+def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.DataFrame:
+    result = []
+    for metric, own in rows.groupby("metric", sort=False):
+        lacking = int(own["value"].isna().sum())
+        reasons = set(own["reason"]) - {""}
+        why = reasons.pop() if len(reasons) == 1 else f"{lacking} of {len(own)} scenes are n/a"
+        result.append(
+            {
+                "method": method,
+                "dataset": dataset,
+                "group": "",
+                "scene": name,
+                "metric": metric,
+                "value": float(own["value"].mean(skipna=False)),
+                "reason": why if lacking else "",
+            }
+        )
+    return pd.DataFrame(result)
+
+
+def _scenes(records: list[Record], plan: Plan) -> list[dict[str, str]]:
+    """The scenes of the table: planned, seen in records, and if any is of the paper, all of the paper's."""
+    keys = {(s["dataset"], s["scene"]): s for s in plan.scenes}
+    for r in records:
+        keys.setdefault((r.dataset, r.scene), {"scene": r.scene, "dataset": r.dataset, "group": r.group})
+    paper = {
+        (DATASETS[s.dataset], s.name): {"scene": s.name, "dataset": DATASETS[s.dataset], "group": s.group}
+        for s in SCENES
+    }
+    if any(key in paper for key in keys):
+        keys = {**paper, **{k: v for k, v in keys.items() if k not in paper}}
+    return list(keys.values())
+
+
+def _method_rank(label: str) -> tuple[int, str]:
+    name = label.split(" ")[0]
+    return (METHOD_ORDER.index(name) if name in METHOD_ORDER else len(METHOD_ORDER), label)
