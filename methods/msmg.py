@@ -40,16 +40,12 @@ class MSMG:
 
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
-        loss_rgb = photometric(
-            self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view), self.lambda_ssim
-        )
+        loss_rgb = photometric(self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view), self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
         target = thermal_tensor(thermal_view)
         loss_thermal = self.thermal_loss(render.image, target)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
-        loss = (
-            self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
-        )
+        loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target)
 
     def models(self) -> dict[str, SplatModel]:

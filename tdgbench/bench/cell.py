@@ -31,17 +31,17 @@ from tdgbench.bench.environment import (
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
-from tdgbench.scenes import Dataset, MissingScenes, Scene, SceneError, View
+from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError, View
 from tdgbench.scoring import METRICS, mean_scores, to_8bit
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
-from tdgbench.training.loop import NonFinite, TrainingLog, train
+from tdgbench.training.loop import NonFiniteError, TrainingLog, train
 from tdgbench.training.method import Context, Method
 
 OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing"]
-FAILURES_OF_THE_INPUT = (SceneError, PriorError, NonFinite)
+FAILURES_OF_THE_INPUT = (SceneError, PriorError, NonFiniteError)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
                 return Outcome("kept", record.title, "made with other settings; overwrite=never keeps it")
         _run(cfg, record, scene, method, folder, stages)
         return Outcome("ok", record.title)
-    except MissingScenes as error:
+    except MissingScenesError as error:
         return Outcome("missing", record.title, str(error))
     except Exception as error:
         message = str(error) if isinstance(error, FAILURES_OF_THE_INPUT) else f"{type(error).__name__}: {error}"
@@ -100,8 +100,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
             stage=stages.current,
             error=f"{type(error).__name__}: {error}",
             traceback=traceback.format_exc(),
-            iteration=getattr(error, "iteration", None) if isinstance(error, NonFinite) else None,
-            tensor=getattr(error, "tensor", None) if isinstance(error, NonFinite) else None,
+            iteration=getattr(error, "iteration", None) if isinstance(error, NonFiniteError) else None,
+            tensor=getattr(error, "tensor", None) if isinstance(error, NonFiniteError) else None,
         )
         _write_failure(cell_folder_of(experiment, record), record)
         return Outcome("failed", record.title, f"{stages.current}: {message}")
@@ -261,8 +261,8 @@ def _put_in_place(part: Path, folder: Path) -> None:
     """Rename the finished folder into place; what was there goes only once the new one is complete."""
     old = folder.with_name(f".{folder.name}-old-{os.getpid()}")
     if folder.exists():
-        os.replace(folder, old)
-    os.replace(part, folder)
+        folder.replace(old)
+    part.replace(folder)
     shutil.rmtree(old, ignore_errors=True)
 
 
@@ -270,6 +270,6 @@ def _write_failure(folder: Path, record: Record) -> None:
     """Put the failure in the cell's place; a finished result of other settings is kept beside it, hidden."""
     existing = _existing(folder)
     if existing is not None and existing.status == "ok":
-        os.replace(folder, folder.with_name(f".{folder.name}-{existing.key[:8]}"))
+        folder.replace(folder.with_name(f".{folder.name}-{existing.key[:8]}"))
     folder.mkdir(parents=True, exist_ok=True)
     record.write(folder)

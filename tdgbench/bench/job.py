@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
+from rich.markup import escape
 
 from tdgbench.bench.cell import Outcome, run_cell
 from tdgbench.bench.progress import CellProgress
+from tdgbench.files import write_text
 
 OUTCOME = "outcome.json"
 # Overrides that the path of a cell already says, or that do not change its result.
@@ -28,12 +29,10 @@ def run_job(cfg: DictConfig) -> None:
     outcome = run_cell(cfg, variant(), CellProgress(console, int(cfg.budget.iterations)))
     folder = Path(HydraConfig.get().runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    part = folder / f".{OUTCOME}"
-    part.write_text(json.dumps(asdict(outcome)))
-    os.replace(part, folder / OUTCOME)
+    write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     if outcome.status != "missing":
         words = {"ok": "done", "kept": "already there", "failed": "[red]failed[/red]"}
-        console.print(f"{outcome.title}: {words[outcome.status]}", highlight=False)
+        console.print(f"{escape(outcome.title)}: {words[outcome.status]}", highlight=False, soft_wrap=True)
 
 
 def variant() -> str:

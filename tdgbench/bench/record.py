@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+from tdgbench.files import write_text
 
 Status = Literal["ok", "failed"]
 FILE = "record.json"
@@ -66,9 +67,7 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write record.json, whole or not at all."""
-        part = folder / f".{FILE}.{os.getpid()}"
-        part.write_text(json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
-        os.replace(part, folder / FILE)
+        write_text(folder / FILE, json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
 def read_record(folder: Path) -> Record | None:
@@ -83,13 +82,11 @@ def read_record(folder: Path) -> Record | None:
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(
-            f"{path} is not a record: {error}; delete its folder to run the cell again"
-        ) from error
+        raise ValueError(f"{path} is not a record: {error}; delete its folder to run the cell again") from error
 
 
 def read_all(experiment: Path) -> list[Record]:
-    """Every record below <experiment>/cells, in the order of their paths (folders that begin with a dot are not cells)."""
+    """Every record below <experiment>/cells, in the order of their paths; hidden folders are not cells."""
     found = []
     for path in sorted((experiment / "cells").rglob(FILE)):
         if any(part.startswith(".") for part in path.relative_to(experiment).parts):

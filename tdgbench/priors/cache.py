@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from tdgbench.files import whole_file
 from tdgbench.priors.prior import DepthEstimator, DepthPrior
 from tdgbench.scenes import Scene, View
 
@@ -38,7 +38,6 @@ def _cached(estimator: DepthEstimator, scene: Scene, view: View, cache: Path | N
             return DepthPrior(stored["values"], str(stored["kind"]))  # type: ignore[arg-type]
     prior = estimator.estimate(scene, view)
     cache.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part.npz")
-    np.savez_compressed(part, values=prior.values, kind=prior.kind)
-    os.replace(part, path)
+    with whole_file(path) as part:
+        np.savez_compressed(part, values=prior.values, kind=prior.kind)
     return prior

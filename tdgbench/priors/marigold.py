@@ -44,7 +44,7 @@ class MarigoldPrior:
             )
         except Exception as error:
             raise PriorError(
-                f"the weights of {self.model} cannot be had ({type(error).__name__}: {error}); connect to the hub once, "
+                f"the weights of {self.model} cannot be had ({type(error).__name__}: {error}); go online once, "
                 "set HF_HOME to a cache that has them, or choose prior=sfm_points or prior=files"
             ) from error
         pipeline.set_progress_bar_config(disable=True)

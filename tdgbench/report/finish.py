@@ -9,6 +9,7 @@ from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
+from rich.markup import escape
 
 from tdgbench.bench.job import clear_outcomes, read_outcomes
 from tdgbench.bench.record import read_all
@@ -46,10 +47,11 @@ class Finish(Callback):
             found = [dataset.describe(name) for name in names]
             missing = dataset.missing([what.scene for what in found])
         except SceneError as error:
-            console.print(f"[red]error:[/red] {error}", highlight=False, soft_wrap=True)
+            console.print(f"[red]error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             raise SystemExit(1) from error
         if missing:
-            console.print(f"[red]error:[/red] {dataset.explain_missing(missing)}", highlight=False, soft_wrap=True)
+            message = escape(dataset.explain_missing(missing))
+            console.print(f"[red]error:[/red] {message}", highlight=False, soft_wrap=True)
         methods = swept(config, "method") or [config.method.name]
         inits = swept(config, "init") or [config.init.name]
         Plan(config.table, [vars(what) for what in found], methods, inits).write(experiment)
@@ -61,8 +63,9 @@ class Finish(Callback):
         outcomes = read_outcomes(hydra_folder)
         tables = build_tables(experiment)
         show(tables, console)
-        draw_strip(read_all(experiment), experiment, experiment / "strip.png")
-        console.print(f"tables: {tables.folder}   pictures: {experiment / 'strip.png'}", highlight=False)
+        console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
+        if draw_strip(read_all(experiment), experiment, experiment / "strip.png"):
+            console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
         count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "failed", "missing")}
         console.print(
             f"{count['ok']} cells run, {count['kept']} already there, {count['failed']} failed, "
@@ -71,6 +74,7 @@ class Finish(Callback):
         )
         for outcome in outcomes:
             if outcome.status == "failed":
-                console.print(f"[red]failed:[/red] {outcome.title}: {outcome.message}", highlight=False, soft_wrap=True)
+                message = escape(f"{outcome.title}: {outcome.message}")
+                console.print(f"[red]failed:[/red] {message}", highlight=False, soft_wrap=True)
         if count["failed"] or count["missing"]:
             raise SystemExit(1)

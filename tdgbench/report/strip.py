@@ -15,13 +15,13 @@ from tdgbench.bench.record import Record
 ERROR_RANGE = 0.15
 
 
-def draw_strip(records: list[Record], experiment: Path, target: Path) -> None:
-    """Draw what the finished cells of an experiment rendered; nothing if there are none."""
+def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
+    """Draw what the finished cells of an experiment rendered; False if there are none."""
     done = [r for r in records if r.status == "ok"]
     scenes = list(dict.fromkeys((r.dataset, r.scene) for r in done))
     methods = list(dict.fromkeys(r.method for r in done))
     if not done:
-        return
+        return False
     columns = 1 + 2 * len(methods)
     figure = Figure(figsize=(2.4 * columns, 1.95 * len(scenes)), layout="constrained")
     axes = figure.subplots(len(scenes), columns, squeeze=False)
@@ -44,12 +44,11 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context({"savefig.dpi": 110}):
         figure.savefig(target)
+    return True
 
 
 def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Ground truth and render of the middle test view, in [0, 1]."""
     names = sorted(p.name for p in (folder / "renders").glob("*.png"))
     name = names[len(names) // 2]
-    return tuple(
-        np.asarray(Image.open(folder / sub / name)).astype(np.float32) / 255 for sub in ("targets", "renders")
-    )  # type: ignore[return-value]
+    return tuple(np.asarray(Image.open(folder / sub / name)).astype(np.float32) / 255 for sub in ("targets", "renders"))  # type: ignore[return-value]

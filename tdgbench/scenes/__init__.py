@@ -4,7 +4,7 @@ from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.layout import ReadOptions
 from tdgbench.scenes.scene import (
     Camera,
-    MissingScenes,
+    MissingScenesError,
     PointCloud,
     Scene,
     SceneError,
@@ -16,7 +16,7 @@ __all__ = [
     "Camera",
     "Dataset",
     "FolderDataset",
-    "MissingScenes",
+    "MissingScenesError",
     "PointCloud",
     "ReadOptions",
     "RegisteredDataset",

@@ -26,8 +26,7 @@ class Undistortion:
         rows = (self.rows + 0.5) * height / self.source_size[1] - 0.5
         columns = (self.columns + 0.5) * width / self.source_size[0] - 0.5
         planes = [
-            map_coordinates(image[..., c], [rows, columns], order=1, mode="nearest")
-            for c in range(image.shape[2])
+            map_coordinates(image[..., c], [rows, columns], order=1, mode="nearest") for c in range(image.shape[2])
         ]
         return np.stack(planes, axis=-1)
 

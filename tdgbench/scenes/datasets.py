@@ -8,7 +8,7 @@ from typing import Protocol
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.layout import LAYOUT, ReadOptions, read_scene
-from tdgbench.scenes.scene import MissingScenes, Scene, SceneError
+from tdgbench.scenes.scene import MissingScenesError, Scene, SceneError
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Dataset(Protocol):
         """What a scene is called in results, without reading it. Raises SceneError for a name it cannot know."""
 
     def load(self, name: str | None) -> Scene:
-        """One scene. Raises MissingScenes or SceneError."""
+        """One scene. Raises MissingScenesError or SceneError."""
 
 
 class RegisteredDataset:
@@ -66,7 +66,7 @@ class RegisteredDataset:
         what = self.describe(name)
         folder = self._find(what.scene)
         if folder is None:
-            raise MissingScenes([what.scene], self.explain_missing([what.scene]))
+            raise MissingScenesError([what.scene], self.explain_missing([what.scene]))
         return read_scene(folder, what.scene, what.dataset, what.group, self.options)
 
     def explain_missing(self, names: list[str]) -> str:
@@ -123,12 +123,12 @@ class FolderDataset:
         names = self.names()
         if name is None and len(names) != 1:
             wanted = ["a scene (scene=…)"]
-            raise MissingScenes(wanted, self.explain_missing(wanted))
+            raise MissingScenesError(wanted, self.explain_missing(wanted))
         return Description(names[0] if name is None else name, "folder", "")
 
     def load(self, name: str | None) -> Scene:
         what = self.describe(name)
         if what.scene not in self.names():
-            raise MissingScenes([what.scene], self.explain_missing([what.scene]))
+            raise MissingScenesError([what.scene], self.explain_missing([what.scene]))
         folder = self.root if (self.root / "thermal").is_dir() else self.root / what.scene
         return read_scene(folder, what.scene, what.dataset, what.group, self.options)

@@ -49,7 +49,8 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     °C and need a range. Raises SceneError naming the file.
     """
     try:
-        with Image.open(path) as image:
+        with Image.open(path) as opened:
+            image: Image.Image = opened
             if image.mode in ("P", "RGBA", "CMYK", "YCbCr", "LA", "1"):
                 image = image.convert("L" if image.mode in ("LA", "1") else "RGB")
             values, mode = np.asarray(image), image.mode

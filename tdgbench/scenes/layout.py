@@ -75,9 +75,7 @@ def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadO
             "add them, or set dataset.options.skip_unpaired=true"
         )
     if unpaired:
-        notes.append(
-            f"{len(unpaired)} posed views have no thermal image and are left out: {', '.join(unpaired[:5])}"
-        )
+        notes.append(f"{len(unpaired)} posed views have no thermal image and are left out: {', '.join(unpaired[:5])}")
     names = sorted(set(posed) & set(thermal))
     if not names:
         raise SceneError(
@@ -91,8 +89,7 @@ def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadO
     radiometry = read_radiometry(folder / "temperature.json")
     channels = _decide_channels([thermal[n] for n in names], radiometry, options.channels)
     views = {
-        n: _make_view(posed[n], thermal[n], rgb.get(n), folder / "depth", radiometry, channels, options)
-        for n in names
+        n: _make_view(posed[n], thermal[n], rgb.get(n), folder / "depth", radiometry, channels, options) for n in names
     }
     return Scene(
         name=name,
@@ -136,11 +133,7 @@ def _make_view(posed: Posed, thermal: Path, rgb: Path | None, depth_folder: Path
 def _load(path: Path, posed: Posed, width: int, height: int, channels: int, radiometry) -> np.ndarray:
     """Read, undistort, resize, and bring to the number of channels."""
     image = read_image(path, radiometry)
-    source = (
-        (posed.camera.width, posed.camera.height)
-        if posed.undistortion is None
-        else posed.undistortion.source_size
-    )
+    source = (posed.camera.width, posed.camera.height) if posed.undistortion is None else posed.undistortion.source_size
     if abs(image.shape[1] / image.shape[0] * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
         raise SceneError(
             f"{path} is {image.shape[1]}×{image.shape[0]}, but its camera is {source[0]}×{source[1]}: another shape"

@@ -14,7 +14,7 @@ class SceneError(Exception):
     """A scene that cannot be used: says which file or view, and what to do."""
 
 
-class MissingScenes(SceneError):
+class MissingScenesError(SceneError):
     """Scenes that are not on disk."""
 
     def __init__(self, names: list[str], message: str) -> None:
@@ -86,9 +86,7 @@ class View:
     def rgb(self) -> np.ndarray:
         """(H, W, 3). Raises SceneError where the scene has no RGB image of this view."""
         if self.load_rgb is None:
-            raise SceneError(
-                f"view {self.name} has no RGB image; a method that trains on RGB cannot use this scene"
-            )
+            raise SceneError(f"view {self.name} has no RGB image; a method that trains on RGB cannot use this scene")
         return self.load_rgb()
 
     @cached_property

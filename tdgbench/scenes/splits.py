@@ -11,7 +11,7 @@ def split_names(names: list[str], how: str, shipped: Mapping[str, str]) -> tuple
     """Training and test names, each sorted.
 
     `eighty_twenty`: every 5th of the sorted names, from the first, is tested (the paper's 80 % / 20 %);
-    `every_8th`: every 8th (3DGS, ThermalGaussian); `folder`: as the data set ships them (`shipped`: name → train | test).
+    `every_8th`: every 8th (3DGS, ThermalGaussian); `folder`: as shipped (name → train | test).
     """
     if how not in SPLITS:
         raise ValueError(f"split is {how!r}; it must be one of {', '.join(SPLITS)}")

@@ -11,9 +11,10 @@ import torch
 from torch import Tensor, nn
 
 DOWNLOAD_TIMEOUT_SECONDS = 20
+_failed_downloads: dict[str, str] = {}
 
 
-class BackboneUnavailable(Exception):
+class BackboneUnavailableError(Exception):
     """No weights for the trunk; the message is the reason that records and tables give."""
 
 
@@ -29,9 +30,7 @@ class TrunkSpec:
 
 _HUB = "https://download.pytorch.org/models/"
 SPECS = {
-    "vgg": TrunkSpec(
-        "vgg16-397923af.pth", _HUB + "vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)
-    ),
+    "vgg": TrunkSpec("vgg16-397923af.pth", _HUB + "vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)),
     "alex": TrunkSpec(
         "alexnet-owt-7be5be79.pth",
         _HUB + "alexnet-owt-7be5be79.pth",
@@ -91,8 +90,11 @@ def make_trunk(net: str) -> nn.Sequential:
 def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tensor]:
     """The trunk's state dict (`features.*` of torchvision's names, prefix removed).
 
-    From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailable with the reason.
+    From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
+    reason; a download that failed is not tried again in the same process.
     """
+    if file is None and net in _failed_downloads:
+        raise BackboneUnavailableError(_failed_downloads[net])
     spec = SPECS[net]
     cached = Path(torch.hub.get_dir()) / "checkpoints" / spec.file
     if file is not None:
@@ -100,16 +102,16 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     elif cached.exists():
         state = _read(cached)
     elif download:
-        state = _download(spec)
+        state = _download(net, spec)
     else:
-        raise BackboneUnavailable(
+        raise BackboneUnavailableError(
             f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false"
         )
     features = {k.removeprefix("features."): v for k, v in state.items() if k.startswith("features.")}
     expected = make_trunk(net).state_dict()
     wrong = [k for k, v in expected.items() if k not in features or features[k].shape != v.shape]
     if wrong:
-        raise BackboneUnavailable(f"{file or cached} does not hold the {net} backbone (features.{wrong[0]})")
+        raise BackboneUnavailableError(f"{file or cached} does not hold the {net} backbone (features.{wrong[0]})")
     return {k: features[k].float() for k in expected}
 
 
@@ -120,10 +122,10 @@ def _read(path: Path) -> dict[str, Tensor]:
                 return {k: torch.from_numpy(stored[k].astype(np.float32)) for k in stored.files}
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise BackboneUnavailable(f"{path} cannot be read as backbone weights: {error}") from error
+        raise BackboneUnavailableError(f"{path} cannot be read as backbone weights: {error}") from error
 
 
-def _download(spec: TrunkSpec) -> dict[str, Tensor]:
+def _download(net: str, spec: TrunkSpec) -> dict[str, Tensor]:
     timeout = socket.getdefaulttimeout()
     socket.setdefaulttimeout(DOWNLOAD_TIMEOUT_SECONDS)
     try:
@@ -131,9 +133,10 @@ def _download(spec: TrunkSpec) -> dict[str, Tensor]:
             spec.url, map_location="cpu", progress=False, check_hash=True, weights_only=True
         )
     except Exception as error:
-        raise BackboneUnavailable(
+        _failed_downloads[net] = (
             f"backbone {spec.file} could not be downloaded ({error}); put it into torch's cache or set "
             "metrics.lpips.weights=FILE"
-        ) from error
+        )
+        raise BackboneUnavailableError(_failed_downloads[net]) from error
     finally:
         socket.setdefaulttimeout(timeout)

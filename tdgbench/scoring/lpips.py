@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from tdgbench.scoring.backbones import SPECS, BackboneUnavailable, make_trunk, trunk_weights
+from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
 
 Net = Literal["vgg", "alex", "squeeze"]
 Range = Literal["unit", "signed"]
@@ -25,7 +25,7 @@ class LPIPS:
     """Perceptual distance of two images.
 
     input_range `signed`: images are mapped to [−1, 1] as LPIPS asks; `unit`: they are fed in [0, 1] as 3DGS's
-    metrics.py does (a quirk of published tables). Raises BackboneUnavailable where no weights can be had.
+    metrics.py does (a quirk of published tables). Raises BackboneUnavailableError where no weights can be had.
     """
 
     def __init__(self, net: Net, input_range: Range, weights: str | None = None, download: bool = True) -> None:
@@ -58,8 +58,8 @@ class _PlainLPIPS(nn.Module):
         self.trunk = make_trunk(net)
         self.trunk.load_state_dict(state)
         self.heads = _heads(net)
-        self.register_buffer("shift", torch.tensor(SHIFT).view(1, 3, 1, 1))
-        self.register_buffer("scale", torch.tensor(SCALE).view(1, 3, 1, 1))
+        self.shift = torch.tensor(SHIFT).view(1, 3, 1, 1)
+        self.scale = torch.tensor(SCALE).view(1, 3, 1, 1)
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
         features = zip(self._features(a), self._features(b), strict=True)
@@ -83,7 +83,7 @@ def _heads(net: Net) -> list[Tensor]:
     """The linear heads (1, C, 1, 1) from the files inside the lpips package, which is not imported for it."""
     found = importlib.util.find_spec("lpips")
     if found is None or not found.submodule_search_locations:
-        raise BackboneUnavailable("the lpips package, which holds the linear heads, is not installed")
+        raise BackboneUnavailableError("the lpips package, which holds the linear heads, is not installed")
     path = Path(found.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
     state = torch.load(path, map_location="cpu", weights_only=True)
     return [state[f"lin{i}.model.1.weight"] for i in range(len(SPECS[net].ends))]

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from tdgbench.scenes import Scene, View
-from tdgbench.scoring.backbones import BackboneUnavailable
+from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.lpips import LPIPS, Net, Range
 from tdgbench.scoring.psnr import psnr
 from tdgbench.scoring.ssim import Border, ssim
@@ -49,7 +49,7 @@ class Scorer:
         options = self.lpips_options
         try:
             return LPIPS(options.net, self.lpips_range, options.weights, options.download)
-        except BackboneUnavailable as error:
+        except BackboneUnavailableError as error:
             self.missing["lpips"] = str(error)
             return None
 

@@ -23,16 +23,12 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border) -> float:
         raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
     half = WINDOW // 2
     if border == "valid" and min(image.shape[:2]) < WINDOW:
-        raise ValueError(
-            f"SSIM on the valid region needs {WINDOW}×{WINDOW} pixels; the image is {image.shape[:2]}"
-        )
+        raise ValueError(f"SSIM on the valid region needs {WINDOW}×{WINDOW} pixels; the image is {image.shape[:2]}")
     a, b = image.astype(np.float64), target.astype(np.float64)
     mu_a, mu_b = _blur(a), _blur(b)
     var_a, var_b = _blur(a * a) - mu_a**2, _blur(b * b) - mu_b**2
     covariance = _blur(a * b) - mu_a * mu_b
-    values = ((2 * mu_a * mu_b + C1) * (2 * covariance + C2)) / (
-        (mu_a**2 + mu_b**2 + C1) * (var_a + var_b + C2)
-    )
+    values = ((2 * mu_a * mu_b + C1) * (2 * covariance + C2)) / ((mu_a**2 + mu_b**2 + C1) * (var_a + var_b + C2))
     if border == "valid":
         values = values[half:-half, half:-half]
     return float(values.mean())

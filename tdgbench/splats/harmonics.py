@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 3, in the sign convention of 3DGS (so that its PLY files mean the same here)."""
+"""Real spherical harmonics up to degree 3, in 3DGS's sign convention (its PLY files mean the same here)."""
 
 from __future__ import annotations
 

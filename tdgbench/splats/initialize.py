@@ -30,9 +30,7 @@ def gaussians_from_points(points: np.ndarray, colors: np.ndarray, channels: int,
     if len(points) == 0:
         raise ValueError("the point cloud is empty; use init=random, or give a COLMAP model with points")
     if not np.isfinite(points).all():
-        raise ValueError(
-            f"{int((~np.isfinite(points)).any(axis=1).sum())} points of the cloud are not finite"
-        )
+        raise ValueError(f"{int((~np.isfinite(points)).any(axis=1).sum())} points of the cloud are not finite")
     count = len(points)
     color = torch.from_numpy(np.ascontiguousarray(colors, np.float32))
     if channels == 1:

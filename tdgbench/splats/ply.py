@@ -5,13 +5,13 @@ Gray models are written as three equal channels; a model read back whose channel
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import torch
 from plyfile import PlyData, PlyElement
 
+from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 
 
@@ -44,9 +44,8 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
     table = np.zeros(len(g), dtype=[(name, "f4") for name in names])
     for i, name in enumerate(names):
         table[name] = values[:, i]
-    part = path.with_name(path.name + ".part")
-    PlyData([PlyElement.describe(table, "vertex")]).write(str(part))
-    os.replace(part, path)
+    with whole_file(path) as part:
+        PlyData([PlyElement.describe(table, "vertex")]).write(str(part))
 
 
 def load_ply(path: Path) -> Gaussians:

@@ -22,9 +22,7 @@ def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> st
     if backend == "auto":
         return "cpu" if device.type == "cpu" and dtype == torch.float32 else "reference"
     if backend == "cpu" and (device.type != "cpu" or dtype != torch.float32):
-        raise ValueError(
-            f"backend cpu takes float32 tensors on the CPU, not {dtype} on {device}; use 'reference'"
-        )
+        raise ValueError(f"backend cpu takes float32 tensors on the CPU, not {dtype} on {device}; use 'reference'")
     return backend
 
 
@@ -85,7 +83,7 @@ def rasterization(
     if only_depth:  # depth alone: blend z itself, as a colour that the camera decides
         colors, sh_degree, backgrounds = colors.new_zeros(len(means), 0), None, None
 
-    options: dict[str, Any] = dict(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree)
+    options: dict[str, Any] = {"near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d, "sh_degree": sh_degree}
     if chosen == "cpu":
         options["absgrad"] = absgrad
     elif absgrad:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from tdgbench.bench.record import Record, read_all
+from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables.difference import difference
 from tdgbench.tables.latex import ablation_table, main_table
@@ -86,16 +86,7 @@ def to_csv(table: pd.DataFrame) -> str:
     table = table.copy()
     for column in ("value", "ours", "published", "difference"):
         if column in table:
-            table[column] = [
-                "n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]
-            ]
+            table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
     if "bold" in table:
         table["bold"] = table["bold"].map({True: "true", False: "false"})
     return table.to_csv(index=False, lineterminator="\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(text)
-    os.replace(part, path)

@@ -38,9 +38,7 @@ def main_table(rows: pd.DataFrame) -> str:
 
     width = 1 + len(methods) * len(METRICS)
     heads = [rf"\multicolumn{{{len(METRICS)}}}{{c}}{{{_method(m)}}}" for m in methods]
-    rules = [
-        rf"\cmidrule(lr){{{2 + i * len(METRICS)}-{1 + (i + 1) * len(METRICS)}}}" for i in range(len(methods))
-    ]
+    rules = [rf"\cmidrule(lr){{{2 + i * len(METRICS)}-{1 + (i + 1) * len(METRICS)}}}" for i in range(len(methods))]
     lines = [
         rf"\begin{{tabular}}{{l{'c' * (width - 1)}}}",
         r"\toprule",
@@ -56,9 +54,7 @@ def main_table(rows: pd.DataFrame) -> str:
             if group:
                 title = escape(GROUPS.get(str(group), str(group)))
                 lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
-            lines += [
-                line(rf"\qquad {escape(LABELS.get(s, s))}", str(dataset), s) for s in members["scene"]
-            ]
+            lines += [line(rf"\qquad {escape(LABELS.get(s, s))}", str(dataset), s) for s in members["scene"]]
         lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
     if (rows["scene"] == OVERALL).any():
         lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,11 +11,12 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.record import Record
+from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS, SCENES
 
 METRICS = ("psnr", "ssim", "lpips", "hours")  # of the published tables
 EXTRA_METRICS = ("mae_degC", "depth_abs_rel")
-HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False, "hours": False, "mae_degC": False, "depth_abs_rel": False}  # fmt: skip
+HIGHER_IS_BETTER = {m: m in ("psnr", "ssim") for m in (*METRICS, *EXTRA_METRICS)}
 DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "hours": 3, "mae_degC": 3, "depth_abs_rel": 3}
 KEYS = ["method", "dataset", "group", "scene", "metric"]
 AVERAGE, OVERALL = "Average", "Average (Overall)"
@@ -36,9 +36,7 @@ class Plan:
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
-        part = experiment / f".{PLAN_FILE}.{os.getpid()}"
-        part.write_text(json.dumps(asdict(self), indent=1) + "\n")
-        os.replace(part, experiment / PLAN_FILE)
+        write_text(experiment / PLAN_FILE, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def read_plan(experiment: Path) -> Plan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from tdgbench.tables.build import Tables
@@ -29,7 +30,7 @@ def show(tables: Tables, console: Console) -> None:
         for metric, own in tables.difference[known].groupby("metric", sort=False):
             spread = own["difference"]
             console.print(
-                f"  {metric}: ours − published from {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}",
+                f"  {metric}: ours − published {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}",
                 highlight=False,
             )
 
@@ -37,11 +38,11 @@ def show(tables: Tables, console: Console) -> None:
 def _show_main(tables: Tables, console: Console) -> None:
     main = tables.main
     methods = list(dict.fromkeys(main["method"]))
-    table = Table(title="(bold: better)")
-    table.add_column("scene")
+    table = Table()
+    table.add_column("scene", no_wrap=True)
     for method in methods:
         for metric in METRICS:
-            table.add_column(f"{method}\n{HEADERS[metric]}", justify="right")
+            table.add_column(f"{escape(method)}\n{HEADERS[metric]}", justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
     for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
         cells = []
@@ -51,8 +52,7 @@ def _show_main(tables: Tables, console: Console) -> None:
                 digits = max(decimals(metric, scene), 4 if metric == "hours" else 0)
                 text = "n/a" if np.isnan(row.value) else f"{row.value:.{digits}f}"
                 cells.append(f"[bold]{text}[/bold]" if row.bold else text)
-        label = f"{dataset}/{scene}" if dataset else scene
-        table.add_row(label, *cells, end_section="Average" in scene)
+        table.add_row(scene, *cells, end_section="Average" in scene)
     console.print(table)
 
 
@@ -60,9 +60,7 @@ def _show_ablation(tables: Tables, console: Console) -> None:
     table = Table("method", "init", "PSNR↑", "SSIM↑")
     for (method, init), own in tables.main.groupby(["method", "init"], sort=False):
         values = own.set_index("metric")["value"]
-        texts = [
-            "n/a" if np.isnan(values[m]) else f"{values[m]:.{d}f}" for m, d in (("psnr", 2), ("ssim", 4))
-        ]
+        texts = ["n/a" if np.isnan(values[m]) else f"{values[m]:.{d}f}" for m, d in (("psnr", 2), ("ssim", 4))]
         table.add_row(method, init, *texts)
     console.print(table)
 
@@ -71,4 +69,4 @@ def _show_reasons(tables: Tables, console: Console) -> None:
     lacking = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(METRICS)]
     for reason, own in lacking.groupby("reason", sort=False):
         metrics = ", ".join(dict.fromkeys(own["metric"]))
-        console.print(f"n/a ({len(own)} × {metrics}): {reason}", highlight=False)
+        console.print(f"n/a ({len(own)} × {metrics}): {escape(str(reason))}", highlight=False, soft_wrap=True)

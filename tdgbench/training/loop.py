@@ -14,7 +14,7 @@ from tdgbench.training.method import Method, Step
 LOG_LINES = 200
 
 
-class NonFinite(Exception):
+class NonFiniteError(Exception):
     """Training met a number that is not finite; says where it was first seen."""
 
     def __init__(self, iteration: int, tensor: str) -> None:
@@ -42,10 +42,8 @@ class TrainingLog:
     seconds: float = 0.0
 
 
-def train(
-    method: Method, iterations: int, on_line: Callable[[LogLine], None] | None = None
-) -> TrainingLog:
-    """Train a method that is set up. Raises NonFinite at the first loss or parameter gradient that is not finite."""
+def train(method: Method, iterations: int, on_line: Callable[[LogLine], None] | None = None) -> TrainingLog:
+    """Train a method that is set up. Raises NonFiniteError at the first loss or parameter that is not finite."""
     log = TrainingLog()
     every = max(1, iterations // LOG_LINES)
     smoothed: float | None = None
@@ -57,9 +55,9 @@ def train(
         step = method.step(iteration)
         loss = step.loss.item()
         if not math.isfinite(loss):
-            raise NonFinite(iteration, _first_bad(step))
+            raise NonFiniteError(iteration, _first_bad(step))
         step.loss.backward()
-        for name, model in models.items():
+        for model in models.values():
             model.finish(iteration)
         if iteration % every == 0 or iteration in (1, iterations):
             for name, model in models.items():
@@ -99,4 +97,4 @@ def _first_bad(step: Step) -> str:
 def _check_parameters(model: str, gaussians, iteration: int) -> None:
     for name, tensor in gaussians.items():
         if not torch.isfinite(tensor).all():
-            raise NonFinite(iteration, f"{model} {name}")
+            raise NonFiniteError(iteration, f"{model} {name}")

@@ -50,9 +50,7 @@ class Context:
 
     def make_model(self, channels: int) -> SplatModel:
         """Gaussians at the first points, ready to train."""
-        start = gaussians_from_points(
-            self.points.points, self.points.colors, channels, self.budget.sh_degree
-        )
+        start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator())
 
     def view_order(self) -> ViewOrder:

@@ -74,9 +74,7 @@ class SplatModel:
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
         """Render at the degree in use. The last render with gradients is the one that density control observes."""
-        render = render_gaussians(
-            self.gaussians, camera, degree=self.degree, depth=depth, backend=self.backend
-        )
+        render = render_gaussians(self.gaussians, camera, degree=self.degree, depth=depth, backend=self.backend)
         if torch.is_grad_enabled():
             self._last = (render, camera)
         return render

@@ -56,6 +56,4 @@ class Material:
 
     def temperature(self, points: np.ndarray) -> np.ndarray:
         pattern = self.degC_pattern * (self.pattern(points) - 0.5)
-        return (
-            self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
-        )
+        return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)

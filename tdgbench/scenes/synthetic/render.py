@@ -57,7 +57,7 @@ def render(world: World, camera: Camera, supersampling: int = 2) -> tuple[np.nda
     offsets = (np.arange(supersampling) + 0.5) / supersampling
     for dy in offsets:
         for dx in offsets:
-            sample_color, sample_degC, _ = cast(world, camera, corner + [dx, dy])
+            sample_color, sample_degC, _ = cast(world, camera, corner + np.array([dx, dy]))
             color += sample_color / supersampling**2
             degC += sample_degC / supersampling**2
     _, _, depth = cast(world, camera, corner + 0.5)

@@ -114,9 +114,7 @@ def _night(seed: int) -> World:
         (Sphere((0.1, -0.3, 0.3), 0.3), Material(CERAMIC, STAIN, wave(6, 1.8), 33.0, 2.0, -5.0)),
     ]  # fmt: skip
     cameras = _ring(4.2, 1.5, (0, 0.9, 0.8), np.radians(110), np.radians(-90))
-    return World(
-        "dark", True, objects, cameras, (0.0, 36.0), 0.9, (0.2, -0.6, 0.75), exposure=0.05, point_share=0.6
-    )
+    return World("dark", True, objects, cameras, (0.0, 36.0), 0.9, (0.2, -0.6, 0.75), exposure=0.05, point_share=0.6)
 
 
 def _turntable(seed: int) -> World:

@@ -1,9 +1,8 @@
-"""Write a world as a scene on disk, in the RGBT-Scenes layout with a real COLMAP model, and the true depth beside it."""
+"""Write a world as a scene on disk, in the RGBT-Scenes layout with a COLMAP model and the true depth."""
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
 from pathlib import Path
@@ -50,7 +49,7 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
         low, high = world.temperatures
         (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}))
         try:
-            os.replace(part, folder)
+            part.replace(folder)
         except OSError:
             if not folder.exists():  # else another process made the same scene meanwhile
                 raise

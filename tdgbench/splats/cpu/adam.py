@@ -25,7 +25,7 @@ def adam_rows(start, stop, parameter, grad, first, second, step_sizes, beta1, be
             p[c] -= step_sizes[c] * m[c] / (math.sqrt(v[c]) / bias2_sqrt + eps)
 
 
-def adam_step(parameter, grad, first, second, step_sizes, beta1, beta2, bias2_sqrt, eps) -> None:
-    """Update float32 arrays (rows, columns) in place, on all threads."""
-    arguments = (parameter, grad, first, second, step_sizes, F(beta1), F(beta2), F(bias2_sqrt), F(eps))
-    pool.run(adam_rows, [(a, b, *arguments) for a, b in pool.chunks(len(parameter), pool.get_threads())])
+def adam_step(arrays, step_sizes, beta1, beta2, bias2_sqrt, eps) -> None:
+    """Update parameter, gradient, first and second moment, float32 (rows, columns), in place on all threads."""
+    arguments = (*arrays, step_sizes, F(beta1), F(beta2), F(bias2_sqrt), F(eps))
+    pool.run(adam_rows, [(a, b, *arguments) for a, b in pool.chunks(len(arrays[0]), pool.get_threads())])

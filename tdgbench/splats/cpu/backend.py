@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.binning import RECORD, TILE, fill_lists, gather, project_and_list, sort_by_depth
@@ -130,9 +129,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
-        parameters = tuple(
-            t.detach().contiguous().numpy() for t in (means, scales, quats, opacities, colors)
-        )
+        parameters = tuple(t.detach().contiguous().numpy() for t in (means, scales, quats, opacities, colors))
         count = len(means)
         radii = np.zeros(count, np.int32)
         lists = _build_lists(parameters, settings, radii, probe.detach().numpy())
@@ -157,9 +154,7 @@ class Rasterize(torch.autograd.Function):
         parameters, settings, lists, image, transmittance, reached, probe = ctx.saved
         means, scales, quats, opacities, colors = parameters
         channels, absgrad = len(settings.background), settings.absgrad
-        grad_image = (
-            np.zeros_like(image) if grad_image is None else np.ascontiguousarray(grad_image.numpy())
-        )
+        grad_image = np.zeros_like(image) if grad_image is None else np.ascontiguousarray(grad_image.numpy())
         grad_transmittance = (
             np.zeros_like(transmittance)
             if grad_transmittance is None

@@ -181,9 +181,7 @@ def make_blend_backward(channels: int, absgrad: bool):
                         column_yy = column_yy + g_dy * dy_row
                         if absgrad:
                             abs_u = abs_u + absolute(g * (dx * (TWO * records[i, A_]) + row_b[U(row_index)]))
-                            abs_v = abs_v + absolute(
-                                g * (dx * records[i, B_] + TWO * records[i, C_] * dy_row)
-                            )
+                            abs_v = abs_v + absolute(g * (dx * records[i, B_] + TWO * records[i, C_] * dy_row))
                     column_x = column_0 * dx
                     m0 = m0 + column_0
                     mx = mx + column_x

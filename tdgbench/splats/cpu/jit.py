@@ -53,7 +53,7 @@ def kernel(inline: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function to machine code that runs without the GIL; `inline` for helpers called by kernels."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        options: dict[str, Any] = dict(fastmath=FASTMATH, error_model="numpy", boundscheck=False, nogil=True)
+        options: dict[str, Any] = {"fastmath": FASTMATH, "error_model": "numpy", "boundscheck": False, "nogil": True}
         if inline:
             return njit(inline="always", **options)(function)
         previous = numba.config.CACHE_DIR

@@ -42,15 +42,9 @@ def conic_to_covariance(gx, gy, gz, x, y, z):
 def quaternion_gradient(w, x, y, z, n, g0, g1, g2):
     """Gradient of the raw quaternion from that of the rotation's rows; w, x, y, z normalised, n = 1 / length."""
     dw = TWO * (x * (g2[1] - g1[2]) + y * (g0[2] - g2[0]) + z * (g1[0] - g0[1]))
-    dx = TWO * (
-        -TWO * x * (g1[1] + g2[2]) + y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2])
-    )
-    dy = TWO * (
-        x * (g0[1] + g1[0]) - TWO * y * (g0[0] + g2[2]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0])
-    )
-    dz = TWO * (
-        x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) - TWO * z * (g0[0] + g1[1]) + w * (g1[0] - g0[1])
-    )
+    dx = TWO * (-TWO * x * (g1[1] + g2[2]) + y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2]))
+    dy = TWO * (x * (g0[1] + g1[0]) - TWO * y * (g0[0] + g2[2]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0]))
+    dz = TWO * (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) - TWO * z * (g0[0] + g1[1]) + w * (g1[0] - g0[1]))
     dot = dw * w + dx * x + dy * y + dz * z
     return (dw - dot * w) * n, (dx - dot * x) * n, (dy - dot * y) * n, (dz - dot * z) * n
 
@@ -115,15 +109,9 @@ def make_projection_backward(channels: int, absgrad: bool):
                 (TWO * gc * q[1] + gb * p[1]) * scales[i, 1],
                 (TWO * gc * q[2] + gb * p[2]) * scales[i, 2],
             )
-            grad_scales[i, 0] = (TWO * ga * p[0] + gb * q[0]) * p_unit[0] + (
-                TWO * gc * q[0] + gb * p[0]
-            ) * q_unit[0]
-            grad_scales[i, 1] = (TWO * ga * p[1] + gb * q[1]) * p_unit[1] + (
-                TWO * gc * q[1] + gb * p[1]
-            ) * q_unit[1]
-            grad_scales[i, 2] = (TWO * ga * p[2] + gb * q[2]) * p_unit[2] + (
-                TWO * gc * q[2] + gb * p[2]
-            ) * q_unit[2]
+            grad_scales[i, 0] = (TWO * ga * p[0] + gb * q[0]) * p_unit[0] + (TWO * gc * q[0] + gb * p[0]) * q_unit[0]
+            grad_scales[i, 1] = (TWO * ga * p[1] + gb * q[1]) * p_unit[1] + (TWO * gc * q[1] + gb * p[1]) * q_unit[1]
+            grad_scales[i, 2] = (TWO * ga * p[2] + gb * q[2]) * p_unit[2] + (TWO * gc * q[2] + gb * p[2]) * q_unit[2]
             g0 = (
                 ja[0] * gp[0] + jb[0] * gq[0],
                 ja[0] * gp[1] + jb[0] * gq[1],
