@@ -164,9 +164,11 @@ def _run(cfg: DictConfig, record: Record, scene: Scene, method: Method, folder: 
     record.convention, record.iterations = scorer.convention, budget.iterations
     record.views = {"train": len(scene.train), "test": len(scene.test)}
     record.backend = choose_backend(cfg.backend.name, torch.device("cpu"), torch.float32)
-    with stages("images"):  # read here, so that training does not pay for it
-        for view in scene.train:
-            _ = view.thermal, view.rgb if method.needs_rgb else None
+    with stages("images"):  # all of them, so that training does not pay for it and a broken one stops the cell now
+        for view in scene.views:
+            _ = view.thermal
+        for view in scene.train if method.needs_rgb else []:
+            _ = view.rgb
     priors: dict[str, DepthPrior] = {}
     if method.needs_prior:
         with stages("prior"):

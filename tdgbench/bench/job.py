@@ -12,34 +12,25 @@ from rich.console import Console
 from rich.markup import escape
 
 from tdgbench.bench.cell import Outcome, run_cell
+from tdgbench.bench.plan import read_plan
 from tdgbench.bench.progress import CellProgress
 from tdgbench.files import write_text
 
 OUTCOME = "outcome.json"
-# Overrides that the path of a cell already says, or that do not change its result.
-NOT_A_VARIANT = (
-    "method", "dataset", "scene", "init", "seed", "experiment", "results", "overwrite", "threads", "data.root",
-    "metrics.lpips.download",
-)  # fmt: skip
 
 
 def run_job(cfg: DictConfig) -> None:
     """Run a cell, say in one line what became of it, and note the outcome in the job's folder."""
     console = Console(stderr=True)
-    outcome = run_cell(cfg, variant(), CellProgress(console, int(cfg.budget.iterations)))
-    folder = Path(HydraConfig.get().runtime.output_dir)
+    hydra = HydraConfig.get()
+    variant = read_plan(Path(cfg.results) / cfg.experiment).variant(list(hydra.overrides.task))
+    outcome = run_cell(cfg, variant, CellProgress(console, int(cfg.budget.iterations)))
+    folder = Path(hydra.runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     if outcome.status != "missing":
         words = {"ok": "done", "kept": "already there", "failed": "[red]failed[/red]"}
         console.print(f"{escape(outcome.title)}: {words[outcome.status]}", highlight=False, soft_wrap=True)
-
-
-def variant() -> str:
-    """The task overrides that set this cell apart from others with the same path, as Hydra writes them."""
-    overrides = HydraConfig.get().overrides.task
-    own = [o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=")[0] not in NOT_A_VARIANT]
-    return ",".join(sorted(own))
 
 
 def read_outcomes(hydra_folder: Path) -> list[Outcome]:

@@ -12,12 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from tdgbench.bench.job import clear_outcomes, read_outcomes
+from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
 from tdgbench.bench.record import read_all
-from tdgbench.bench.sweep import swept
 from tdgbench.report.strip import draw_strip
 from tdgbench.scenes import SceneError
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.results import Plan
 from tdgbench.tables.show import show
 
 
@@ -42,8 +41,9 @@ class Finish(Callback):
         experiment = Path(config.results) / config.experiment
         clear_outcomes(experiment / "hydra")
         dataset = instantiate(config.dataset.loader)
+        sweep = swept(config)
         try:
-            names = swept(config, "scene") or [config.scene]
+            names = sweep.get("scene", [config.scene])
             found = [dataset.describe(name) for name in names]
             missing = dataset.missing([what.scene for what in found])
         except SceneError as error:
@@ -52,9 +52,13 @@ class Finish(Callback):
         if missing:
             message = escape(dataset.explain_missing(missing))
             console.print(f"[red]error:[/red] {message}", highlight=False, soft_wrap=True)
-        methods = swept(config, "method") or [config.method.name]
-        inits = swept(config, "init") or [config.init.name]
-        Plan(config.table, [vars(what) for what in found], methods, inits).write(experiment)
+        Plan(
+            table=config.table,
+            scenes=[vars(what) for what in found],
+            methods=sweep.get("method", [config.method.name]),
+            inits=sweep.get("init", [config.init.name]),
+            variant_keys=[key for key in sweep if key not in IN_THE_PATH],
+        ).write(experiment)
 
     def _end(self, config: DictConfig, hydra_folder: Path) -> None:
         """Tables and pictures of everything on disk; one line per failure; exit status 1 if anything is lacking."""

@@ -34,7 +34,7 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
         g.means,
         torch.zeros_like(g.means),
         sh[:, 0],
-        sh[:, 1:].transpose(1, 2).reshape(len(g), -1),  # channel by channel, as 3DGS does
+        sh[:, 1:].transpose(1, 2).flatten(1),  # channel by channel, as 3DGS does
         g.opacity_logits[:, None],
         g.log_scales,
         g.quats,
@@ -67,7 +67,7 @@ def load_ply(path: Path) -> Gaussians:
         return torch.from_numpy(np.stack(columns, axis=-1)) if count else torch.zeros(len(vertex.data), 0)
 
     dc = stack("f_dc_", 3)[:, None]
-    sh = torch.cat([dc, stack("f_rest_", 3 * rest).reshape(-1, 3, rest).transpose(1, 2)], dim=1)
+    sh = torch.cat([dc, stack("f_rest_", 3 * rest).reshape(len(dc), 3, rest).transpose(1, 2)], dim=1)
     if len(sh) and bool((sh == sh[..., :1]).all()):
         sh = sh[..., :1]
     means = np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=-1)

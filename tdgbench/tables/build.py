@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from tdgbench.bench.plan import Plan, read_plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
@@ -17,8 +18,6 @@ from tdgbench.tables.results import (
     KEYS,
     METHOD_ORDER,
     OVERALL,
-    Plan,
-    read_plan,
     scene_rows,
     with_averages,
     with_bold,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
-from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS, SCENES
 
 METRICS = ("psnr", "ssim", "lpips", "hours")  # of the published tables
@@ -21,28 +18,7 @@ DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "hours": 3, "mae_degC": 3, "depth_
 KEYS = ["method", "dataset", "group", "scene", "metric"]
 AVERAGE, OVERALL = "Average", "Average (Overall)"
 METHOD_ORDER = ("msmg", "tdg")
-PLAN_FILE = "experiment.json"
 NO_RECORD = "not run, or the scene is not on disk"
-
-
-@dataclass
-class Plan:
-    """What an experiment is to show: kind of table, and the scenes, methods and inits that were asked for."""
-
-    table: str = "main"
-    scenes: list[dict[str, str]] = field(default_factory=list)  # scene, dataset, group
-    methods: list[str] = field(default_factory=list)
-    inits: list[str] = field(default_factory=list)
-
-    def write(self, experiment: Path) -> None:
-        experiment.mkdir(parents=True, exist_ok=True)
-        write_text(experiment / PLAN_FILE, json.dumps(asdict(self), indent=1) + "\n")
-
-
-def read_plan(experiment: Path) -> Plan:
-    """The plan of an experiment's folder; a main table of whatever is there if none was written."""
-    path = experiment / PLAN_FILE
-    return Plan(**json.loads(path.read_text())) if path.exists() else Plan()
 
 
 def method_label(record: Record, with_init: bool) -> str:
@@ -119,7 +95,7 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
         winners = known.index[known == best]
         if len(known) > 1 and len(winners) == 1:
             rows.loc[winners, "bold"] = True
-    return rows
+    return rows[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
 def decimals(metric: str, scene: str) -> int:

@@ -1,0 +1,154 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from methods.splat import Splat
+from tdgbench.bench.cell import cell_key, relevant_config, run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import read_all
+from tdgbench.splats.ply import load_ply
+from tests.conftest import SMALL, config
+
+
+@pytest.fixture
+def run(tmp_path, data_root, monkeypatch):
+    """Run a small cell into the test's results folder."""
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+
+    def cell(*overrides, variant=""):
+        cfg = config(
+            *SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
+            f"results={tmp_path / 'results'}", *overrides,
+        )  # fmt: skip
+        return run_cell(cfg, variant, CellProgress(Console(quiet=True), 30))
+
+    cell.experiment = tmp_path / "results" / "single"
+    return cell
+
+
+@pytest.mark.parametrize("method", ["tdg", "msmg", "splat"])
+def test_a_cell_leaves_everything(run, method):
+    assert run(f"method={method}", "scene=turntable").status == "ok"
+    folder = run.experiment / "cells" / method / "synthetic" / "turntable" / "colmap" / "seed0"
+    record = json.loads((folder / "record.json").read_text())
+    assert record["status"] == "ok" and record["split"] == "eighty_twenty" and record["channels"] == 1
+    assert 5 < record["scores"]["psnr"] < 60 and 0 < record["scores"]["depth_abs_rel"] < 1
+    assert record["scores"]["lpips"] is None and "lpips" in record["missing"]
+    assert record["seconds"]["train"] > 0 and record["peak_rss_mb"] > 50
+    assert record["environment"]["packages"]["torch"] and record["environment"]["threads"] >= 1
+    assert (record["prior"] is None) == (method != "tdg")
+    assert (
+        len(list((folder / "renders").glob("*.png"))) == 2 == len((folder / "views.csv").read_text().splitlines()) - 1
+    )
+    assert load_ply(folder / "model.ply").channels == 1
+    assert (folder / "model_rgb.ply").exists() == (method == "msmg")
+    assert "gaussians" in (folder / "log.csv").read_text().splitlines()[0]
+    assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
+
+
+def test_scores_are_those_of_the_stored_pictures(run):
+    from tdgbench.scoring.psnr import psnr
+
+    run("scene=orbit", "method=splat")
+    record = read_all(run.experiment)[0]
+    folder = run.experiment / "cells" / "splat" / "synthetic" / "orbit" / "colmap" / "seed0"
+    values = []
+    for path in sorted((folder / "renders").iterdir()):
+        a, b = (np.asarray(Image.open(p)) / 255 for p in (path, folder / "targets" / path.name))
+        values.append(psnr(a, b))
+    assert record.scores["psnr"] == pytest.approx(np.mean(values), abs=1e-5)
+
+
+def test_same_cell_same_bytes_and_is_not_run_twice(run):
+    assert run("method=tdg").status == "ok"
+    first = read_all(run.experiment)[0]
+    assert run("method=tdg").status == "kept"
+    assert run("method=tdg", "overwrite=always").status == "ok"
+    again = read_all(run.experiment)[0]
+    assert first.hashes == again.hashes and first.scores == again.scores and first.key == again.key
+
+
+def test_other_settings_run_again(run):
+    assert run("method=splat").status == "ok"
+    assert run("method=splat", "budget.iterations=31").status == "ok"
+    kept = run("method=splat", "overwrite=never")
+    assert kept.status == "kept" and "overwrite=never" in kept.message
+    assert read_all(run.experiment)[0].iterations == 31
+
+
+def test_the_key_covers_what_matters_and_nothing_else(small_scene):
+    def key(*overrides, method="splat"):
+        cfg = config(*SMALL, f"method={method}", *overrides)
+        plug_in = Splat(0.2)
+        plug_in.needs_prior = method == "tdg"
+        return cell_key(relevant_config(cfg, plug_in), small_scene)
+
+    base = key()
+    for same in ("results=elsewhere", "threads=1", "overwrite=always", "data.root=/x", "prior=synthetic",
+                 "metrics.lpips.download=true"):  # fmt: skip
+        assert key(same) == base, same
+    for other in ("seed=1", "method.method.lambda_ssim=0.3", "budget.iterations=9", "init=random", "metrics=standard",
+                  "data.width=20", "backend=reference"):  # fmt: skip
+        assert key(other) != base, other
+    assert key("prior=synthetic", method="tdg") != key(method="tdg")
+
+
+def test_random_points(run):
+    assert run("init=random", "init.points.count=200", "method=splat").status == "ok"
+    record = read_all(run.experiment)[0]
+    assert record.init == "random" and record.init_points["points"] == 200
+    low, high = np.array(record.init_points["box"])
+    assert (high > low).all()
+
+
+def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
+    """One broken image: the record says where; a finished result of other settings is kept."""
+    source = small_scene.train[0].thermal_path.parents[1]
+    scene = shutil.copytree(source, tmp_path / "spoiled")
+    options = ("dataset=folder", f"data.root={scene}", "method=splat")
+    strip = [o for o in options if not o.startswith("dataset.loader")]
+    plain = config("budget=demo", "budget.iterations=20", "metrics.lpips.download=false",
+                   f"results={tmp_path / 'results'}", *strip)  # fmt: skip
+    progress = CellProgress(Console(quiet=True), 20)
+    assert run_cell(plain, "", progress).status == "ok"
+    (scene / "thermal" / "view007.png").write_bytes(b"broken")
+    outcome = run_cell(plain, "", progress)
+    assert outcome.status == "failed" and "view007.png cannot be read" in outcome.message
+    records = read_all(run.experiment)
+    assert [r.status for r in records] == ["failed"]
+    assert records[0].failure.stage == "images" and "SceneError" in records[0].failure.traceback
+    kept = [p for p in (run.experiment / "cells/splat/folder/spoiled/colmap").iterdir() if p.name.startswith(".")]
+    assert len(kept) == 1 and (kept[0] / "model.ply").exists()
+    shutil.copy(source / "thermal" / "view007.png", scene / "thermal" / "view007.png")
+    assert run_cell(plain, "", progress).status == "ok"
+
+
+def test_non_finite_training_is_recorded(run, monkeypatch):
+    original = Splat.step
+
+    def poisoned(self, iteration):
+        if iteration == 7:
+            self.model.gaussians.opacity_logits.data[0] = float("nan")
+        return original(self, iteration)
+
+    monkeypatch.setattr(Splat, "step", poisoned)
+    outcome = run("method=splat")
+    failure = read_all(run.experiment)[0].failure
+    assert outcome.status == "failed"
+    assert failure.stage == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
+
+
+def test_missing_scenes_leave_nothing(run, tmp_path):
+    cfg = config("dataset=rgbt_scenes", f"data.root={tmp_path}", f"results={tmp_path / 'results'}")
+    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 1))
+    assert outcome.status == "missing" and "RGBT-Scenes" in outcome.message
+    assert not (run.experiment / "cells").exists()
+
+
+def test_wrong_option_is_an_error(run):
+    with pytest.raises(ValueError, match="overwrite is 'maybe'"):
+        run("overwrite=maybe")

@@ -1,0 +1,34 @@
+import pytest
+import torch
+
+from tests.training.test_loop import trained
+
+
+def test_crossed_weights(small_scene):
+    """total = 0.3 · N_th/(N_rgb + N_th) · L_rgb + 0.6 · N_rgb/(N_rgb + N_th) · L_thermal."""
+    method, _ = trained(small_scene, "msmg", 60)
+    n_rgb, n_thermal = len(method.rgb), len(method.thermal)
+    assert n_rgb != n_thermal  # else the test could not tell the shares apart
+    step = method.step(1)
+    total = n_rgb + n_thermal
+    expected = 0.3 * n_thermal / total * step.terms["rgb"] + 0.6 * n_rgb / total * step.terms["thermal"]
+    assert step.loss.item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_two_models_of_their_own(small_gray_scene):
+    method, _ = trained(small_gray_scene, "msmg", 3)
+    models = method.models()
+    assert set(models) == {"rgb", "thermal"}
+    assert (models["rgb"].gaussians.channels, models["thermal"].gaussians.channels) == (3, 1)
+    assert not torch.equal(models["rgb"].gaussians.means, models["thermal"].gaussians.means)
+
+
+def test_views_are_drawn_independently(small_scene):
+    method, _ = trained(small_scene, "msmg", 1)
+    pairs = [(method.rgb_views.next().name, method.thermal_views.next().name) for _ in range(20)]
+    assert any(a != b for a, b in pairs)
+
+
+def test_needs_rgb(small_scene):
+    method, _ = trained(small_scene, "msmg", 1)
+    assert method.needs_rgb and not method.needs_prior

@@ -1,0 +1,63 @@
+"""PSNR and SSIM against scikit-image."""
+
+import numpy as np
+import pytest
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+from tdgbench.scoring.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.ssim import ssim
+
+SIZES = [(40, 50, 3), (33, 27, 1), (11, 60, 3)]
+SETTINGS = {
+    "gaussian_weights": True,
+    "sigma": 1.5,
+    "use_sample_covariance": False,
+    "data_range": 1.0,
+    "channel_axis": 2,
+}
+
+
+def images(size, seed=0):
+    rng = np.random.default_rng(seed)
+    a = rng.random(size)
+    return a.astype(np.float32), np.clip(a + rng.normal(0, 0.1, size), 0, 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_psnr_is_scikit_image_s(size):
+    a, b = images(size)
+    expected = peak_signal_noise_ratio(b.astype(np.float64), a.astype(np.float64), data_range=1)
+    assert psnr(a, b) == pytest.approx(expected, abs=1e-6)
+
+
+def test_psnr_of_equal_images_is_finite():
+    a, _ = images((5, 5, 1))
+    assert psnr(a, a) == MAX_PSNR
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_standard_ssim_is_scikit_image_s(size):
+    a, b = (image.astype(np.float64) for image in images(size))
+    assert ssim(a, b, "valid") == pytest.approx(structural_similarity(a, b, **SETTINGS), abs=1e-6)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_3dgs_ssim_is_scikit_image_s_on_padded_images(size):
+    """Zeros outside the image: the same as scikit-image's map of the zero-padded images, cut back to the image."""
+    a, b = (image.astype(np.float64) for image in images(size))
+    pad = ((20, 20), (20, 20), (0, 0))
+    _, full = structural_similarity(np.pad(a, pad), np.pad(b, pad), full=True, **SETTINGS)
+    assert ssim(a, b, "zero") == pytest.approx(full[20:-20, 20:-20].mean(), abs=1e-6)
+
+
+def test_ssim_of_equal_and_constant_images():
+    a, _ = images((20, 20, 1))
+    assert ssim(a, a, "zero") == pytest.approx(1)
+    assert ssim(np.zeros((20, 20, 1)), np.ones((20, 20, 1)), "valid") == pytest.approx(1e-4 / 1.0001)
+
+
+def test_wrong_sizes():
+    with pytest.raises(ValueError, match="images to compare"):
+        psnr(np.zeros((3, 3, 1)), np.zeros((3, 4, 1)))
+    with pytest.raises(ValueError, match="11×11"):
+        ssim(np.zeros((5, 30, 1)), np.zeros((5, 30, 1)), "valid")

@@ -1,0 +1,125 @@
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+
+from tdgbench.scoring import backbones
+from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
+from tdgbench.scoring.lpips import LPIPS, _package_model, _PlainLPIPS
+
+
+def random_state(net: str) -> dict[str, torch.Tensor]:
+    torch.manual_seed(0)
+    return make_trunk(net).state_dict()
+
+
+def test_documented_values(squeeze_weights):
+    """torchmetrics documents 0.1024 and 0.0938 for these inputs."""
+    g = torch.Generator().manual_seed(42)
+    a = torch.rand(2, 3, 100, 100, generator=g) * 2 - 1
+    b = torch.rand(2, 3, 100, 100, generator=g) * 2 - 1
+    metric = LPIPS("squeeze", "signed", str(squeeze_weights))
+    got = [metric(*((t[i].permute(1, 2, 0).numpy() + 1) / 2 for t in (a, b))) for i in range(2)]
+    assert got == pytest.approx([0.1024, 0.0938], abs=1e-3)
+
+
+def test_conventions_and_gray(squeeze_weights):
+    rng = np.random.default_rng(0)
+    a, b = rng.random((40, 40, 1)).astype(np.float32), rng.random((40, 40, 1)).astype(np.float32)
+    signed, unit = (LPIPS("squeeze", r, str(squeeze_weights)) for r in ("signed", "unit"))
+    assert signed(a, b) != pytest.approx(unit(a, b), rel=1e-3)
+    assert signed(a, b) == pytest.approx(signed(np.repeat(a, 3, 2), np.repeat(b, 3, 2)))
+    assert signed((a + 1) / 2, (b + 1) / 2) == pytest.approx(unit(a, b), abs=1e-6)
+    assert signed(a, a) == 0
+
+
+def fake_torchvision(monkeypatch):
+    """A torchvision that has just the three trunks, made of our layers, so that lpips can be imported."""
+    module, models = types.ModuleType("torchvision"), types.ModuleType("torchvision.models")
+
+    def build(net):
+        return lambda *args, **kwargs: types.SimpleNamespace(features=make_trunk(net))
+
+    models.vgg16, models.alexnet, models.squeezenet1_1 = build("vgg"), build("alex"), build("squeeze")
+    module.models = models
+    monkeypatch.setitem(sys.modules, "torchvision", module)
+    monkeypatch.setitem(sys.modules, "torchvision.models", models)
+    for name in [n for n in sys.modules if n == "lpips" or n.startswith("lpips.")]:
+        monkeypatch.delitem(sys.modules, name)
+
+
+@pytest.mark.parametrize("net", SPECS)
+def test_plain_layers_agree_with_the_package(monkeypatch, net):
+    fake_torchvision(monkeypatch)
+    state = random_state(net)
+    package = _package_model(net, state)
+    assert package is not None and type(package).__module__.startswith("lpips")
+    plain = _PlainLPIPS(net, state)
+    g = torch.Generator().manual_seed(1)
+    a, b = (torch.rand(1, 3, 64, 72, generator=g) * 2 - 1 for _ in range(2))
+    with torch.no_grad():
+        assert plain(a, b).item() == pytest.approx(package.eval()(a, b).item(), rel=1e-4)
+
+
+def test_trunks_have_torchvision_s_sizes():
+    """Number of weights in torchvision's vgg16, alexnet and squeezenet1_1 `features`."""
+    sizes = {net: sum(p.numel() for p in make_trunk(net).parameters()) for net in SPECS}
+    assert sizes == {"vgg": 14_714_688, "alex": 2_469_696, "squeeze": 722_496}
+
+
+@pytest.mark.parametrize("suffix", [".pth", ".npz"])
+def test_weights_from_a_file(tmp_path, suffix):
+    state = {f"features.{k}": v for k, v in random_state("squeeze").items()}
+    path = tmp_path / f"w{suffix}"
+    if suffix == ".npz":
+        np.savez(path, **{k: v.numpy() for k, v in state.items()})
+    else:
+        torch.save(state, path)
+    loaded = trunk_weights("squeeze", str(path), download=False)
+    assert all(torch.equal(loaded[k.removeprefix("features.")], v) for k, v in state.items())
+    with pytest.raises(BackboneUnavailableError, match="does not hold the vgg backbone"):
+        trunk_weights("vgg", str(path), download=False)
+
+
+def test_weights_from_torch_s_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    with pytest.raises(BackboneUnavailableError, match=r"metrics\.lpips\.download is false"):
+        trunk_weights("squeeze", None, download=False)
+    (tmp_path / "hub" / "checkpoints").mkdir(parents=True)
+    state = {f"features.{k}": v for k, v in random_state("squeeze").items()}
+    torch.save(state, tmp_path / "hub" / "checkpoints" / SPECS["squeeze"].file)
+    assert trunk_weights("squeeze", None, download=False)
+
+
+def test_a_pickle_is_not_run(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "ran"), "w"))
+
+    torch.save({"features.0.weight": Evil()}, tmp_path / "evil.pth")
+    with pytest.raises(BackboneUnavailableError, match="cannot be read"):
+        trunk_weights("squeeze", str(tmp_path / "evil.pth"), download=False)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_failed_download_is_tried_once(monkeypatch, tmp_path):
+    calls = []
+
+    def refuse(url, **kwargs):
+        calls.append(url)
+        raise OSError("no network")
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", refuse)
+    monkeypatch.setattr(backbones, "_failed_downloads", {})
+    for _ in range(2):
+        with pytest.raises(BackboneUnavailableError, match="no network"):
+            trunk_weights("alex", None, download=True)
+    assert len(calls) == 1
+
+
+def test_unknown_net():
+    with pytest.raises(ValueError, match="net is 'resnet'"):
+        LPIPS("resnet", "unit")

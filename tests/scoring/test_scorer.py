@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+from hydra.utils import instantiate
+
+from tdgbench.scoring import mean_scores, to_8bit
+from tests.conftest import config
+
+
+def scorer(*overrides):
+    return instantiate(config("metrics.lpips.download=false", "metrics.lpips.net=alex", *overrides).metrics)
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+
+
+def test_8_bit_rounds_half_up():
+    assert to_8bit(np.array([-0.1, 0.0, 0.5 / 255, 0.49 / 255, 1.0, 2.0])).tolist() == [0, 0, 1, 0, 255, 255]
+
+
+def test_gray_scene(small_gray_scene):
+    view = small_gray_scene.test[0]
+    target = to_8bit(view.thermal)
+    wrong = np.where(target < 128, target + 10, target - 10).astype(np.uint8)
+    scoring = scorer()
+    values = scoring.score(small_gray_scene, view, wrong, view.true_depth * 1.1)
+    assert values["psnr"] == pytest.approx(-20 * np.log10(10 / 255))
+    assert values["mae_degC"] == pytest.approx(10 / 255 * (50 - 14), rel=1e-5)
+    assert values["depth_abs_rel"] == pytest.approx(0.1, rel=1e-5)
+    assert values["lpips"] is None and "download is false" in scoring.missing["lpips"]
+
+
+def test_pseudo_color_has_no_temperature(small_scene):
+    view = small_scene.test[0]
+    scoring = scorer()
+    values = scoring.score(small_scene, view, to_8bit(view.thermal), view.true_depth)
+    assert values["mae_degC"] is None and "pseudo-colour" in scoring.missing["mae_degC"]
+    assert values["ssim"] == pytest.approx(1)
+
+
+def test_conventions_differ(small_scene):
+    view = small_scene.test[0]
+    wrong = np.roll(to_8bit(view.thermal), 3, axis=0)
+    a, b = (scorer(f"metrics={name}").score(small_scene, view, wrong, view.true_depth) for name in ("3dgs", "standard"))
+    assert a["psnr"] == b["psnr"] and a["ssim"] != b["ssim"]
+
+
+def test_with_a_backbone(small_scene, squeeze_weights):
+    view = small_scene.test[0]
+    scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
+    values = scoring.score(small_scene, view, np.roll(to_8bit(view.thermal), 3, axis=0), view.true_depth)
+    assert 0.001 < values["lpips"] < 1 and "lpips" not in scoring.missing
+
+
+def test_means_never_skip_what_is_missing():
+    views = {"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}}
+    means = mean_scores(views)
+    assert means["psnr"] == 25 and means["lpips"] is None and means["ssim"] is None

@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.ply import load_ply, save_ply
+
+
+def model(channels: int, degree: int, count: int = 7) -> Gaussians:
+    g = torch.Generator().manual_seed(channels)
+    shapes = {
+        "means": (3,),
+        "log_scales": (3,),
+        "quats": (4,),
+        "opacity_logits": (),
+        "sh": ((degree + 1) ** 2, channels),
+    }
+    return Gaussians(**{name: torch.randn(count, *shape, generator=g) for name, shape in shapes.items()})
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_round_trip(tmp_path, channels, degree):
+    saved = model(channels, degree)
+    save_ply(saved, tmp_path / "model.ply")
+    loaded = load_ply(tmp_path / "model.ply")
+    assert loaded.channels == channels and loaded.sh_degree == degree
+    for name, tensor in saved.items():
+        assert torch.equal(tensor, getattr(loaded, name)), name
+    assert [p.name for p in tmp_path.iterdir()] == ["model.ply"]
+
+
+def test_columns_are_those_of_3dgs(tmp_path):
+    saved = model(3, 3)
+    save_ply(saved, tmp_path / "model.ply")
+    vertex = PlyData.read(tmp_path / "model.ply")["vertex"]
+    names = [p.name for p in vertex.properties]
+    assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"]
+    assert names[6:9] == ["f_dc_0", "f_dc_1", "f_dc_2"] and names[9:54] == [f"f_rest_{i}" for i in range(45)]
+    assert names[54:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    assert np.array_equal(vertex["f_rest_15"], saved.sh[:, 1, 1].numpy())  # channel by channel, 15 each
+
+
+def test_gray_is_three_equal_channels(tmp_path):
+    save_ply(model(1, 1), tmp_path / "model.ply")
+    vertex = PlyData.read(tmp_path / "model.ply")["vertex"]
+    assert np.array_equal(vertex["f_dc_0"], vertex["f_dc_2"]) and np.array_equal(vertex["f_rest_0"], vertex["f_rest_3"])
+
+
+def test_empty_model(tmp_path):
+    save_ply(model(3, 1, count=0), tmp_path / "model.ply")
+    assert len(load_ply(tmp_path / "model.ply")) == 0
+
+
+def test_what_is_no_model_is_named(tmp_path):
+    (tmp_path / "x.ply").write_text("hello")
+    with pytest.raises(ValueError, match=r"x\.ply is not a 3DGS model"):
+        load_ply(tmp_path / "x.ply")

@@ -1,0 +1,257 @@
+"""Every backend against the float64 reference, in value and gradient; the reference against finite differences."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tdgbench.splats import rasterization, reference
+from tdgbench.splats.cpu import pool
+from tests.conftest import ROOT, random_gaussians, turned_camera
+
+FAST_BACKENDS = ["cpu"]
+IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 1e-4, 1e-3
+NAMES = ("means", "quats", "scales", "opacities", "colors")
+
+
+def render(parameters, camera, size, backend, weights=None, **options):
+    """Image, alpha, gradients by name (None without weights), meta; everything as float64."""
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    leaves = [p.detach().to(dtype).requires_grad_() for p in parameters]
+    if options.get("backgrounds") is not None:
+        options = {**options, "backgrounds": options["backgrounds"].to(dtype)}
+    image, alpha, meta = rasterization(*leaves, *camera, *size, backend=backend, **options)
+    grads = None
+    if weights is not None:
+        loss = (image * weights[0].to(dtype)).sum() + (alpha * weights[1].to(dtype)).sum()
+        if loss.requires_grad:
+            loss.backward()
+        tensors = dict(zip(NAMES, leaves, strict=True))
+        grads = {n: (torch.zeros_like(t) if t.grad is None else t.grad).double() for n, t in tensors.items()}
+        seen = [m.grad for m in meta["means2d"] if m.grad is not None]
+        if seen:
+            grads["means2d"] = torch.stack(seen).double()
+    return image.detach().double(), alpha.detach().double(), grads, meta
+
+
+def undecided_pixels(parameters, camera, size, **options) -> torch.Tensor:
+    """Pixels (C, H, W) where a rounding error may flip one of the blend's thresholds."""
+    images = []
+    for factor in (1 - 1e-4, 1.0, 1 + 1e-4):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(reference, "MIN_ALPHA", reference.MIN_ALPHA * factor)
+            patch.setattr(reference, "MIN_TRANSMITTANCE", reference.MIN_TRANSMITTANCE / factor)
+            image, alpha, _, _ = render(parameters, camera, size, "reference", **options)
+            images.append(torch.cat([image, alpha], dim=-1))
+    moved = (images[0] - images[1]).abs() + (images[2] - images[1]).abs()
+    return moved.amax(dim=-1) > 1e-6
+
+
+def compare(parameters, camera, size, backend, seed=0, **options):
+    """Assert that a backend agrees with the reference in image, alpha, radii and all gradients."""
+    unsure = undecided_pixels(parameters, camera, size, **options)
+    assert unsure.float().mean() < 0.05
+    sure = (~unsure)[..., None].double()
+    shape = render(parameters, camera, size, "reference", **options)[0].shape
+    g = torch.Generator().manual_seed(seed)
+    weights = (
+        torch.randn(shape, generator=g, dtype=torch.float64) * sure,
+        torch.randn((*shape[:3], 1), generator=g, dtype=torch.float64) * sure,
+    )
+    expected = render(parameters, camera, size, "reference", weights, **options)
+    got = render(parameters, camera, size, backend, weights, **options)
+    scale = max(1.0, expected[0].abs().max().item() if expected[0].numel() else 1.0)
+    assert ((got[0] - expected[0]) * sure).abs().max() < IMAGE_TOLERANCE * scale
+    assert ((got[1] - expected[1]) * sure).abs().max() < IMAGE_TOLERANCE
+    assert torch.equal(got[3]["radii"], expected[3]["radii"])
+    for name, want in expected[2].items():
+        error = (got[2][name] - want).norm() / want.norm().clamp_min(1e-8)
+        assert error < GRADIENT_TOLERANCE, f"gradient of {name}: {error:.1e}"
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+@pytest.mark.parametrize(
+    ("mode", "channels", "degree"),
+    [(m, c, d) for m in ("RGB", "RGB+D", "RGB+ED") for c in (1, 3) for d in (None, 0, 1, 2, 3)]
+    + [("D", 1, None), ("ED", 1, None)],  # depth alone does not depend on colours
+)
+def test_agrees_with_reference(backend, mode, channels, degree):
+    parameters = random_gaussians(150, seed=channels, degree=degree, channels=channels)
+    backgrounds = torch.full((1, channels), 0.3) if channels == 3 else None
+    compare(
+        parameters, turned_camera(53, 37), (53, 37), backend,
+        sh_degree=degree, render_mode=mode, backgrounds=backgrounds,
+    )  # fmt: skip
+
+
+def adversarial(kind: str) -> list[torch.Tensor]:
+    p = random_gaussians(60, seed=7, degree=None, channels=3)
+    means, quats, scales, opacities, _ = p
+    if kind == "needles":
+        scales[:, 0], scales[:, 1:] = 1.5, 0.002
+    elif kind == "pancakes":
+        scales[:, 2], scales[:, :2] = 1e-6, 0.4
+    elif kind == "tiny":
+        scales[:] = 1e-8
+    elif kind == "huge":
+        scales[:10] = 30.0
+    elif kind == "coincident":
+        means[1:30] = means[0]
+    elif kind == "behind and beside":
+        means[:20, 2] = -means[:20, 2]
+        means[20:40, 0] += 40.0
+    elif kind == "at the near plane":
+        means[:20, 2] = torch.linspace(-0.2, 0.4, 20)
+    elif kind == "opaque and faint":
+        opacities[:20], opacities[20:40] = 1.0, 1 / 300
+    elif kind == "many layers":
+        means[:, :2] *= 0.05
+        opacities[:] = 0.9
+    elif kind == "long quaternions":
+        quats[:] *= torch.logspace(-6, 6, 60)[:, None]
+    return p
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+@pytest.mark.parametrize(
+    "kind",
+    ["needles", "pancakes", "tiny", "huge", "coincident", "behind and beside", "at the near plane", "opaque and faint",
+     "many layers", "long quaternions"],
+)  # fmt: skip
+def test_adversarial_scenes(backend, kind):
+    compare(adversarial(kind), turned_camera(40, 33), (40, 33), backend, render_mode="RGB+D")
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 3), (129, 5), (2, 70)])
+def test_image_sizes(backend, size):
+    compare(random_gaussians(80, 3, None, 1), turned_camera(*size), size, backend, render_mode="RGB+D")
+
+
+@pytest.mark.parametrize("backend", ["reference", *FAST_BACKENDS])
+def test_no_gaussians(backend):
+    image, alpha, _, meta = render(
+        random_gaussians(0, 0, None, 3), turned_camera(20, 10), (20, 10), backend,
+        backgrounds=torch.tensor([[0.1, 0.2, 0.3]]), render_mode="RGB+D",
+    )  # fmt: skip
+    assert torch.allclose(image[0, 4, 5], torch.tensor([0.1, 0.2, 0.3, 0.0]).double())
+    assert alpha.abs().max() == 0 and meta["radii"].shape == (1, 0)
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+def test_several_cameras(backend):
+    view, K = turned_camera(30, 20)
+    moved = view.clone()
+    moved[0, 0, 3] += 0.3
+    cameras = (torch.cat([view, moved]), torch.cat([K, K]))
+    compare(random_gaussians(60, 5, 2, 3), cameras, (30, 20), backend, sh_degree=2, render_mode="RGB+D")
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), spread=st.floats(-6, 0.5), degree=st.sampled_from([None, 0, 3]))
+def test_random_scenes(backend, seed, spread, degree):
+    parameters = random_gaussians(40, seed, degree, 1)
+    parameters[2] *= torch.exp(torch.tensor(spread))
+    compare(parameters, turned_camera(33, 21), (33, 21), backend, seed, sh_degree=degree, render_mode="RGB+D")
+
+
+@pytest.mark.parametrize("backend", FAST_BACKENDS)
+def test_bitwise_equal_on_any_number_of_threads(backend):
+    results = []
+    parameters = random_gaussians(3000, 11, 1, 3)
+    weights = torch.randn(1, 90, 120, 4), torch.randn(1, 90, 120, 1)
+    try:
+        for threads in (1, 2, 3):
+            pool.set_threads(threads)
+            image, alpha, grads, _ = render(
+                parameters, turned_camera(120, 90), (120, 90), backend, weights, sh_degree=1, render_mode="RGB+D"
+            )
+            results.append([image, alpha, *grads.values()])
+    finally:
+        pool.set_threads(None)
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_absgrad_sums_absolute_pixel_gradients():
+    parameters, camera, size = random_gaussians(25, 2, None, 1), turned_camera(9, 7), (9, 7)
+    weights = torch.randn(1, 7, 9, 1, dtype=torch.float64)
+    expected = torch.zeros(25, 2, dtype=torch.float64)
+    for y in range(7):
+        for x in range(9):
+            one = torch.zeros_like(weights)
+            one[0, y, x] = weights[0, y, x]
+            _, _, grads, _ = render(parameters, camera, size, "reference", (one, torch.zeros(1, 7, 9, 1)))
+            expected += grads["means2d"][0].abs()
+    leaves = [p.requires_grad_() for p in parameters]
+    image, _, meta = rasterization(*leaves, *camera, *size, absgrad=True, backend="cpu")
+    (image * weights.float()).sum().backward()
+    got = meta["means2d"][0].absgrad.double()
+    assert (got - expected).norm() / expected.norm() < 1e-4
+
+
+@pytest.mark.parametrize("lanes", ["8", "16"])
+def test_other_instruction_sets(lanes):
+    """The kernels compiled for half or full registers, in a process of their own, agree with the reference."""
+    tests = ["test_adversarial_scenes", "test_several_cameras", "test_image_sizes", "test_bitwise_equal_on_any"]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", __file__, "-x", "-k", " or ".join(tests), "-p", "no:cacheprovider"],
+        env={**os.environ, "TDGBENCH_LANES": lanes}, cwd=ROOT, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout[-3000:]
+    assert " passed" in run.stdout
+
+
+def test_reference_gradients_are_finite_differences():
+    parameters = [p.double().requires_grad_() for p in random_gaussians(5, 1, 2, 1)]
+    camera = turned_camera(6, 5)
+
+    def image(*leaves):
+        out, alpha, _ = rasterization(*leaves, *camera, 6, 5, sh_degree=2, render_mode="RGB+D", backend="reference")
+        return out, alpha
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reference, "MIN_ALPHA", 0.0)  # thresholds have no derivative
+        assert torch.autograd.gradcheck(image, parameters, eps=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("backend", ["reference", *FAST_BACKENDS])
+def test_one_gaussian_by_hand(backend):
+    """A round Gaussian on the axis: alpha at its centre is its opacity, off it falls by the projected width."""
+    means = torch.tensor([[0.0, 0.0, 4.0]])
+    scales, opacity = torch.full((1, 3), 0.2), torch.tensor([0.8])
+    K = torch.tensor([[[50.0, 0, 10.5], [0, 50.0, 8.5], [0, 0, 1]]])
+    image, alpha, meta = rasterization(
+        means, torch.tensor([[1.0, 0, 0, 0]]), scales, opacity, torch.tensor([[0.25]]), torch.eye(4)[None], K, 21, 17,
+        render_mode="RGB+D", backend=backend,
+    )  # fmt: skip
+    variance = (50 * 0.2 / 4) ** 2 + 0.3
+    beside = 0.8 * torch.exp(torch.tensor(-0.5 * 9 / variance)).item()
+    assert alpha[0, 8, 10, 0].item() == pytest.approx(0.8, abs=1e-6)
+    assert alpha[0, 8, 13, 0].item() == pytest.approx(beside, abs=1e-5)
+    assert image[0, 8, 10].tolist() == pytest.approx([0.25 * 0.8, 4.0 * 0.8], abs=1e-5)
+    assert meta["radii"][0, 0] == 8  # ceil(3 sqrt(6.55 + sqrt(0.1)))
+
+
+def test_wrong_arguments_are_named():
+    good = random_gaussians(4, 0, None, 3)
+    camera = turned_camera(8, 8)
+    with pytest.raises(ValueError, match="quats has shape"):
+        rasterization(good[0], good[0], *good[2:], *camera, 8, 8)
+    with pytest.raises(ValueError, match="render_mode"):
+        rasterization(*good, *camera, 8, 8, render_mode="rgb")
+    with pytest.raises(ValueError, match="backend"):
+        rasterization(*good, *camera, 8, 8, backend="gpu")
+    with pytest.raises(ValueError, match="sh_degree 1 needs 4"):
+        rasterization(*good[:4], torch.zeros(4, 1, 3), *camera, 8, 8, sh_degree=1)
+    with pytest.raises(ValueError, match="float32"):
+        rasterization(*(p.double() for p in good), *camera, 8, 8, backend="cpu")
+    with pytest.raises(ValueError, match="1 to 4 channels"):
+        rasterization(*good[:4], torch.zeros(4, 9), *camera, 8, 8, backend="cpu")

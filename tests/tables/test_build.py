@@ -1,0 +1,150 @@
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tdgbench.bench.cell import cell_folder_of
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import Failure, Record
+from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.tables.__main__ import main
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.published import published_ablation, published_main
+from tdgbench.tables.results import KEYS
+
+
+def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group="day", init="colmap", seed=0, **extra):
+    record = Record(method, dataset, scene, init, seed, experiment.name, extra.pop("variant", ""), group=group)
+    record.scores = {"psnr": 20.0, "ssim": 0.8, "lpips": 0.2, **extra.pop("scores", {})}
+    record.seconds = {"train": 360.0}
+    for name, value in extra.items():
+        setattr(record, name, value)
+    folder = cell_folder_of(experiment, record)
+    folder.mkdir(parents=True)
+    record.write(folder)
+    return folder
+
+
+def published_as_records(experiment) -> None:
+    values = published_main().set_index(["method", "scene", "metric"])["value"]
+    for method in ("msmg", "tdg"):
+        for s in SCENES:
+            scores = {m: float(values[method, s.name, m]) for m in ("psnr", "ssim", "lpips")}
+            hours = float(values[method, s.name, "hours"])
+            write(
+                experiment, method, s.name, DATASETS[s.dataset], s.group, scores=scores, seconds={"train": hours * 3600}
+            )
+
+
+def test_the_published_numbers_give_the_published_table(tmp_path):
+    published_as_records(tmp_path)
+    tables = build_tables(tmp_path)
+    own = tables.difference[~tables.difference["scene"].str.contains("Average")]
+    assert own["difference"].abs().max() < 1e-9
+    assert tables.difference["difference"].abs().max() < 0.006  # averages: rounding
+    written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
+    assert list(written.columns[:7]) == ["method", "dataset", "group", "scene", "metric", "value", "bold"]
+    paper = published_main()
+    merged = written[written["metric"].isin(paper["metric"].unique())].merge(paper, on=KEYS, suffixes=("", "_paper"))
+    assert len(merged) == len(paper)
+    odd = merged[merged["bold"].astype(str).str.lower() != merged["bold_paper"].astype(str).str.lower()]
+    assert set(odd["scene"]) == {"Ebike", "RoadBlock"}
+    for line in (
+        r"\qquad Road Block & 26.51 & 0.921 & 0.221 & 0.388",
+        r"\textbf{26.73} & 0.921 & \textbf{0.212}",
+        r"\textbf{Average (Overall)} & 27.18 & 0.8896 & 0.177 & 0.389 & \textbf{27.42} & \textbf{0.8899}",
+    ):
+        assert line in tables.latex
+
+
+def test_missing_scenes_are_rows_and_averages_say_so(tmp_path):
+    write(tmp_path)
+    tables = build_tables(tmp_path)
+    rows = tables.main[(tables.main["method"] == "tdg") & (tables.main["metric"] == "psnr")].set_index("scene")
+    assert len(rows) == 14 + 2 + 1
+    assert rows.loc["Truck", "value"] == 20
+    assert np.isnan(rows.loc["Ebike", "value"]) and "not run" in rows.loc["Ebike", "reason"]
+    assert rows["value"].drop("Truck").isna().all()
+    text = (tmp_path / "tables" / "difference.csv").read_text()
+    assert "tdg,RGBT-Scenes,day,Truck,psnr,20,26.28,-6.28," in text
+    assert 'msmg,RGBT-Scenes,day,Truck,psnr,n/a,25.9,n/a,"not run' in text
+
+
+def test_reasons_of_missing_metrics_and_failures(tmp_path):
+    write(tmp_path, scene="orbit", dataset="synthetic", scores={"lpips": None}, missing={"lpips": "no backbone"})
+    write(tmp_path, scene="night", dataset="synthetic", status="failed", failure=Failure("train", "boom", ""))
+    tables = build_tables(tmp_path)
+    rows = tables.main.set_index(["scene", "metric"])
+    assert rows.loc[("orbit", "lpips"), "reason"] == "no backbone"
+    assert rows.loc[("night", "psnr"), "reason"] == "failed in train: boom"
+    assert np.isnan(rows.loc[("Average", "psnr"), "value"]) and tables.difference is None
+
+
+def test_seeds_are_averaged_and_variants_kept_apart(tmp_path):
+    for seed, value in ((0, 20.0), (1, 22.0)):
+        write(tmp_path, scene="orbit", dataset="synthetic", seed=seed, scores={"psnr": value})
+    write(tmp_path, scene="orbit", dataset="synthetic", variant="budget=demo", scores={"psnr": 10.0})
+    write(tmp_path, scene="orbit", dataset="synthetic", init="random", scores={"psnr": 5.0})
+    rows = build_tables(tmp_path).main.query("scene == 'orbit' and metric == 'psnr'").set_index("method")["value"]
+    assert rows.to_dict() == {"tdg": 21.0, "tdg (random)": 5.0, "tdg [budget=demo]": 10.0}
+
+
+def test_ablation(tmp_path):
+    values = published_ablation().set_index(["method", "init", "metric"])["value"]
+    for method in ("msmg", "tdg"):
+        for init in ("random", "colmap"):
+            for s in SCENES:
+                scores = {m: float(values[method, init, m]) for m in ("psnr", "ssim")}
+                write(tmp_path, method, s.name, DATASETS[s.dataset], s.group, init, scores=scores)
+    Plan("ablation").write(tmp_path)
+    tables = build_tables(tmp_path)
+    assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 8
+    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} \\" in tables.latex
+    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 \\" in tables.latex
+
+
+def test_ablation_with_a_missing_scene_is_na(tmp_path):
+    write(tmp_path)
+    Plan("ablation").write(tmp_path)
+    tables = build_tables(tmp_path)
+    assert tables.main["value"].isna().all() and "n/a / n/a" in tables.latex
+
+
+@pytest.mark.parametrize("kind", ["main", "ablation"])
+def test_latex_compiles(tmp_path, kind):
+    if shutil.which("pdflatex") is None:
+        pytest.skip("pdflatex is not installed")
+    published_as_records(tmp_path)
+    write(tmp_path, scene="odd_name & co", dataset="synthetic", variant="a.b_c=1")
+    Plan(kind).write(tmp_path)
+    build_tables(tmp_path)
+    (tmp_path / "page.tex").write_text(
+        r"\documentclass{article}\usepackage{booktabs,amssymb,graphicx}\begin{document}"
+        r"\resizebox{\textwidth}{!}{\input{tables/main.tex}}\end{document}"
+    )
+    run = subprocess.run(
+        ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stdout[-2000:]
+
+
+def test_command(tmp_path, capsys, monkeypatch):
+    write(tmp_path)
+    monkeypatch.setattr("sys.argv", ["tables", str(tmp_path)])
+    assert main() == 0
+    assert "Truck" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["tables", str(tmp_path / "nothing")])
+    assert main() == 1
+    assert "holds no records" in capsys.readouterr().err
+
+
+def test_a_broken_record_is_named(tmp_path):
+    folder = write(tmp_path)
+    (folder / "record.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"record\.json is not a record"):
+        build_tables(tmp_path)

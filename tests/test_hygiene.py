@@ -1,0 +1,42 @@
+"""The house rules: lint, format, types, import layers, tests beside every module."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]],
+    ids=["lint", "format", "types"],
+)
+def test_tools(command):
+    run = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_imports_point_one_way():
+    code = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "0 broken" in run.stdout
+
+
+def test_every_plug_in_has_its_yaml():
+    """A method, estimator or experiment is one file of code and one of configuration."""
+    methods = {p.stem for p in (ROOT / "methods").glob("*.py")} - {"__init__"}
+    assert methods == {p.stem for p in (ROOT / "conf" / "method").glob("*.yaml")}
+    priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {"__init__", "prior", "cache"}
+    assert priors == {p.stem for p in (ROOT / "conf" / "prior").glob("*.yaml")}
+
+
+def test_no_unsafe_calls():
+    for path in [*Path(ROOT / "tdgbench").rglob("*.py"), *Path(ROOT / "methods").rglob("*.py")]:
+        text = path.read_text()
+        for bad in ("eval(", "exec(", "pickle.load", "weights_only=False", "allow_pickle=True"):
+            hits = [line for line in text.splitlines() if bad in line and f".{bad}" not in line]
+            assert not hits, f"{path}: {hits}"

@@ -1,0 +1,96 @@
+"""The command itself: the demo, every experiment file, sweeps, failures, exit status."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+
+from tdgbench.bench.record import read_all
+from tests.conftest import ROOT, SMALL
+
+EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
+QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
+
+
+def command(tmp_path, *arguments):
+    own = {"PYTHONPATH": str(ROOT), "TORCH_HOME": str(tmp_path / "torch"), "COLUMNS": "200"}
+    call = [sys.executable, "-m", "tdgbench", *arguments, f"results={tmp_path / 'results'}"]
+    return subprocess.run(call, cwd=tmp_path, env={**os.environ, **own}, capture_output=True, text=True, timeout=600)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_composes_and_runs(tmp_path, data_root, experiment):
+    small = QUICK if experiment == "demo" else ()
+    run = command(tmp_path, f"+experiment={experiment}", f"data.root={data_root}", *small)
+    assert "Traceback" not in run.stderr, run.stderr[-3000:]
+    tables = tmp_path / "results" / experiment / "tables"
+    assert (tables / "main.tex").exists()
+    main = pd.read_csv(tables / "main.csv", keep_default_na=False)
+    if experiment == "demo":
+        assert run.returncode == 0 and "8 cells run" in run.stdout
+        assert set(main["scene"]) == {"orbit", "night", "turntable", "facade", "Average"}
+        assert (main[main["metric"] == "psnr"]["value"] != "n/a").all()
+        assert (tmp_path / "results" / "demo" / "strip.png").stat().st_size > 10_000
+    else:  # the paper's data is not here: one error for all scenes, n/a everywhere, exit status 1
+        assert run.returncode == 1 and run.stderr.count("14 scenes are not in") == 1
+        assert "Dimsum, DailyStuff" in run.stderr and "Zenodo" in run.stderr and "[train|test]" in run.stderr
+        assert (main["value"] == "n/a").all() and (tables / "difference.csv").exists()
+
+
+def test_a_sweep_resumes_and_one_failure_stops_nothing(tmp_path, data_root):
+    sweep = ("-m", "method=splat,msmg", "scene=night,moon,facade", f"data.root={data_root}", *QUICK)
+    run = command(tmp_path, *sweep)
+    assert run.returncode == 1 and "no synthetic scene moon" in run.stderr
+    sweep = ("-m", "method=splat,msmg", "scene=night,facade", f"data.root={data_root}", *QUICK)
+    first = command(tmp_path, *sweep, "hydra.sweeper.max_batch_size=1")
+    assert first.returncode == 0 and "4 cells run, 0 already there" in first.stdout, first.stderr
+    again = command(tmp_path, *sweep)
+    assert again.returncode == 0 and "0 cells run, 4 already there" in again.stdout
+    assert len(read_all(tmp_path / "results" / "single")) == 4
+
+
+def test_scenes_that_are_there_run_though_others_are_missing(tmp_path, data_root, small_scene):
+    import shutil
+
+    root = tmp_path / "data" / "RGBT-Scenes"
+    shutil.copytree(small_scene.train[0].thermal_path.parents[1], root / "road_block")
+    run = command(
+        tmp_path, "+experiment=table1", f"data.root={tmp_path / 'data'}", "budget=demo", "budget.iterations=12",
+        "prior=sfm_points", "metrics.lpips.download=false",
+    )  # fmt: skip
+    assert run.returncode == 1 and "13 scenes are not in" in run.stderr
+    assert "2 cells run" in run.stdout and "26 without data" in run.stdout
+    text = (tmp_path / "results" / "table1" / "tables" / "difference.csv").read_text()
+    rows = [line for line in text.splitlines() if ",RoadBlock,psnr," in line]
+    assert len(rows) == 2 and not any("n/a" in row for row in rows)
+
+
+def test_one_cell_without_an_experiment(tmp_path, data_root):
+    run = command(tmp_path, "method=splat", "scene=facade", f"data.root={data_root}", *QUICK)
+    assert run.returncode == 0 and "1 cells run" in run.stdout
+    record = read_all(tmp_path / "results" / "single")[0]
+    assert (record.scene, record.method, record.variant) == ("facade", "splat", "")
+
+
+def test_other_swept_keys_keep_their_cells_apart(tmp_path, data_root):
+    sweep = (
+        "-m",
+        "method=splat",
+        "scene=facade",
+        "method.method.lambda_ssim=0.2,0.5",
+        f"data.root={data_root}",
+        *QUICK,
+    )
+    run = command(tmp_path, *sweep)
+    assert run.returncode == 0 and "2 cells run" in run.stdout
+    variants = {r.variant for r in read_all(tmp_path / "results" / "single")}
+    assert variants == {"method.method.lambda_ssim=0.2", "method.method.lambda_ssim=0.5"}
+
+
+def test_a_wrong_option_is_one_clear_error(tmp_path):
+    run = command(tmp_path, "methd=tdg")
+    assert run.returncode != 0 and "methd" in run.stderr
