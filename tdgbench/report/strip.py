@@ -1,4 +1,4 @@
-"""One picture per experiment: a test view of each scene, ground truth | each method | its error | its depth."""
+"""One picture per experiment: a test view of each scene, ground truth | each method's render | their errors."""
 
 from __future__ import annotations
 
