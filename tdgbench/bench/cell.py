@@ -65,11 +65,11 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         scene=str(cfg.scene),
         init=cfg.init.name,
         seed=int(cfg.seed),
-        experiment=cfg.experiment,
+        experiment=cfg.name,
         variant=variant,
         environment=describe_environment(),
     )
-    experiment = Path(cfg.results) / cfg.experiment
+    experiment = Path(cfg.results) / cfg.name
     stages = _Stages(record, progress)
     progress.begin(record.title)
     try:

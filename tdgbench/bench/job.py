@@ -23,7 +23,7 @@ def run_job(cfg: DictConfig) -> None:
     """Run a cell, say in one line what became of it, and note the outcome in the job's folder."""
     console = Console(stderr=True)
     hydra = HydraConfig.get()
-    variant = read_plan(Path(cfg.results) / cfg.experiment).variant(list(hydra.overrides.task))
+    variant = read_plan(Path(cfg.results) / cfg.name).variant(list(hydra.overrides.task))
     outcome = run_cell(cfg, variant, CellProgress(console, int(cfg.budget.iterations)))
     folder = Path(hydra.runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)

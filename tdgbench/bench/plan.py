@@ -14,7 +14,7 @@ from tdgbench.files import write_text
 
 FILE = "experiment.json"
 # Keys that the path of a cell already says.
-IN_THE_PATH = ("method", "dataset", "scene", "init", "seed", "experiment", "results")
+IN_THE_PATH = ("method", "dataset", "scene", "init", "seed", "name", "results")
 
 
 @dataclass

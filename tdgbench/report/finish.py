@@ -38,7 +38,7 @@ class Finish(Callback):
     def _start(self, config: DictConfig) -> None:
         """Plan the experiment, and name every missing scene in one message before hours of work begin."""
         console = Console(stderr=True)
-        experiment = Path(config.results) / config.experiment
+        experiment = Path(config.results) / config.name
         clear_outcomes(experiment / "hydra")
         dataset = instantiate(config.dataset.loader)
         sweep = swept(config)
@@ -63,7 +63,7 @@ class Finish(Callback):
     def _end(self, config: DictConfig, hydra_folder: Path) -> None:
         """Tables and pictures of everything on disk; one line per failure; exit status 1 if anything is lacking."""
         console = Console()
-        experiment = Path(config.results) / config.experiment
+        experiment = Path(config.results) / config.name
         outcomes = read_outcomes(hydra_folder)
         tables = build_tables(experiment)
         show(tables, console)

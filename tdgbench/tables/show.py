@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
+
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
@@ -10,7 +12,7 @@ from rich.table import Table
 from tdgbench.tables.build import Tables
 from tdgbench.tables.results import METRICS, decimals
 
-HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "hours↓"}
+HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "time↓"}
 
 
 def show(tables: Tables, console: Console) -> None:
@@ -38,22 +40,29 @@ def show(tables: Tables, console: Console) -> None:
 def _show_main(tables: Tables, console: Console) -> None:
     main = tables.main
     methods = list(dict.fromkeys(main["method"]))
-    table = Table()
-    table.add_column("scene", no_wrap=True)
-    for method in methods:
-        for metric in METRICS:
-            table.add_column(f"{escape(method)}\n{HEADERS[metric]}", justify="right")
+    table = Table("scene", "method")
+    for metric in METRICS:
+        table.add_column(HEADERS[metric], justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
     for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
-        cells = []
         for method in methods:
+            cells = []
             for metric in METRICS:
                 row = values[method, dataset, scene, metric]
-                digits = max(decimals(metric, scene), 4 if metric == "hours" else 0)
-                text = "n/a" if np.isnan(row.value) else f"{row.value:.{digits}f}"
+                text = "n/a" if np.isnan(row.value) else _text(row.value, metric, scene)
                 cells.append(f"[bold]{text}[/bold]" if row.bold else text)
-        table.add_row(scene, *cells, end_section="Average" in scene)
+            title = scene if method == methods[0] else ""
+            table.add_row(title, escape(method), *cells, end_section=method == methods[-1])
     console.print(table)
+
+
+def _text(value: float, metric: str, scene: str) -> str:
+    """A number as it is printed; times as h:mm:ss."""
+    return (
+        str(timedelta(hours=round(value * 3600) / 3600))
+        if metric == "hours"
+        else f"{value:.{decimals(metric, scene)}f}"
+    )
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:

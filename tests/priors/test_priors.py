@@ -1,4 +1,5 @@
 import builtins
+import dataclasses
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_sfm_points_find_the_depth(data_root, name):
 
 
 def test_sfm_points_need_points(small_scene):
-    bare = Scene(**{**vars(small_scene), "points": None})
+    bare = dataclasses.replace(small_scene, points=None)
     with pytest.raises(PriorError, match="needs a COLMAP model with points"):
         make("sfm_points").estimate(bare, small_scene.train[0])
 
