@@ -40,7 +40,7 @@ class MarigoldPrior:
             pipeline = diffusers.MarigoldDepthPipeline.from_pretrained(
                 self.model,
                 variant="fp16" if half else None,
-                torch_dtype=torch.float16 if half else torch.float32,
+                dtype=torch.float16 if half else torch.float32,
             )
         except Exception as error:
             raise PriorError(
@@ -57,12 +57,12 @@ class MarigoldPrior:
         return torch.device(self.device)
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
-        image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3))
+        image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3)).copy()
         own = int.from_bytes(hashlib.sha256(f"{self.seed}/{view.name}".encode()).digest()[:7], "big")
         generator = torch.Generator(self._device).manual_seed(own)
         options = {} if self.resolution is None else {"processing_resolution": self.resolution}
         result = self._pipeline(
-            np.ascontiguousarray(image),
+            image,
             num_inference_steps=self.steps,
             ensemble_size=self.ensemble,
             match_input_resolution=True,
