@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.scoring import backbones
-from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
+from tdgbench.scoring.backbones import SPECS, make_trunk
 from tdgbench.scoring.lpips import LPIPS, _package_model, _PlainLPIPS
 
 
@@ -61,63 +60,6 @@ def test_plain_layers_agree_with_the_package(monkeypatch, net):
     a, b = (torch.rand(1, 3, 64, 72, generator=g) * 2 - 1 for _ in range(2))
     with torch.no_grad():
         assert plain(a, b).item() == pytest.approx(package.eval()(a, b).item(), rel=1e-4)
-
-
-def test_trunks_have_torchvision_s_sizes():
-    """Number of weights in torchvision's vgg16, alexnet and squeezenet1_1 `features`."""
-    sizes = {net: sum(p.numel() for p in make_trunk(net).parameters()) for net in SPECS}
-    assert sizes == {"vgg": 14_714_688, "alex": 2_469_696, "squeeze": 722_496}
-
-
-@pytest.mark.parametrize("suffix", [".pth", ".npz"])
-def test_weights_from_a_file(tmp_path, suffix):
-    state = {f"features.{k}": v for k, v in random_state("squeeze").items()}
-    path = tmp_path / f"w{suffix}"
-    if suffix == ".npz":
-        np.savez(path, **{k: v.numpy() for k, v in state.items()})
-    else:
-        torch.save(state, path)
-    loaded = trunk_weights("squeeze", str(path), download=False)
-    assert all(torch.equal(loaded[k.removeprefix("features.")], v) for k, v in state.items())
-    with pytest.raises(BackboneUnavailableError, match="does not hold the vgg backbone"):
-        trunk_weights("vgg", str(path), download=False)
-
-
-def test_weights_from_torch_s_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    with pytest.raises(BackboneUnavailableError, match=r"metrics\.lpips\.download is false"):
-        trunk_weights("squeeze", None, download=False)
-    (tmp_path / "hub" / "checkpoints").mkdir(parents=True)
-    state = {f"features.{k}": v for k, v in random_state("squeeze").items()}
-    torch.save(state, tmp_path / "hub" / "checkpoints" / SPECS["squeeze"].file)
-    assert trunk_weights("squeeze", None, download=False)
-
-
-def test_a_pickle_is_not_run(tmp_path):
-    class Evil:
-        def __reduce__(self):
-            return (open, (str(tmp_path / "ran"), "w"))
-
-    torch.save({"features.0.weight": Evil()}, tmp_path / "evil.pth")
-    with pytest.raises(BackboneUnavailableError, match="cannot be read"):
-        trunk_weights("squeeze", str(tmp_path / "evil.pth"), download=False)
-    assert not (tmp_path / "ran").exists()
-
-
-def test_a_failed_download_is_tried_once(monkeypatch, tmp_path):
-    calls = []
-
-    def refuse(url, **kwargs):
-        calls.append(url)
-        raise OSError("no network")
-
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", refuse)
-    monkeypatch.setattr(backbones, "_failed_downloads", {})
-    for _ in range(2):
-        with pytest.raises(BackboneUnavailableError, match="no network"):
-            trunk_weights("alex", None, download=True)
-    assert len(calls) == 1
 
 
 def test_unknown_net():

@@ -213,7 +213,7 @@ def store(typing_context, array, index, value):
 
 @intrinsic
 def exp2(typing_context, x):
-    """2^x to a relative error of 1e-7 for |x| < 126; out of range is garbage that the caller masks.
+    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.
 
     Splits x into a whole part, which goes into the exponent bits, and a rest in [-1/2, 1/2], for a minimax polynomial.
     """
