@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 import time
 import traceback
 from collections.abc import Iterator
@@ -16,23 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from PIL import Image
 
-from tdgbench.bench.environment import (
-    code_version,
-    describe_environment,
-    peak_memory_mb,
-    reset_peak_memory,
-)
+from tdgbench.bench import output
+from tdgbench.bench.environment import code_version, describe_environment
+from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
-from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError, View
-from tdgbench.scoring import METRICS, mean_scores, to_8bit
+from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError
+from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
@@ -89,7 +80,10 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
                 return Outcome("kept", record.title)
             if cfg.overwrite == "never":
                 return Outcome("kept", record.title, "made with other settings; overwrite=never keeps it")
-        _run(cfg, record, scene, method, folder, stages)
+        with PeakMemory() as memory:
+            scorer, log = _train(cfg, record, scene, method, stages)
+        record.peak_rss_mb = memory.mb
+        _write_results(record, scene, method, scorer, log, folder, stages)
         return Outcome("ok", record.title)
     except MissingScenesError as error:
         return Outcome("missing", record.title, str(error))
@@ -156,10 +150,12 @@ class _Stages:
         self.record.seconds[name] = round(time.perf_counter() - start, 3)
 
 
-def _run(cfg: DictConfig, record: Record, scene: Scene, method: Method, folder: Path, stages: _Stages) -> None:
-    reset_peak_memory()
+def _train(
+    cfg: DictConfig, record: Record, scene: Scene, method: Method, stages: _Stages
+) -> tuple[Scorer, TrainingLog]:
+    """Everything up to the trained method; what it is scored with, and how training went."""
     budget = instantiate(cfg.budget)
-    scorer = instantiate(cfg.metrics)
+    scorer: Scorer = instantiate(cfg.metrics)
     record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
     record.convention, record.iterations = scorer.convention, budget.iterations
     record.views = {"train": len(scene.train), "test": len(scene.test)}
@@ -185,11 +181,17 @@ def _run(cfg: DictConfig, record: Record, scene: Scene, method: Method, folder: 
         log = train(method, budget.iterations, stages.progress.line)
     record.seconds["train"] = round(log.seconds, 3)
     record.gaussians = {name: len(model) for name, model in method.models().items()}
+    return scorer, log
+
+
+def _write_results(
+    record: Record, scene: Scene, method: Method, scorer: Scorer, log: TrainingLog, folder: Path, stages: _Stages
+) -> None:
+    """Render and score the test views; write the cell's folder whole or not at all."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with output.whole_folder(folder) as part:
         with stages("render"):
-            renders = _render_views(method, scene.test, part)
+            renders = output.write_renders(method, scene.test, part)
         with stages("score"):
             scores = {
                 view.name: scorer.score(scene, view, image, depth)
@@ -199,56 +201,10 @@ def _run(cfg: DictConfig, record: Record, scene: Scene, method: Method, folder: 
         with stages("write"):
             for name, model in method.models().items():
                 save_ply(model.gaussians, part / ("model.ply" if name == "thermal" else f"model_{name}.ply"))
-            _write_views(part / "views.csv", scores)
-            _write_log(part / "log.csv", log)
-        record.hashes = {p.relative_to(part).as_posix(): _hash(p) for p in sorted(part.rglob("*")) if _is_result(p)}
-        record.peak_rss_mb = peak_memory_mb()
+            output.write_views(part / "views.csv", scores)
+            output.write_log(part / "log.csv", log)
+        record.hashes = output.hashes(part)
         record.write(part)
-        _put_in_place(part, folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _render_views(method: Method, views: list[View], folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Write each view's render and ground truth as PNG; returns render (H, W, C) uint8 and expected depth (H, W)."""
-    for sub in ("renders", "targets"):
-        (folder / sub).mkdir()
-    results = []
-    for view in views:
-        render = method.render(view.camera)
-        assert render.depth is not None
-        image = to_8bit(render.image.cpu().numpy())
-        for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
-            Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
-        depth = render.depth / render.alpha.clamp_min(1e-6)
-        results.append((image, depth.cpu().numpy().astype(np.float64)))
-    return results
-
-
-def _write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["view", *METRICS])
-        for name, values in scores.items():
-            writer.writerow([name, *("n/a" if values[m] is None else values[m] for m in METRICS)])
-
-
-def _write_log(path: Path, log: TrainingLog) -> None:
-    terms = sorted({term for line in log.lines for term in line.terms})
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["iteration", "seconds", "loss", "train_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
-        for line in log.lines:
-            own = [line.terms.get(term, "") for term in terms]
-            writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *own])
-
-
-def _is_result(path: Path) -> bool:
-    return path.is_file() and path.suffix in (".png", ".ply")
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _existing(folder: Path) -> Record | None:
@@ -257,15 +213,6 @@ def _existing(folder: Path) -> Record | None:
         return read_record(folder)
     except ValueError:
         return None
-
-
-def _put_in_place(part: Path, folder: Path) -> None:
-    """Rename the finished folder into place; what was there goes only once the new one is complete."""
-    old = folder.with_name(f".{folder.name}-old-{os.getpid()}")
-    if folder.exists():
-        folder.replace(old)
-    part.replace(folder)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _write_failure(folder: Path, record: Record) -> None:

@@ -1,0 +1,54 @@
+"""The peak memory of one cell, though many cells run in one process."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from pathlib import Path
+
+STATUS = Path("/proc/self/status")
+SAMPLE_SECONDS = 0.02
+ROUNDING_MB = 16.0
+
+
+class PeakMemory:
+    """Largest resident size (MB) between entering and leaving; `mb` is None where the platform does not tell.
+
+    Linux keeps the peak itself and lets a process reset it; where the reset has no effect (some sandboxes), a thread
+    samples the current size instead.
+    """
+
+    def __init__(self) -> None:
+        self.mb: float | None = None
+        self._stop = threading.Event()
+        self._sampler: threading.Thread | None = None
+
+    def __enter__(self) -> PeakMemory:
+        with contextlib.suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5")
+        peak, now = _read("VmHWM"), _read("VmRSS")
+        self.mb = now
+        if now is not None and (peak is None or peak > now + ROUNDING_MB):
+            self._sampler = threading.Thread(target=self._sample, name="peak-memory", daemon=True)
+            self._sampler.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._sampler is not None:
+            self._stop.set()
+            self._sampler.join()
+        elif self.mb is not None:
+            self.mb = _read("VmHWM")
+
+    def _sample(self) -> None:
+        while not self._stop.wait(SAMPLE_SECONDS):
+            self.mb = max(self.mb or 0.0, _read("VmRSS") or 0.0)
+
+
+def _read(field: str) -> float | None:
+    """A line of /proc/self/status in MB."""
+    with contextlib.suppress(OSError):
+        for line in STATUS.read_text().splitlines():
+            if line.startswith(f"{field}:"):
+                return round(int(line.split()[1]) / 1024, 1)
+    return None

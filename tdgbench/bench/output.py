@@ -1,0 +1,79 @@
+"""The files of a cell's folder: renders, ground truth, scores per view, training log, hashes."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.scenes import View
+from tdgbench.scoring import METRICS, to_8bit
+from tdgbench.training.loop import TrainingLog
+from tdgbench.training.method import Method
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A temporary folder to fill; takes the place of `folder` at the end, vanishes on an error.
+
+    What was there before goes only once the new one is complete.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    old = folder.with_name(f".{folder.name}-old-{os.getpid()}")
+    try:
+        yield part
+        if folder.exists():
+            folder.replace(old)
+        part.replace(folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Write each view's render and ground truth as PNG; returns render (H, W, C) uint8 and expected depth (H, W)."""
+    for sub in ("renders", "targets"):
+        (folder / sub).mkdir()
+    results = []
+    for view in views:
+        render = method.render(view.camera)
+        assert render.depth is not None
+        image = to_8bit(render.image.cpu().numpy())
+        for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
+            Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
+        depth = render.depth / render.alpha.clamp_min(1e-6)
+        results.append((image, depth.cpu().numpy().astype(np.float64)))
+    return results
+
+
+def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["view", *METRICS])
+        for name, values in scores.items():
+            writer.writerow([name, *("n/a" if values[m] is None else values[m] for m in METRICS)])
+
+
+def write_log(path: Path, log: TrainingLog) -> None:
+    terms = sorted({term for line in log.lines for term in line.terms})
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["iteration", "seconds", "loss", "train_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
+        for line in log.lines:
+            own = [line.terms.get(term, "") for term in terms]
+            writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *own])
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every picture and model in a cell's folder."""
+    files = [p for p in sorted(folder.rglob("*")) if p.suffix in (".png", ".ply")]
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}

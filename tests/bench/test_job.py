@@ -1,0 +1,13 @@
+import json
+
+from tdgbench.bench.cell import Outcome
+from tdgbench.bench.job import OUTCOME, clear_outcomes, read_outcomes
+
+
+def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
+    for number in (10, 2, 0):
+        (tmp_path / str(number)).mkdir()
+        (tmp_path / str(number) / OUTCOME).write_text(json.dumps({"status": "ok", "title": str(number), "message": ""}))
+    assert read_outcomes(tmp_path) == [Outcome("ok", t) for t in ("0", "2", "10")]
+    clear_outcomes(tmp_path)
+    assert read_outcomes(tmp_path) == [] == read_outcomes(tmp_path / "nothing")

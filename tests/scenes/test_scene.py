@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from tdgbench.scenes import Camera, Scene, View
+
+
+def camera(centre, size=(40, 30)) -> Camera:
+    pose = np.eye(4)
+    pose[:3, 3] = -np.asarray(centre, float)
+    return Camera(np.array([[20.0, 0, 20], [0, 20, 15], [0, 0, 1]]), pose, *size)
+
+
+def test_camera():
+    c = camera([1, 2, 3])
+    assert np.allclose(c.center, [1, 2, 3])
+    pixels, z = c.project(np.array([[1.0, 2, 5], [2, 2, 5], [1, 2, 1]]))
+    assert np.allclose(pixels[:2], [[20, 15], [30, 15]]) and np.allclose(z, [2, 2, -2])
+
+
+def test_extent_is_3dgs_s():
+    centres = [[0, 0, 0], [4, 0, 0], [2, 0, 0]]
+    views = [View(str(i), camera(c), load_thermal=lambda: None) for i, c in enumerate(centres)]
+    scene = Scene("s", "d", "", views, [], None, None, "folder", "", 1)
+    assert scene.extent == pytest.approx(1.1 * 2)
+
+
+def test_images_are_read_once():
+    calls = []
+
+    def read():
+        calls.append(1)
+        return np.zeros((2, 2, 1), np.float32)
+
+    view = View("v", camera([0, 0, 0]), load_thermal=read)
+    assert view.thermal is view.thermal and len(calls) == 1 and view.true_depth is None

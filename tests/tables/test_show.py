@@ -1,0 +1,16 @@
+from io import StringIO
+
+from rich.console import Console
+
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.show import show
+from tests.tables.test_build import write
+
+
+def test_prints_numbers_reasons_and_differences(tmp_path):
+    write(tmp_path, scores={"lpips": None}, missing={"lpips": "no backbone"})
+    out = StringIO()
+    show(build_tables(tmp_path), Console(file=out, width=120))
+    text = out.getvalue()
+    assert "20.00" in text and "0:06:00" in text and "no backbone" in text
+    assert "3 of 136 published numbers" in text and "psnr: ours − published -6.280" in text

@@ -1,0 +1,38 @@
+import dataclasses
+
+import pytest
+from hydra.utils import instantiate
+
+from tests.conftest import config
+
+
+def budget(*overrides):
+    return instantiate(config(*overrides).budget)
+
+
+def test_the_paper_s_settings_are_3dgs_s():
+    b = budget("budget=paper", "method=msmg")
+    assert (b.iterations, b.sh_degree, b.sh_every) == (30_000, 3, 1000)
+    r, d = b.rates, b.density
+    assert (r.position_initial, r.position_final, r.position_steps) == (1.6e-4, 1.6e-6, 30_000)
+    assert (r.sh_dc, r.sh_rest, r.opacity, r.log_scale, r.quaternion) == (2.5e-3, 2.5e-3 / 20, 0.05, 5e-3, 1e-3)
+    assert (d.start, d.stop, d.every, d.grad_threshold) == (500, 15_000, 100, 2e-4)
+    assert (d.clone_max_scale, d.split_into, d.split_into * d.split_shrink) == (0.01, 2, 1.6)
+    assert (d.min_opacity, d.max_world_scale, d.max_screen_radius) == (0.005, 0.1, 20)
+    assert (d.opacity_reset_every, d.opacity_reset_to) == (3000, 0.01)
+
+
+def test_tdg_trains_less_and_may_be_overridden():
+    assert budget("budget=paper", "method=tdg").iterations == 10_000
+    assert budget("budget=paper", "method=tdg", "budget.iterations=20000").iterations == 20_000
+    assert budget("budget=short", "method=tdg").iterations == 3000
+
+
+def test_degrees_rise_on_time():
+    b = budget("budget=paper")
+    assert [b.active_degree(i) for i in (1, 999, 1000, 2500, 3000, 30_000)] == [0, 0, 1, 2, 3, 3]
+
+
+def test_no_iterations_is_an_error():
+    with pytest.raises(ValueError, match=r"budget\.iterations is 0"):
+        dataclasses.replace(budget(), iterations=0)

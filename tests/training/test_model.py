@@ -1,0 +1,44 @@
+import torch
+from hydra.utils import instantiate
+
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.training.model import SplatModel, render_gaussians
+from tests.conftest import config
+
+
+def make(scene, channels=1):
+    budget = instantiate(config("budget=demo", "budget.density.start=0", "budget.density.every=1").budget)
+    cloud = scene.points
+    start = gaussians_from_points(cloud.points, cloud.colors, channels, budget.sh_degree)
+    return SplatModel(start, budget, scene.extent, "auto", torch.Generator().manual_seed(0))
+
+
+def test_render_with_and_without_depth(small_scene):
+    model, camera = make(small_scene, 3), small_scene.train[0].camera
+    flat, deep = model.render(camera), model.render(camera, depth=True)
+    assert flat.depth is None and torch.equal(flat.image, deep.image) and deep.depth.shape == (36, 48)
+    assert torch.equal(flat.alpha, deep.alpha) and flat.image.shape == (36, 48, 3)
+
+
+def test_backends_render_the_same(small_scene):
+    model, camera = make(small_scene), small_scene.train[0].camera
+    slow = render_gaussians(model.gaussians.map(torch.Tensor.double), camera, degree=0, depth=True)
+    fast = render_gaussians(model.gaussians, camera, degree=0, depth=True)
+    assert (slow.image - fast.image).abs().max() < 1e-4 and (slow.depth - fast.depth).abs().max() < 1e-3
+
+
+def test_density_control_sees_the_training_view(small_scene):
+    model, view = make(small_scene), small_scene.train[0]
+    render = model.render(view.camera)
+    (render.image - torch.from_numpy(view.thermal[..., :1])).abs().sum().backward()
+    before = len(model)
+    model.finish(iteration=1)
+    assert len(model) > before and model.density.seen.sum() == 0  # densified, and counting anew
+
+
+def test_looking_does_not_count(small_scene):
+    model = make(small_scene)
+    with torch.no_grad():
+        model.render(small_scene.test[0].camera)
+    model.finish(iteration=1000)
+    assert model.density.seen.sum() == 0 and model.optimizer.steps["means"] == 0
