@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.scenes import FolderDataset, MissingScenesError, ReadOptions, RegisteredDataset, SceneError
+from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tests.conftest import small_dataset
-
-
-@pytest.fixture
-def folder(small_scene, tmp_path):
-    """A copy of a small scene that a test may spoil."""
-    source = small_scene.train[0].thermal_path.parents[1]
-    return shutil.copytree(source, tmp_path / "scene")
 
 
 def load(folder, **options):
@@ -109,25 +102,6 @@ def test_fingerprint_follows_the_data(folder):
     assert load(folder).fingerprint == before
     Image.new("RGB", (48, 36)).save(folder / "thermal" / "view001.png")
     assert load(folder).fingerprint != before
-
-
-def test_registered_scenes(folder, tmp_path):
-    shutil.copytree(folder, tmp_path / "root" / "ThermalMix" / "Hands")
-    dataset = RegisteredDataset(str(tmp_path / "root"), ReadOptions())
-    assert dataset.load("Hand").name == "Hand" and dataset.load("Hand").group == "forward"
-    assert dataset.missing(["Hand", "Face", "Truck"]) == ["Face", "Truck"]
-    with pytest.raises(MissingScenesError) as error:
-        dataset.load("Face")
-    assert "ThermalMix" in str(error.value) and "Zenodo" in str(error.value) and "sparse/0" in str(error.value)
-    with pytest.raises(SceneError, match="use dataset=thermalmix"):
-        RegisteredDataset(str(tmp_path), ReadOptions(), "rgbt_scenes").load("Hand")
-
-
-def test_a_folder_of_scenes(folder, tmp_path):
-    dataset = FolderDataset(str(tmp_path), ReadOptions())
-    assert dataset.names() == ["scene"] and dataset.load("scene").name == "scene"
-    with pytest.raises(MissingScenesError, match="other not found"):
-        dataset.load("other")
 
 
 def test_the_real_scene(arco_folder):

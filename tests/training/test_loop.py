@@ -1,6 +1,5 @@
 import hashlib
 
-import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -8,7 +7,7 @@ from hydra.utils import instantiate
 from tdgbench.priors import estimate_all
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import NonFiniteError, train
-from tdgbench.training.method import Context, ViewOrder
+from tdgbench.training.method import Context
 from tests.conftest import config
 
 METHODS = ["tdg", "msmg", "splat"]
@@ -77,20 +76,3 @@ def test_a_nan_is_found_where_it_first_appears(small_scene):
     with pytest.raises(NonFiniteError, match="thermal render is not finite at iteration 1") as error:
         train(method, 5)
     assert error.value.iteration == 1
-
-
-def test_views_come_once_per_round():
-    order = ViewOrder(list(range(7)), torch.Generator().manual_seed(0))  # type: ignore[arg-type]
-    rounds = [[order.next() for _ in range(7)] for _ in range(3)]
-    assert all(sorted(r) == list(range(7)) for r in rounds)
-    assert rounds[0] != rounds[1]
-
-
-def test_streams_are_independent_and_repeatable(small_scene):
-    def draws(seed):
-        context = Context(small_scene, small_scene.points, {}, None, "auto", seed)
-        return [torch.rand(4, generator=context.generator()).numpy() for _ in range(3)]
-
-    first, again, other = draws(0), draws(0), draws(1)
-    assert np.array_equal(first, again)
-    assert len({a.tobytes() for a in (*first, *other)}) == 6

@@ -1,0 +1,50 @@
+import builtins
+
+import numpy as np
+import pytest
+from hydra.utils import instantiate
+
+from tdgbench.priors import PriorError
+from tdgbench.scenes import Scene
+from tests.conftest import config
+
+
+def make(name: str, **overrides):
+    return instantiate(
+        config(f"prior={name}", *(f"prior.estimator.{k}={v}" for k, v in overrides.items())).prior.estimator
+    )
+
+
+def correlation(a, b) -> float:
+    return float(np.corrcoef(np.ravel(a), np.ravel(b))[0, 1])
+
+
+@pytest.mark.parametrize(("kind", "sign"), [("depth", 1), ("disparity", -1), ("metric", 1)])
+def test_synthetic_is_spoiled_truth(small_scene: Scene, kind, sign):
+    view = small_scene.train[0]
+    prior = make("synthetic", kind=kind).estimate(small_scene, view)
+    assert prior.kind == kind and prior.values.dtype == np.float32
+    truth = 1 / view.true_depth if kind == "disparity" else view.true_depth
+    assert 0.9 < correlation(prior.values, truth) < 0.99999
+    error = np.abs(prior.values - view.true_depth).mean()
+    assert (error < 0.5) == (kind == "metric")
+    assert np.sign(correlation(prior.values, view.true_depth)) == sign
+
+
+def test_synthetic_has_a_seed(small_scene):
+    view = small_scene.train[0]
+    a, b, c = (make("synthetic", seed=s).estimate(small_scene, view).values for s in (0, 0, 1))
+    assert np.array_equal(a, b) and not np.array_equal(a, c)
+
+
+def test_marigold_says_what_to_install(small_scene, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *rest):
+        if name == "diffusers":
+            raise ImportError("no diffusers here")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(PriorError, match=r"pip install 'tdgbench\[depth\]'"):
+        make("marigold").estimate(small_scene, small_scene.train[0])

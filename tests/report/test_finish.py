@@ -1,0 +1,23 @@
+"""The callback's part that the command's own tests do not reach: one failed cell among good ones."""
+
+import shutil
+
+from tests.test_main import command
+
+
+def test_a_failure_is_one_line_at_the_end_and_the_rest_is_there(tmp_path, small_scene, small_gray_scene):
+    root = tmp_path / "captures"
+    for name, scene in (("good", small_scene), ("spoiled", small_scene), ("gray", small_gray_scene)):
+        shutil.copytree(scene.train[0].thermal_path.parents[1], root / name)
+    (root / "spoiled" / "thermal" / "view004.png").write_bytes(b"broken")
+    shutil.rmtree(root / "gray" / "rgb")
+    run = command(
+        tmp_path, "-m", "dataset=folder", f"data.root={root}", "scene=good,spoiled,gray", "method=splat,msmg",
+        "budget=demo", "budget.iterations=10", "metrics.lpips.download=false",
+    )  # fmt: skip
+    assert run.returncode == 1 and "Traceback" not in run.stderr
+    assert "3 cells run, 0 already there, 3 failed" in run.stdout
+    failed = [line for line in run.stdout.splitlines() if line.startswith("failed:")]
+    assert sum("view004.png cannot be read" in line for line in failed) == 2
+    assert sum("has no RGB image" in line for line in failed) == 1
+    assert (tmp_path / "results" / "single" / "strip.png").exists()

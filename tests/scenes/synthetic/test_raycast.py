@@ -1,0 +1,34 @@
+import numpy as np
+import pytest
+
+from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Sphere
+
+DOWN = np.array([[0.0, 0.0, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("solid", "height"),
+    [(Sphere((0, 0, 1), 0.5), 1.5), (Box((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
+     (Rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0)), 0.5)],
+)  # fmt: skip
+def test_seen_from_above(solid, height):
+    t, normal = solid.intersect(np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2)
+    hit = 5.0 - 2 * t[0]
+    assert hit == pytest.approx(height, abs=0.02)
+    assert normal[0, 2] > 0.95 and np.linalg.norm(normal[0]) == pytest.approx(1)
+    missed, _ = solid.intersect(np.array([9.0, 9.0, 5.0]), DOWN)
+    assert np.isinf(missed[0])
+    behind, _ = solid.intersect(np.array([0.0, 0.0, 5.0]), -DOWN)
+    assert np.isinf(behind[0])
+
+
+def test_points_lie_on_their_surfaces():
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(5000, 3))
+    cylinder = Cylinder((0.2, 0.1, -0.5), 0.8, 1.0)
+    origin = np.array([3.0, 1.0, 1.0])
+    t, _ = cylinder.intersect(origin, rays)
+    hit = (origin + t[:, None] * rays)[np.isfinite(t)] - np.array(cylinder.base)
+    radius = np.linalg.norm(hit[:, :2], axis=1)
+    on_side, on_top = np.isclose(radius, 0.8), np.isclose(hit[:, 2], 1.0)
+    assert len(hit) > 10 and (on_side | on_top).all() and (radius < 0.8 + 1e-9).all()
