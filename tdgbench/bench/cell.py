@@ -29,6 +29,7 @@ from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.loop import NonFiniteError, TrainingLog, train
 from tdgbench.training.method import Context, Method
+from tdgbench.training.warmup import compile_kernels
 
 OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing"]
@@ -177,6 +178,8 @@ def _train(
         context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed))
         record.init_points = init.describe(scene)
         method.setup(context)
+    with stages("compile"):
+        compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     with stages("train"):
         log = train(method, budget.iterations, stages.progress.line)
     record.seconds["train"] = round(log.seconds, 3)

@@ -1,0 +1,31 @@
+"""Compile what training will need before its clock starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from tdgbench.scenes import Camera
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.training.budget import Budget
+from tdgbench.training.losses import photometric
+from tdgbench.training.model import SplatModel
+
+SIZE = 16
+
+
+def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
+    """Take one step on a toy scene for each channel count, with and without depth."""
+    pose = np.eye(4)
+    pose[2, 3] = 2.0
+    K = np.array([[SIZE, 0, SIZE / 2], [0, SIZE, SIZE / 2], [0, 0, 1.0]])
+    camera = Camera(K, pose, SIZE, SIZE)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3))
+    for count in sorted(channels):
+        start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
+        model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
+        for depth in (False, True):
+            render = model.render(camera, depth=depth)
+            loss = photometric(render.image, torch.zeros_like(render.image), 0.2)
+            (loss if render.depth is None else loss + render.depth.mean()).backward()
+            model.optimizer.step(model.gaussians, 1)

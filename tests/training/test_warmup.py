@@ -1,0 +1,12 @@
+from hydra.utils import instantiate
+
+from tdgbench.splats.cpu.blend import make_blend
+from tdgbench.splats.cpu.blend_backward import make_blend_backward
+from tdgbench.training.warmup import compile_kernels
+from tests.conftest import config
+
+
+def test_compiles_what_a_gray_scene_needs():
+    compile_kernels({1}, instantiate(config("budget=demo").budget), "auto")
+    for channels in (1, 2):
+        assert make_blend(channels).signatures and make_blend_backward(channels, False).signatures
