@@ -5,28 +5,18 @@ Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimatio
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera
-from tdgbench.training.losses import l1, photometric, smoothness, ssim
+from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim
 from tdgbench.training.method import Context, Step, thermal_tensor
 from tdgbench.training.model import Render, SplatModel
 
 MIN_ALPHA = 1e-3  # where less light than this is stopped, there is no depth to invert
-MIN_RANGE = 1e-8
-
-
-def min_max(values: Tensor, valid: Tensor) -> Tensor:
-    """Min-max normalisation to [0, 1] over the valid pixels (the text before eq. 4).
-
-    A map without any range is all zeros, and its gradient is zero: there is nothing to compare.
-    """
-    low, high = values[valid].min(), values[valid].max()
-    if (high - low).item() < MIN_RANGE:
-        return values * 0.0
-    return (values - low) / (high - low)
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:
@@ -42,13 +32,37 @@ def comparable_depth(render: Render, kind: str) -> Tensor:
     return torch.where(solid, render.alpha / depth, 0.0)
 
 
-def depth_loss(rendered: Tensor, prior: Tensor) -> Tensor:
+@dataclass(frozen=True)
+class DepthTarget:
+    """A prior made ready for the loss: normalised, and where it is known (None: everywhere)."""
+
+    normalised: Tensor  # (H, W) in [0, 1]; 0 where unknown
+    valid: Tensor | None  # (H, W) bool
+    kind: str
+
+    @classmethod
+    def of(cls, prior: DepthPrior) -> DepthTarget:
+        values = torch.from_numpy(prior.values)
+        valid = torch.isfinite(values)
+        if bool(valid.all()):
+            return cls(min_max(values), None, prior.kind)
+        normalised = torch.where(valid, min_max(_known(values, valid)), 0.0)
+        return cls(normalised, valid, prior.kind)
+
+
+def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
     """Depth loss (TDg, eq. 4): L1 + (1 − SSIM) of the min-max normalised maps (H, W), where the prior is known."""
-    valid = torch.isfinite(prior)
-    a = min_max(rendered, valid)
-    b = min_max(torch.where(valid, prior, 0.0), valid)
-    a, b = torch.where(valid, a, 0.0)[..., None], torch.where(valid, b, 0.0)[..., None]
-    return l1(a, b) * (valid.numel() / valid.sum()) + (1 - ssim(a, b))
+    if target.valid is None:
+        return l1_and_dssim(min_max(rendered)[..., None], target.normalised[..., None], 1.0, 1.0)
+    a = torch.where(target.valid, min_max(_known(rendered, target.valid)), 0.0)[..., None]
+    b = target.normalised[..., None]
+    share = target.valid.sum() / target.valid.numel()
+    return l1(a, b) / share + (1 - ssim(a, b))
+
+
+def _known(values: Tensor, valid: Tensor) -> Tensor:
+    """The map with unknown pixels set to a known one, so that they are no extremes."""
+    return torch.where(valid, values, values[valid][0].detach())
 
 
 def decay_weight(iteration: int, start: int, end: int) -> float:
@@ -73,7 +87,7 @@ class TDg:
     def setup(self, context: Context) -> None:
         self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
-        self.priors: dict[str, DepthPrior] = context.priors
+        self.targets = {name: DepthTarget.of(prior) for name, prior in context.priors.items()}
         self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
 
     def thermal_loss(self, image: Tensor, target: Tensor) -> Tensor:
@@ -91,8 +105,8 @@ class TDg:
         loss = thermal = self.thermal_loss(render.image, target)
         terms = {"thermal": thermal.item()}
         if weight > 0:
-            prior = self.priors[view.name]
-            depth = depth_loss(comparable_depth(render, prior.kind), torch.from_numpy(prior.values))
+            prior = self.targets[view.name]
+            depth = depth_loss(comparable_depth(render, prior.kind), prior)
             terms["depth"] = depth.item()
             loss = thermal + weight * depth
         return Step(loss, terms, render, target)

@@ -1,37 +1,57 @@
-"""Loss terms that methods share: SSIM, the 3DGS photometric loss, and both readings of thermal smoothness.
+"""Loss terms that methods share: the 3DGS photometric loss, thermal smoothness in both readings, min-max normalisation.
 
-Images are (H, W, C) in [0, 1].
+Images are (H, W, C) in [0, 1]. Float32 on the CPU goes through fused kernels that give value and gradient together;
+other types and devices through torch. Gradients reach the first argument only.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.ssim import ssim_and_gradient
+from tdgbench.splats.cpu.minmax import normalise, normalise_gradient
+from tdgbench.splats.cpu.photometric import l1_ssim_and_gradient
+from tdgbench.splats.cpu.smoothness import differences_and_gradient
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
+MIN_RANGE = 1e-8
 
 
 def l1(image: Tensor, target: Tensor) -> Tensor:
     """Mean absolute error."""
-    return (image - target).abs().mean()
+    return l1_and_dssim(image, target, 1.0, 0.0)
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:
-    """Mean SSIM with zero padding over images (H, W, C), as 3DGS trains with; the gradient reaches `image` only.
+    """Mean SSIM with zero padding, as 3DGS trains with."""
+    return 1.0 - l1_and_dssim(image, target, 0.0, 1.0)
 
-    Float32 on the CPU goes through the fused kernel; other types and devices through torch.
-    """
+
+def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
+    """(1 − λ) L1 + λ (1 − SSIM): 3DGS, eq. 7."""
+    return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim)
+
+
+def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
+    """l1_weight · L1 + dssim_weight · (1 − SSIM) of two images. Raises ValueError if their shapes differ."""
     if image.shape != target.shape:
         raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
-    if image.device.type == "cpu" and image.dtype == torch.float32:
-        return _FusedSSIM.apply(image, target.detach())
-    return ssim_map(image, target.detach()).mean()
+    if not _is_fused(image):
+        target = target.detach()
+        error = (image - target).abs().mean()
+        return l1_weight * error + dssim_weight * (1 - ssim_map(image, target).mean())
+    other = _array(target)
+
+    def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
+        error, similarity, gradient = l1_ssim_and_gradient(a, other, l1_weight, -dssim_weight)
+        return l1_weight * error + dssim_weight * (1 - similarity), gradient
+
+    return _ValueAndGradient.apply(image, compute)
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
@@ -46,27 +66,58 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return (numerator / denominator).squeeze(1).permute(1, 2, 0)
 
 
-def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
-    """(1 − λ) L1 + λ (1 − SSIM): 3DGS, eq. 7."""
-    return (1 - lambda_ssim) * l1(image, target) + lambda_ssim * (1 - ssim(image, target))
-
-
 def smoothness(image: Tensor, reading: str) -> Tensor:
     """How much neighbouring pixels differ, in one of the two readings that differ in their numbers.
 
     `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
     `reference` (ThermalGaussian's code): not divided by 4, neighbours wrap around at the border and are constants.
     """
+    if reading not in ("paper", "reference"):
+        raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    if not _is_fused(image):
+        return _smoothness_in_torch(image, reading)
+    # Each pair is met from both sides. Constant neighbours halve the gradient.
+    wrap = reading == "reference"
+    value_scale = 2 / image.numel() if wrap else 2 / (4 * image.numel())
+    gradient_scale = np.float32(value_scale / 2 if wrap else value_scale)
+
+    def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
+        total, gradient = differences_and_gradient(a, wrap)
+        return value_scale * total, gradient_scale * gradient
+
+    return _ValueAndGradient.apply(image, compute)
+
+
+def min_max(values: Tensor) -> Tensor:
+    """Min-max normalisation of a map (H, W) to [0, 1] (TDg, before eq. 4), with the gradients of both extremes.
+
+    A map without any range is all zeros, and its gradient is zero: there is nothing to compare.
+    """
+    if _is_fused(values):
+        return _MinMax.apply(values)
+    low, high = values.min(), values.max()
+    if (high - low).item() < MIN_RANGE:
+        return values * 0.0
+    return (values - low) / (high - low)
+
+
+def _is_fused(tensor: Tensor) -> bool:
+    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(tensor.detach().numpy())
+
+
+def _smoothness_in_torch(image: Tensor, reading: str) -> Tensor:
     if reading == "paper":
         down = (image[1:] - image[:-1]).abs().sum()
         right = (image[:, 1:] - image[:, :-1]).abs().sum()
         return 2 * (down + right) / (4 * image.numel())
-    if reading == "reference":
-        still = image.detach()
-        neighbours = [still.roll(shift, dim) for dim in (0, 1) for shift in (1, -1)]
-        total = torch.stack([(image - neighbour).abs().sum() for neighbour in neighbours]).sum()
-        return total / image.numel()
-    raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    still = image.detach()
+    neighbours = [still.roll(shift, dim) for dim in (0, 1) for shift in (1, -1)]
+    total = torch.stack([(image - neighbour).abs().sum() for neighbour in neighbours]).sum()
+    return total / image.numel()
 
 
 @functools.cache
@@ -84,14 +135,29 @@ def _blur(images: Tensor) -> Tensor:
     return torch.nn.functional.conv2d(images, w.view(1, 1, -1, 1), padding=(half, 0))
 
 
-class _FusedSSIM(torch.autograd.Function):
+class _ValueAndGradient(torch.autograd.Function):
+    """A scalar whose gradient is computed together with it."""
+
     @staticmethod
-    def forward(ctx, image, target):
-        a, b = (np.ascontiguousarray(t.detach().numpy()) for t in (image, target))
-        value, gradient = ssim_and_gradient(a, b)
+    def forward(ctx, image: Tensor, compute: Callable[[np.ndarray], tuple[float, np.ndarray]]) -> Tensor:
+        value, gradient = compute(_array(image))
         ctx.gradient = torch.from_numpy(gradient)
         return torch.tensor(value, dtype=torch.float32)
 
     @staticmethod
     def backward(ctx, grad):
         return grad * ctx.gradient, None
+
+
+class _MinMax(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values: Tensor) -> Tensor:
+        result = normalise(_array(values), MIN_RANGE)
+        ctx.normalised, ctx.inverse_range = (None, 0.0) if result is None else result
+        return torch.zeros_like(values) if result is None else torch.from_numpy(result[0])
+
+    @staticmethod
+    def backward(ctx, grad):
+        if ctx.normalised is None:
+            return torch.zeros_like(grad)
+        return torch.from_numpy(normalise_gradient(_array(grad), ctx.normalised, ctx.inverse_range))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.training.losses import l1, photometric, smoothness, ssim, ssim_map
+from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim, ssim_map
 
 
 @pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
@@ -73,3 +73,55 @@ def test_smoothness_as_the_reference_code_computes_it():
 def test_unknown_reading():
     with pytest.raises(ValueError, match="smoothness reading is 'both'"):
         smoothness(torch.zeros(3, 3, 1), "both")
+
+
+@pytest.mark.parametrize("reading", ["paper", "reference"])
+@pytest.mark.parametrize("shape", [(20, 30, 1), (7, 5, 3), (1, 1, 1), (1, 6, 3), (9, 1, 1), (2, 2, 1)])
+def test_fused_smoothness_is_the_torch_one(reading, shape):
+    image = torch.rand(shape, generator=torch.Generator().manual_seed(0))
+    fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
+    a, b = smoothness(fast, reading), smoothness(exact, reading)
+    a.backward()
+    b.backward()
+    assert a.item() == pytest.approx(b.item(), rel=1e-5, abs=1e-7)
+    assert torch.allclose(fast.grad.double(), exact.grad, atol=1e-7)
+
+
+@pytest.mark.parametrize("weights", [(0.8, 0.2), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
+def test_fused_l1_and_dssim_is_the_torch_one(weights):
+    g = torch.Generator().manual_seed(0)
+    image, target = torch.rand(30, 23, 3, generator=g), torch.rand(30, 23, 3, generator=g)
+    target[:5] = image[:5]  # where both are equal the gradient of L1 is zero
+    fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
+    a, b = l1_and_dssim(fast, target, *weights), l1_and_dssim(exact, target.double(), *weights)
+    (3 * a).backward()
+    (3 * b).backward()
+    assert a.item() == pytest.approx(b.item(), abs=1e-6)
+    assert (fast.grad.double() - exact.grad).norm() < 1e-5 * exact.grad.norm()
+
+
+@pytest.mark.parametrize("ties", [False, True])
+def test_fused_min_max_is_the_torch_one(ties):
+    g = torch.Generator().manual_seed(2)
+    values, weights = torch.rand(17, 23, generator=g) * 5 + 3, torch.randn(17, 23, generator=g)
+    if ties:
+        values = values.round()
+    fast, exact = values.clone().requires_grad_(), values.double().requires_grad_()
+    a, b = min_max(fast), min_max(exact)
+    (a * weights).sum().backward()
+    (b * weights.double()).sum().backward()
+    assert (a.double() - b).abs().max() < 1e-6 and a.min() == 0 and a.max() == 1
+    assert (fast.grad.double() - exact.grad).norm() < 1e-5 * exact.grad.norm()
+
+
+def test_min_max_gradient_is_a_difference_quotient():
+    values = torch.tensor([[1.0, 2.0], [4.0, 3.0]], dtype=torch.float64, requires_grad=True)
+    weights = torch.tensor([[0.3, -1.0], [0.5, 2.0]], dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda v: min_max(v) * weights, values)
+
+
+def test_min_max_of_a_constant_map_is_zero():
+    flat = torch.full((5, 4), 2.5, requires_grad=True)
+    out = min_max(flat)
+    out.sum().backward()
+    assert not out.any() and not flat.grad.any()

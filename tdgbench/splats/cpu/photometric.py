@@ -1,4 +1,4 @@
-"""Mean SSIM of two images and its gradient, fused (Wang et al. 2004; 11×11 Gaussian window, sigma 1.5, zero padding).
+"""L1 and mean SSIM of two images and their gradient, fused (SSIM: 11×11 Gaussian window, sigma 1.5, zero padding).
 
 Images are (rows, columns × channels), channels interleaved: neighbours in a row lie `channels` floats apart, so one
 kernel serves every channel count. With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
@@ -16,7 +16,7 @@ F, U = np.float32, np.uint64
 RADIUS = 5
 _weights = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
 W0, W1, W2, W3, W4, W5 = (F(w) for w in (_weights / _weights.sum())[:6])
-ONE, TWO = F(1), F(2)
+ZERO, ONE, TWO = F(0), F(1), F(2)
 C1, C2 = F(0.01**2), F(0.03**2)
 
 
@@ -50,8 +50,8 @@ def across_rows(rows, out):
 
 
 @kernel()
-def filter_rows(start, stop, a, b, channels, moments):
-    """moments (5, rows + 10, columns): a, b, a², b², ab filtered along rows [start, stop)."""
+def filter_rows(start, stop, a, b, channels, moments, l1_sums):
+    """moments (5, rows + 10, columns): a, b, a², b², ab filtered along rows [start, stop). l1_sums[y] = Σ |a − b|."""
     n = a.shape[1]
     c = U(channels)
     pad = U(RADIUS) * c
@@ -59,6 +59,10 @@ def filter_rows(start, stop, a, b, channels, moments):
     l0, l1, l2, l3, l4 = line[0], line[1], line[2], line[3], line[4]
     for y in range(start, stop):
         ra, rb = a[y], b[y]
+        total = 0.0
+        for x in range(U(n)):
+            total += np.float64(abs(ra[x] - rb[x]))
+        l1_sums[y] = total
         for x in range(U(n)):
             p, q = ra[x], rb[x]
             l0[x + pad] = p
@@ -116,8 +120,8 @@ def similarity_rows(start, stop, moments, channels, derivatives, sums):
 
 
 @kernel()
-def gradient_rows(start, stop, a, b, derivatives, scale, gradient):
-    """gradient = scale · dS/da."""
+def gradient_rows(start, stop, a, b, derivatives, l1_scale, ssim_scale, gradient):
+    """gradient = l1_scale · sign(a − b) + ssim_scale · dS/da."""
     n = a.shape[1]
     filtered = np.empty((3, n), np.float32)
     f0, f1, f2 = filtered[0], filtered[1], filtered[2]
@@ -126,21 +130,28 @@ def gradient_rows(start, stop, a, b, derivatives, scale, gradient):
             across_rows(derivatives[k, y : y + 11], filtered[k])
         ra, rb, out = a[y], b[y], gradient[y]
         for x in range(U(n)):
-            out[x] = scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
+            d = ra[x] - rb[x]
+            sign = l1_scale if d > ZERO else (-l1_scale if d < ZERO else ZERO)
+            out[x] = sign + ssim_scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
 
 
-def ssim_and_gradient(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray]:
-    """Mean SSIM of float32 images (H, W, C) in [0, 1], and its gradient by the first."""
+def l1_ssim_and_gradient(
+    a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float
+) -> tuple[float, float, np.ndarray]:
+    """L1, mean SSIM, and the gradient by the first image of l1_weight · L1 + ssim_weight · SSIM.
+
+    Images are float32 (H, W, C), contiguous, in [0, 1].
+    """
     height, width, channels = a.shape
     columns = width * channels
     flat_a, flat_b = a.reshape(height, columns), b.reshape(height, columns)
     moments = np.zeros((5, height + 2 * RADIUS, columns), np.float32)
     derivatives = np.zeros((3, height + 2 * RADIUS, columns), np.float32)
     gradient = np.empty((height, columns), np.float32)
-    sums = np.empty(height, np.float64)
+    ssim_sums, l1_sums = np.empty(height, np.float64), np.empty(height, np.float64)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    pool.run(filter_rows, [(*band, flat_a, flat_b, channels, moments) for band in bands])
-    pool.run(similarity_rows, [(*band, moments, channels, derivatives, sums) for band in bands])
-    scale = F(1 / a.size)
-    pool.run(gradient_rows, [(*band, flat_a, flat_b, derivatives, scale, gradient) for band in bands])
-    return float(sums.sum() / a.size), gradient.reshape(a.shape)
+    scales = F(l1_weight / a.size), F(ssim_weight / a.size)
+    pool.run(filter_rows, [(*band, flat_a, flat_b, channels, moments, l1_sums) for band in bands])
+    pool.run(similarity_rows, [(*band, moments, channels, derivatives, ssim_sums) for band in bands])
+    pool.run(gradient_rows, [(*band, flat_a, flat_b, derivatives, *scales, gradient) for band in bands])
+    return float(l1_sums.sum() / a.size), float(ssim_sums.sum() / a.size), gradient.reshape(a.shape)

@@ -1,0 +1,84 @@
+"""Min-max normalisation of a map and its gradient: a = (d − min) / (max − min).
+
+    dL/dd_i = g_i / r  − [i is the minimum] Σ g (1 − a) / r  − [i is the maximum] Σ g a / r,   r = max − min
+
+Several equal extremes share their part evenly, as torch's min and max do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.jit import kernel
+
+F, U = np.float32, np.uint64
+ONE = F(1)
+
+
+@kernel()
+def extreme_rows(start, stop, values, extremes):
+    """extremes[y] = smallest, largest of row y."""
+    for y in range(start, stop):
+        row = values[y]
+        low, high = row[0], row[0]
+        for x in range(U(row.shape[0])):
+            low, high = min(low, row[x]), max(high, row[x])
+        extremes[y, 0], extremes[y, 1] = low, high
+
+
+@kernel()
+def normalise_rows(start, stop, values, low, inverse_range, out):
+    for y in range(start, stop):
+        row, target = values[y], out[y]
+        for x in range(U(row.shape[0])):
+            target[x] = (row[x] - low) * inverse_range
+
+
+@kernel()
+def pull_rows(start, stop, grad, normalised, sums):
+    """sums[y] = Σ g (1 − a), Σ g a, and how many pixels of row y are the minimum and the maximum."""
+    for y in range(start, stop):
+        g, a = grad[y], normalised[y]
+        to_low, to_high, n_low, n_high = 0.0, 0.0, 0.0, 0.0
+        for x in range(U(g.shape[0])):
+            to_high += np.float64(g[x] * a[x])
+            to_low += np.float64(g[x] * (ONE - a[x]))
+            n_low += 1.0 if a[x] == F(0) else 0.0
+            n_high += 1.0 if a[x] == ONE else 0.0
+        sums[y, 0], sums[y, 1], sums[y, 2], sums[y, 3] = to_low, to_high, n_low, n_high
+
+
+@kernel()
+def spread_rows(start, stop, grad, normalised, inverse_range, at_low, at_high, out):
+    for y in range(start, stop):
+        g, a, target = grad[y], normalised[y], out[y]
+        for x in range(U(g.shape[0])):
+            extra = at_low if a[x] == F(0) else (at_high if a[x] == ONE else F(0))
+            target[x] = (g[x] - extra) * inverse_range
+
+
+def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] | None:
+    """The normalised map (H, W) and 1 / range; None where the range is below `min_range`."""
+    bands = pool.chunks(len(values), min(len(values), pool.get_threads()))
+    extremes = np.empty((len(values), 2), np.float32)
+    pool.run(extreme_rows, [(*band, values, extremes) for band in bands])
+    low, high = extremes[:, 0].min(), extremes[:, 1].max()
+    if not high - low >= min_range:
+        return None
+    out, inverse_range = np.empty_like(values), F(1) / (high - low)
+    pool.run(normalise_rows, [(*band, values, low, inverse_range, out) for band in bands])
+    out[values == high] = 1.0  # exactly, whatever the rounding: the gradient finds the extremes by it
+    return out, float(inverse_range)
+
+
+def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: float) -> np.ndarray:
+    """The gradient by the map, given that by the normalised map."""
+    bands = pool.chunks(len(grad), min(len(grad), pool.get_threads()))
+    sums = np.empty((len(grad), 4), np.float64)
+    pool.run(pull_rows, [(*band, grad, normalised, sums) for band in bands])
+    to_low, to_high, n_low, n_high = sums.sum(axis=0)
+    shares = F(inverse_range), F(to_low / n_low), F(to_high / n_high)
+    out = np.empty_like(grad)
+    pool.run(spread_rows, [(*band, grad, normalised, *shares, out) for band in bands])
+    return out
