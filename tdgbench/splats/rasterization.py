@@ -10,6 +10,7 @@ from torch import Tensor
 from tdgbench.splats import reference
 from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.harmonics import num_bases
+from tdgbench.splats.view import RenderedView
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 BACKENDS = ("auto", "reference", "cpu")
@@ -75,44 +76,72 @@ def rasterization(
     _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds)
     if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode is {render_mode!r}; it must be one of {', '.join(RENDER_MODES)}")
+    if render_mode in ("D", "ED"):
+        colors, sh_degree, backgrounds = colors.new_zeros(len(means), 0), None, None
+    views = [
+        render_view(
+            means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height, near_plane=near_plane,
+            far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree,
+            background=None if backgrounds is None else backgrounds[c], depth="D" in render_mode, absgrad=absgrad,
+            backend=backend,
+        )
+        for c in range(len(viewmats))
+    ]  # fmt: skip
+    alphas = torch.stack([1.0 - view.transmittance for view in views])[..., None]
+    renders = torch.stack([view.image for view in views])
+    if "D" in render_mode:
+        depth = torch.stack([view.depth for view in views if view.depth is not None])[..., None]
+        if "ED" in render_mode:
+            depth = depth / alphas.clamp_min(1e-10)
+        renders = torch.cat([renders, depth], dim=-1)
+    meta = {
+        "means2d": [view.means2d for view in views],
+        "radii": torch.stack([view.radii for view in views]),
+        "depths": torch.stack([view.depths for view in views]),
+        "backend": choose_backend(backend, means.device, means.dtype),
+        "width": width,
+        "height": height,
+    }
+    return renders, alphas, meta
+
+
+def render_view(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    near_plane: float = 0.2,
+    far_plane: float = 1e10,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    background: Tensor | None = None,
+    depth: bool = False,
+    absgrad: bool = False,
+    backend: str = "auto",
+) -> RenderedView:
+    """One camera's view, its parts in tensors of their own: what training uses, without joining and cutting them.
+
+    Arguments as in `rasterization`, for one camera: viewmat (4, 4), K (3, 3), background (D,).
+    """
     if not near_plane > 0:
         raise ValueError(f"near_plane is {near_plane}; it must be above 0")
-    chosen = choose_backend(backend, means.device, means.dtype)
-    only_depth = render_mode in ("D", "ED")
-    depth_channel = render_mode != "RGB"
-    if only_depth:  # depth alone: blend z itself, as a colour that the camera decides
-        colors, sh_degree, backgrounds = colors.new_zeros(len(means), 0), None, None
-
     options: dict[str, Any] = {"near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d, "sh_degree": sh_degree}
+    chosen = choose_backend(backend, means.device, means.dtype)
     if chosen == "cpu":
         options["absgrad"] = absgrad
     elif absgrad:
         raise ValueError("backend reference does not compute absgrad; use 'cpu'")
     rasterize = cpu.rasterize if chosen == "cpu" else reference.rasterize
-    views = []
-    for c in range(len(viewmats)):
-        background = None if backgrounds is None else backgrounds[c]
-        views.append(
-            rasterize(
-                means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height,
-                background=background, depth_channel=depth_channel, **options,
-            )
-        )  # fmt: skip
-    images, transmittances, means2d, depths, radii = zip(*views, strict=True)
-    renders = torch.stack(images) if len(images) > 1 else images[0][None]
-    alphas = 1.0 - (torch.stack(transmittances) if len(images) > 1 else transmittances[0][None])[..., None]
-    if render_mode in ("ED", "RGB+ED"):
-        expected = renders[..., -1:] / alphas.clamp_min(1e-10)
-        renders = torch.cat([renders[..., :-1], expected], dim=-1)
-    meta = {
-        "means2d": list(means2d),
-        "radii": torch.stack(radii),
-        "depths": torch.stack(depths),
-        "backend": chosen,
-        "width": width,
-        "height": height,
-    }
-    return renders, alphas, meta
+    return rasterize(
+        means, quats, scales, opacities, colors, viewmat, K, width, height,
+        background=background, depth_channel=depth, **options,
+    )  # fmt: skip
 
 
 def _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds):

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.view import RenderedView
 
 MAX_ALPHA = 0.99
 MIN_ALPHA = 1.0 / 255.0
@@ -77,12 +78,8 @@ def _blend(pixels, means2d, conics, opacities, channels):
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel):  # fmt: skip
-    """Render one camera.
-
-    Returns the image (H, W, D [+ 1]), the transmittance (H, W), the image means of all Gaussians (N, 2; an ordinary
-    member of the graph), their depths (N,) and their screen radii (N,).
-    """
+              eps2d, sh_degree, background, depth_channel) -> RenderedView:  # fmt: skip
+    """Render one camera. The image means are an ordinary member of the graph."""
     dtype = means.dtype
     viewmat, K = viewmat.to(dtype), K.to(dtype)
     depths = means @ viewmat[2, :3] + viewmat[2, 3]
@@ -106,9 +103,6 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         channels = colors_from_sh(colors[in_front], directions, sh_degree)
     if depth_channel:
         channels = torch.cat([channels, z[:, None]], dim=1)
-    full_background = torch.zeros(channels.shape[1], dtype=dtype, device=means.device)
-    if background is not None:
-        full_background[: len(background)] = background.to(dtype)
 
     order = torch.argsort(z.detach(), stable=True)
     sorted_args = (means2d[order], conics[order], opacities[in_front][order], channels[order])
@@ -122,11 +116,9 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         parts = [_blend(piece, *sorted_args) for piece in pieces]
         light = torch.cat([part[0] for part in parts])
         transmittance = torch.cat([part[1] for part in parts])
-    image = light + transmittance[:, None] * full_background
-    return (
-        image.reshape(height, width, -1),
-        transmittance.reshape(height, width),
-        all_means2d,
-        depths.detach(),
-        radii,
-    )
+    light = light.reshape(height, width, -1)
+    transmittance = transmittance.reshape(height, width)
+    image, depth = (light[..., :-1], light[..., -1]) if depth_channel else (light, None)
+    if background is not None:
+        image = image + transmittance[..., None] * background.to(dtype)
+    return RenderedView(image, depth, transmittance, all_means2d, depths.detach(), radii)

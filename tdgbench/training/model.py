@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from tdgbench.scenes import Camera
-from tdgbench.splats import Gaussians, rasterization
+from tdgbench.splats import Gaussians
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.rasterization import render_view
 from tdgbench.training.budget import Budget
 
 
@@ -19,10 +20,15 @@ class Render:
     """What a camera sees. depth is the accumulated z (TDg, eq. 3), None where it was not asked for."""
 
     image: Tensor  # (H, W, C)
-    alpha: Tensor  # (H, W)
+    transmittance: Tensor  # (H, W)
     depth: Tensor | None  # (H, W)
     means2d: Tensor  # (N, 2) px; has .grad after backward
     radii: Tensor  # (N,) px
+
+    @property
+    def alpha(self) -> Tensor:
+        """(H, W): the share of the pixel that is covered."""
+        return 1.0 - self.transmittance
 
 
 def render_gaussians(
@@ -30,28 +36,21 @@ def render_gaussians(
 ) -> Render:
     """Render before a black background, colour and depth in one pass."""
     like = gaussians.means
-    renders, alphas, meta = rasterization(
-        gaussians.means,
+    view = render_view(
+        like,
         gaussians.quats,
         gaussians.scales,
         gaussians.opacities,
         gaussians.sh,
-        torch.as_tensor(camera.world_to_camera, dtype=like.dtype, device=like.device)[None],
-        torch.as_tensor(camera.K, dtype=like.dtype, device=like.device)[None],
+        torch.as_tensor(camera.world_to_camera, dtype=like.dtype, device=like.device),
+        torch.as_tensor(camera.K, dtype=like.dtype, device=like.device),
         camera.width,
         camera.height,
         sh_degree=degree,
-        render_mode="RGB+D" if depth else "RGB",
+        depth=depth,
         backend=backend,
     )
-    image = renders[0, ..., : gaussians.channels]
-    return Render(
-        image=image,
-        alpha=alphas[0, ..., 0],
-        depth=renders[0, ..., -1] if depth else None,
-        means2d=meta["means2d"][0],
-        radii=meta["radii"][0],
-    )
+    return Render(view.image, view.transmittance, view.depth, view.means2d, view.radii)
 
 
 class SplatModel:

@@ -13,6 +13,7 @@ from tdgbench.splats.cpu.blend import make_blend
 from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
 from tdgbench.splats.cpu.projection import CAMERA_SIZE
 from tdgbench.splats.cpu.projection_backward import make_projection_backward
+from tdgbench.splats.view import RenderedView
 
 MAX_CHANNELS = 4
 MAX_SIDE = 32_767  # boxes are int16
@@ -27,7 +28,7 @@ class Settings:
     height: int
     sh_degree: int  # −1: colours as they are
     depth_channel: bool
-    background: np.ndarray  # float32 (channels,)
+    background: np.ndarray  # float32 (colours,)
     absgrad: bool
 
 
@@ -122,7 +123,7 @@ def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
 
 
 class Rasterize(torch.autograd.Function):
-    """image (H, W, channels), transmittance (H, W) and radii (N,) of one camera.
+    """image (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
     `probe` (N, 2) is filled with the image means; its gradient is d loss / d image mean, in pixels.
     """
@@ -130,50 +131,48 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
         parameters = tuple(t.detach().contiguous().numpy() for t in (means, scales, quats, opacities, colors))
-        count = len(means)
-        radii = np.zeros(count, np.int32)
+        radii = np.zeros(len(means), np.int32)
         lists = _build_lists(parameters, settings, radii, probe.detach().numpy())
-        channels = len(settings.background)
-        image = np.empty((settings.height, settings.width, channels), np.float32)
-        transmittance = np.empty((settings.height, settings.width), np.float32)
+        size = (settings.height, settings.width)
+        image = np.empty((*size, len(settings.background)), np.float32)
+        depth = np.empty(size if settings.depth_channel else (0, 0), np.float32)
+        transmittance = np.empty(size, np.float32)
         reached = np.empty(len(lists.tile_start) - 1, np.int32)
-        counter = np.zeros(1, np.int64)
         arguments = (
-            counter, settings.width, settings.height, lists.records, lists.boxes, lists.tile_start, lists.gaussian_of,
-            settings.background, image, transmittance, reached,
+            np.zeros(1, np.int64), settings.width, settings.height, lists.records, lists.boxes, lists.tile_start,
+            lists.gaussian_of, settings.background, image, depth, transmittance, reached,
         )  # fmt: skip
-        pool.run(make_blend(channels), [arguments] * pool.get_threads())
-        ctx.saved = (parameters, settings, lists, image, transmittance, reached, probe)
+        blend = make_blend(len(settings.background), settings.depth_channel)
+        pool.run(blend, [arguments] * pool.get_threads())
+        ctx.saved = (parameters, settings, lists, image, depth, transmittance, reached, probe)
         ctx.set_materialize_grads(False)
-        radii = torch.from_numpy(radii)
-        ctx.mark_non_differentiable(radii)
-        return torch.from_numpy(image), torch.from_numpy(transmittance), radii
+        outputs = tuple(torch.from_numpy(array) for array in (image, depth, transmittance, radii))
+        ctx.mark_non_differentiable(outputs[3])
+        return outputs
 
     @staticmethod
-    def backward(ctx, grad_image, grad_transmittance, _grad_radii):
-        parameters, settings, lists, image, transmittance, reached, probe = ctx.saved
-        means, scales, quats, opacities, colors = parameters
-        channels, absgrad = len(settings.background), settings.absgrad
-        grad_image = np.zeros_like(image) if grad_image is None else np.ascontiguousarray(grad_image.numpy())
-        grad_transmittance = (
-            np.zeros_like(transmittance)
-            if grad_transmittance is None
-            else np.ascontiguousarray(grad_transmittance.numpy())
+    def backward(ctx, grad_image, grad_depth, grad_transmittance, _grad_radii):
+        parameters, settings, lists, image, depth, transmittance, reached, probe = ctx.saved
+        means, scales, quats, _, colors = parameters
+        variant = (len(settings.background), settings.depth_channel, settings.absgrad)
+        grad_image, grad_depth, grad_transmittance = (
+            np.zeros_like(like) if grad is None else np.ascontiguousarray(grad.numpy())
+            for grad, like in ((grad_image, image), (grad_depth, depth), (grad_transmittance, transmittance))
         )
         n_pairs = len(lists.gaussian_of)
-        slots = np.empty(n_pairs * slot_size(channels, absgrad), np.float32)
+        slots = np.empty(n_pairs * slot_size(variant[0] + variant[1], settings.absgrad), np.float32)
         written = np.zeros(n_pairs, np.uint8)
         arguments = (
             np.zeros(1, np.int64), settings.width, settings.height, lists.records, lists.boxes, lists.tile_start,
-            lists.gaussian_of, lists.slot_of, image, transmittance, grad_image, grad_transmittance, reached, slots,
-            written,
+            lists.gaussian_of, lists.slot_of, image, depth, transmittance, grad_image, grad_depth, grad_transmittance,
+            reached, slots, written,
         )  # fmt: skip
-        pool.run(make_blend_backward(channels, absgrad), [arguments] * pool.get_threads())
-        grads = [np.zeros_like(p) for p in (means, scales, quats, opacities, colors)]
+        pool.run(make_blend_backward(*variant), [arguments] * pool.get_threads())
+        grads = [np.zeros_like(p) for p in parameters]
         grad_means2d = np.zeros((len(means), 2), np.float32)
-        abs_means2d = np.zeros((len(means) if absgrad else 0, 2), np.float32)
+        abs_means2d = np.zeros((len(means) if settings.absgrad else 0, 2), np.float32)
         pool.run(
-            make_projection_backward(channels, absgrad),
+            make_projection_backward(variant[0] + variant[1], settings.absgrad),
             [
                 (
                     start, stop, means, scales, quats, colors, settings.sh_degree, settings.camera,
@@ -183,15 +182,15 @@ class Rasterize(torch.autograd.Function):
                 for start, stop in pool.chunks(len(means), pool.get_threads())
             ],
         )  # fmt: skip
-        if absgrad:
+        if settings.absgrad:
             probe.absgrad = torch.from_numpy(abs_means2d)
         g_means, g_scales, g_quats, g_opacities, g_colors = (torch.from_numpy(g) for g in grads)
         return g_means, g_quats, g_scales, g_opacities, g_colors, torch.from_numpy(grad_means2d), None
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel, absgrad):  # fmt: skip
-    """Render one camera; the results are those of `tdgbench.splats.reference.rasterize`."""
+              eps2d, sh_degree, background, depth_channel, absgrad) -> RenderedView:  # fmt: skip
+    """Render one camera; what `tdgbench.splats.reference.rasterize` does, fast."""
     if colors.dim() == 2:
         colors = colors[:, None, :]
     n_colors = colors.shape[-1]
@@ -203,19 +202,17 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         )
     if max(width, height) > MAX_SIDE:
         raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {width}×{height} was asked for")
-    full_background = np.zeros(channels, np.float32)
-    if background is not None:
-        full_background[:n_colors] = background.detach().numpy()
+    black = np.zeros(n_colors, np.float32)
     settings = Settings(
         camera=pack_camera(viewmat.detach(), K.detach(), width, height, near_plane, far_plane, eps2d),
         width=width,
         height=height,
         sh_degree=-1 if sh_degree is None else sh_degree,
         depth_channel=depth_channel,
-        background=full_background,
+        background=black if background is None else background.detach().contiguous().numpy(),
         absgrad=absgrad,
     )
     probe = torch.zeros(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
-    image, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
+    image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
     depths = means.detach() @ viewmat[2, :3].to(means) + viewmat[2, 3].to(means)
-    return image, transmittance, probe, depths, radii
+    return RenderedView(image, depth if depth_channel else None, transmittance, probe, depths, radii)

@@ -67,14 +67,15 @@ def row_alive(pixels, offset, stride):
 
 
 @functools.cache
-def make_blend(channels: int):
-    """The forward kernel for 1 to 4 channels (depth counted as one)."""
+def make_blend(colors: int, depth: bool):
+    """The forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
+    channels = colors + depth
     block = (1 + channels) * LANES  # per register: T, then the channels
     row = BLOCKS * block
 
     @kernel()
     def blend(counter, width, height, records, boxes, tile_start, gaussian_of, background,
-              image, transmittance, reached):  # fmt: skip
+              image, depth_map, transmittance, reached):  # fmt: skip
         """Blend tiles until none is left. reached[tile]: how many of its Gaussians were looked at."""
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
@@ -155,8 +156,10 @@ def make_blend(channels: int):
                     o = y * U(row) + (x // U(LANES)) * U(block) + x % U(LANES)
                     t_left = abs(pixels[o])
                     transmittance[U(top) + y, U(left) + x] = t_left
-                    for c in range(U(channels)):
+                    for c in range(U(colors)):
                         light = pixels[o + U(LANES) * (c + U(1))]
                         image[U(top) + y, U(left) + x, c] = light + t_left * background[c]
+                    if depth:
+                        depth_map[U(top) + y, U(left) + x] = pixels[o + U(LANES * channels)]
 
     return blend

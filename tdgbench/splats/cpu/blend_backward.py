@@ -64,15 +64,17 @@ def slot_size(channels: int, absgrad: bool) -> int:
 
 
 @functools.cache
-def make_blend_backward(channels: int, absgrad: bool):
-    """The backward kernel for 1 to 4 channels; with `absgrad` also Σ |d/du|, Σ |d/dv| over the pixels."""
+def make_blend_backward(colors: int, depth: bool, absgrad: bool):
+    """The backward kernel of `make_blend`; with `absgrad` also Σ |d/du|, Σ |d/dv| over the pixels."""
+    channels = colors + depth
     block = (2 + channels) * LANES  # per register: T, light behind, then the gradients of the channels
     row = BLOCKS * block
     size = slot_size(channels, absgrad)
 
     @kernel()
     def blend_backward(counter, width, height, records, boxes, tile_start, gaussian_of, slot_of,
-                       image, transmittance, grad_image, grad_transmittance, reached, slots, written):  # fmt: skip
+                       image, depth_map, transmittance, grad_image, grad_depth, grad_transmittance, reached,
+                       slots, written):  # fmt: skip
         """Write the slots of every pair that was looked at; written[slot] = 1 for those."""
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
@@ -95,10 +97,14 @@ def make_blend_backward(channels: int, absgrad: bool):
                     if y < U(height) and x < U(width):
                         pixels[o] = ONE
                         behind = transmittance[y, x] * grad_transmittance[y, x]
-                        for c in range(U(channels)):
+                        for c in range(U(colors)):
                             g = grad_image[y, x, c]
                             pixels[o + U(LANES) * (c + U(2))] = g
                             behind += g * image[y, x, c]
+                        if depth:
+                            g = grad_depth[y, x]
+                            pixels[o + U(LANES * (colors + 2))] = g
+                            behind += g * depth_map[y, x]
                         pixels[o + U(LANES)] = behind
                     else:
                         pixels[o] = DEAD
