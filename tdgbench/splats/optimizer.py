@@ -96,7 +96,9 @@ def _update(parameter, grad, first, second, rates: np.ndarray, step: int) -> Non
     step_sizes = rates / (1 - BETA1**step)
     bias2_sqrt = math.sqrt(1 - BETA2**step)
     if parameter.device.type == "cpu" and parameter.dtype == torch.float32:
-        arrays = [t.detach().view(len(t), -1).numpy() for t in (parameter, grad.contiguous(), first, second)]
+        arrays = [
+            t.detach().view(len(t), -1 if len(t) else 1).numpy() for t in (parameter, grad.contiguous(), first, second)
+        ]
         adam_step(arrays, step_sizes.astype(np.float32), BETA1, BETA2, bias2_sqrt, EPS)
         return
     first.lerp_(grad, 1 - BETA1)

@@ -1,5 +1,6 @@
 import hashlib
 
+import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -38,7 +39,8 @@ def digest(method) -> str:
 @pytest.mark.parametrize("name", METHODS)
 def test_training_makes_it_better(small_scene, name):
     method, log = trained(small_scene, name, 150)
-    assert log.lines[-1].loss < 0.75 * log.lines[0].loss
+    first, last = (np.mean([line.loss for line in lines]) for lines in (log.lines[:8], log.lines[-8:]))
+    assert last < 0.75 * first  # each over a round of the training views
     assert log.lines[-1].psnr > log.lines[0].psnr + 3
     assert log.lines[-1].gaussians == sum(len(m) for m in method.models().values())
     render = method.render(small_scene.test[0].camera)

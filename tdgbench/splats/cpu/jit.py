@@ -49,11 +49,16 @@ def _cache_dir() -> Path:
 _CACHE_DIR = str(_cache_dir())
 
 
-def kernel(inline: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function to machine code that runs without the GIL; `inline` for helpers called by kernels."""
+def kernel(inline: bool = False, free_sums: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function to machine code that runs without the GIL.
+
+    inline: a helper that kernels call. free_sums: sums may be reordered, and so vectorised; for kernels whose sums
+    run over one row, so that results still do not depend on the number of threads.
+    """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        options: dict[str, Any] = {"fastmath": FASTMATH, "error_model": "numpy", "boundscheck": False, "nogil": True}
+        fastmath = FASTMATH | {"reassoc"} if free_sums else FASTMATH
+        options: dict[str, Any] = {"fastmath": fastmath, "error_model": "numpy", "boundscheck": False, "nogil": True}
         if inline:
             return njit(inline="always", **options)(function)
         previous = numba.config.CACHE_DIR

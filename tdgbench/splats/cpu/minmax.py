@@ -16,7 +16,7 @@ F, U = np.float32, np.uint64
 ONE = F(1)
 
 
-@kernel()
+@kernel(free_sums=True)
 def extreme_rows(start, stop, values, extremes):
     """extremes[y] = smallest, largest of row y."""
     for y in range(start, stop):
@@ -35,7 +35,7 @@ def normalise_rows(start, stop, values, low, inverse_range, out):
             target[x] = (row[x] - low) * inverse_range
 
 
-@kernel()
+@kernel(free_sums=True)
 def pull_rows(start, stop, grad, normalised, sums):
     """sums[y] = Σ g (1 − a), Σ g a, and how many pixels of row y are the minimum and the maximum."""
     for y in range(start, stop):

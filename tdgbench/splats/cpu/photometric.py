@@ -49,7 +49,7 @@ def across_rows(rows, out):
         )
 
 
-@kernel()
+@kernel(free_sums=True)
 def filter_rows(start, stop, a, b, channels, moments, l1_sums):
     """moments (5, rows + 10, columns): a, b, a², b², ab filtered along rows [start, stop). l1_sums[y] = Σ |a − b|."""
     n = a.shape[1]
@@ -59,9 +59,9 @@ def filter_rows(start, stop, a, b, channels, moments, l1_sums):
     l0, l1, l2, l3, l4 = line[0], line[1], line[2], line[3], line[4]
     for y in range(start, stop):
         ra, rb = a[y], b[y]
-        total = 0.0
+        total = ZERO
         for x in range(U(n)):
-            total += np.float64(abs(ra[x] - rb[x]))
+            total += abs(ra[x] - rb[x])
         l1_sums[y] = total
         for x in range(U(n)):
             p, q = ra[x], rb[x]
@@ -76,7 +76,7 @@ def filter_rows(start, stop, a, b, channels, moments, l1_sums):
                 out[x] = along_row(source, x, c)
 
 
-@kernel()
+@kernel(free_sums=True)
 def similarity_rows(start, stop, moments, channels, derivatives, sums):
     """sums[y] = Σ SSIM of row y; derivatives (3, rows + 10, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], row-filtered."""
     n = moments.shape[2]
@@ -109,9 +109,9 @@ def similarity_rows(start, stop, moments, channels, derivatives, sums):
             )
             l1[x + pad] = d_aa
             l2[x + pad] = d_ab
-        total = 0.0
+        total = ZERO
         for x in range(U(n)):
-            total += np.float64(values[x])
+            total += values[x]
         sums[y] = total
         for k in range(3):
             source, out = line[k], derivatives[k, y + RADIUS]
@@ -119,7 +119,7 @@ def similarity_rows(start, stop, moments, channels, derivatives, sums):
                 out[x] = along_row(source, x, c)
 
 
-@kernel()
+@kernel(free_sums=True)
 def gradient_rows(start, stop, a, b, derivatives, l1_scale, ssim_scale, gradient):
     """gradient = l1_scale · sign(a − b) + ssim_scale · dS/da."""
     n = a.shape[1]

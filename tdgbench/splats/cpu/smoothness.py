@@ -19,34 +19,33 @@ def sign(x):
     return ONE if x > ZERO else (-ONE if x < ZERO else ZERO)
 
 
-@kernel()
+@kernel(free_sums=True)
 def difference_rows(start, stop, image, channels, wrap, sums, gradient):
     """sums[y] = Σ |right − own| + Σ |below − own| of row y; gradient[y] = Σ over the 4 neighbours of sign(own − other).
 
     Without `wrap` pairs across the border do not exist; with it the image is a torus.
     """
     rows, columns = image.shape
+    c = U(channels)
     for y in range(start, stop):
         own, out = image[y], gradient[y]
         above = image[y - 1] if y > 0 else (image[rows - 1] if wrap else own)
         below = image[y + 1] if y < rows - 1 else (image[0] if wrap else own)
-        total = 0.0
+        total = np.float32(0)
         for x in range(U(columns)):
-            total += np.float64(abs(below[x] - own[x]))
+            total += abs(below[x] - own[x])
             out[x] = sign(own[x] - above[x]) + sign(own[x] - below[x])
         for x in range(U(columns - channels)):
-            d = own[x + U(channels)] - own[x]
-            total += np.float64(abs(d))
-            s = sign(d)
-            out[x] -= s
-            out[x + U(channels)] += s
+            total += abs(own[x + c] - own[x])
+            out[x] += sign(own[x] - own[x + c])
+        for x in range(c, U(columns)):
+            out[x] += sign(own[x] - own[x - c])
         if wrap:
-            for x in range(channels):
-                d = own[U(x)] - own[U(columns - channels + x)]
-                total += np.float64(abs(d))
-                s = sign(d)
-                out[U(columns - channels + x)] -= s
-                out[U(x)] += s
+            for x in range(c):
+                last = U(columns - channels) + x
+                total += abs(own[x] - own[last])
+                out[last] += sign(own[last] - own[x])
+                out[x] += sign(own[x] - own[last])
         sums[y] = total
 
 

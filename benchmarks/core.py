@@ -1,0 +1,175 @@
+"""`python -m benchmarks.core`: forward + backward of the splat core, in ms, ratios, and share of the FMA peak.
+
+--peer DIR      also run a prototype `nb_core.py` (class Core) found in DIR
+--reference     also run the plain-torch reference (minutes per call beyond small clouds)
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from matplotlib.figure import Figure
+
+from benchmarks.clouds import Cloud, random_cloud
+from benchmarks.timing import fma_peak_gflops, interleave, median_ms
+from tdgbench.splats.cpu import backend as cpu
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.rasterization import render_view
+
+FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that the blend looks at
+VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
+
+
+def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
+    """Seconds of one forward pass, backward pass, or both, through autograd as training uses it."""
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :channels])
+    leaves = [t.to(dtype).clone().requires_grad_() for t in given]
+    size = (cloud.height, cloud.width)
+    grads = [torch.ones(*size, channels, dtype=dtype), *([torch.ones(size, dtype=dtype)] if depth else [])]
+
+    def run() -> float:
+        start = time.perf_counter()
+        view = render_view(
+            *leaves, cloud.viewmat.to(dtype), cloud.K.to(dtype), cloud.width, cloud.height, depth=depth, backend=backend
+        )
+        middle = time.perf_counter()
+        outputs = [view.image, *([view.depth] if view.depth is not None else [])]
+        torch.autograd.backward(outputs, grads)
+        end = time.perf_counter()
+        for leaf in leaves:
+            leaf.grad = None
+        return {"forward": middle - start, "backward": end - middle, "both": end - start}[part]
+
+    return run
+
+
+def prototype(cloud: Cloud, channels: int, depth: bool, folder: Path) -> Callable[[], float]:
+    """Seconds of forward + backward of a prototype's `Core`, on numpy arrays and without autograd."""
+    sys.path.insert(0, str(folder))
+    core = importlib.import_module("nb_core").Core(pool.get_threads())
+    arrays = [t.numpy() for t in (cloud.means, cloud.scales, cloud.quats, cloud.opacities)]
+    colors = np.ascontiguousarray(cloud.colors[:, :channels].numpy())
+    total = channels + depth
+    grad = np.ones((cloud.height, cloud.width, total), np.float32)
+    zeros = np.zeros((cloud.height, cloud.width), np.float32)
+
+    def run() -> float:
+        start = time.perf_counter()
+        core.forward(
+            *arrays, colors, cloud.viewmat.numpy(), cloud.K.numpy(), cloud.width, cloud.height,
+            np.zeros(total, np.float32), depth,
+        )  # fmt: skip
+        core.backward(grad, zeros)
+        return time.perf_counter() - start
+
+    return run
+
+
+def looked_at(cloud: Cloud) -> int:
+    """Upper bound of pixel-Gaussian pairs that the blend looks at: rows of each box × its tiles' columns."""
+    options = {"near_plane": 0.2, "far_plane": 1e10, "eps2d": 0.3}
+    settings = cpu.Settings(
+        camera=cpu.pack_camera(cloud.viewmat, cloud.K, cloud.width, cloud.height, **options), width=cloud.width,
+        height=cloud.height, sh_degree=-1, depth_channel=False, background=np.zeros(1, np.float32), absgrad=False,
+    )  # fmt: skip
+    given = (cloud.means, cloud.scales, cloud.quats, cloud.opacities, cloud.colors[:, None])
+    lists = cpu._build_lists(
+        tuple(t.numpy() for t in given), settings, np.zeros(len(cloud.means), np.int32),
+        np.zeros((len(cloud.means), 2), np.float32),
+    )  # fmt: skip
+    pairs = lists.gaussian_of
+    rows = lists.boxes[pairs, 3].astype(int) - lists.boxes[pairs, 2] + 1
+    return int(np.minimum(rows, 16).sum() * 16)
+
+
+def measure(counts: list[int], sizes: list[tuple[int, int]], variants: list[str], repetitions: int,
+            peer: Path | None, reference: bool) -> pd.DataFrame:  # fmt: skip
+    """One row per case and candidate."""
+    peak = fma_peak_gflops()
+    rows = []
+    for width, height in sizes:
+        for count in counts:
+            cloud = random_cloud(count, width, height)
+            flops = looked_at(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
+            for variant in variants:
+                channels, depth = VARIANTS[variant]
+                candidates = {
+                    "cpu": ours(cloud, channels, depth, "cpu", "both"),
+                    "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
+                    "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
+                }
+                if peer is not None:
+                    candidates["prototype"] = prototype(cloud, channels, depth, peer)
+                if reference:
+                    candidates["reference"] = ours(cloud, channels, depth, "reference", "both")
+                times = {name: median_ms(s) for name, s in interleave(candidates, repetitions).items()}
+                for name, ms in times.items():
+                    rows.append(
+                        {
+                            "size": f"{width}x{height}", "gaussians": count, "channels": variant, "candidate": name,
+                            "ms": ms, "cpu_ratio": times["cpu"] / ms,
+                            "peak_share": flops / (ms * 1e6) / peak if name in ("cpu", "prototype") else np.nan,
+                        }
+                    )  # fmt: skip
+                    print(_line(rows[-1]), flush=True)
+    table = pd.DataFrame(rows)
+    table.attrs["peak"] = peak
+    return table
+
+
+def _line(row: dict) -> str:
+    share = "" if np.isnan(row["peak_share"]) else f"  {100 * row['peak_share']:4.1f} % of FMA peak (upper bound)"
+    return (
+        f"{row['size']:>8} {row['gaussians']:>7} {row['channels']:>8}  {row['candidate']:<13}"
+        f"{row['ms']:9.2f} ms   cpu/this {row['cpu_ratio']:5.2f}{share}"
+    )
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """Milliseconds against Gaussians, log-log, one line per candidate and channel count."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axis = figure.subplots()
+    for (size, channels, name), own in table.groupby(["size", "channels", "candidate"], sort=False):
+        if name in ("cpu", "prototype", "reference"):
+            axis.loglog(own["gaussians"], own["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
+    axis.set_xlabel("Gaussians")
+    axis.set_ylabel("forward + backward, ms (median)")
+    axis.legend(fontsize=7)
+    axis.grid(True, which="both", alpha=0.3)
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.core", description=__doc__)
+    parser.add_argument("--counts", type=int, nargs="+", default=[20_000, 100_000, 300_000])
+    parser.add_argument("--sizes", nargs="+", default=["640x480", "320x240"])
+    parser.add_argument("--channels", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    parser.add_argument("--repetitions", type=int, default=11)
+    parser.add_argument("--threads", type=int)
+    parser.add_argument("--peer", type=Path)
+    parser.add_argument("--reference", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
+    args = parser.parse_args()
+    pool.set_threads(args.threads)
+    torch.set_num_threads(1)
+    sizes = [tuple(int(n) for n in size.split("x")) for size in args.sizes]
+    table = measure(args.counts, sizes, args.channels, args.repetitions, args.peer, args.reference)
+    args.out.mkdir(parents=True, exist_ok=True)
+    table.to_csv(args.out / "core.csv", index=False)
+    draw(table, args.out / "core.png")
+    print(
+        f"FMA peak {table.attrs['peak']:.0f} GFLOP/s, {pool.get_threads()} threads; written: {args.out}/core.csv, .png"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""`python -m benchmarks.training [hydra overrides]`: the parts of a training step; they add up to the step.
+
+The same configuration as `python -m tdgbench` (dataset, method, budget …); `--steps` of warm-up, then as many measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import pandas as pd
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+
+from tdgbench.priors import estimate_all
+from tdgbench.splats.cpu import backend, pool
+from tdgbench.splats.density import DensityControl
+from tdgbench.splats.optimizer import Adam
+from tdgbench.training.loop import train
+from tdgbench.training.method import Context
+from tdgbench.training.warmup import compile_kernels
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+
+
+class Parts:
+    """Seconds per named part; a part inside another counts for itself only."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inside: list[float] = []
+
+    def wrap(self, owner: object, attribute: str, name: str) -> None:
+        """Replace a function by one that times itself."""
+        original = getattr(owner, attribute)
+
+        @functools.wraps(original)
+        def timed(*args, **kwargs):
+            self._inside.append(0.0)
+            start = time.perf_counter()
+            try:
+                return original(*args, **kwargs)
+            finally:
+                spent = time.perf_counter() - start
+                self.seconds[name] += spent - self._inside.pop()
+                if self._inside:
+                    self._inside[-1] += spent
+
+        setattr(owner, attribute, timed)
+
+    def wrap_kernels(self) -> None:
+        """Time the pool's work under the names of its kernels."""
+        names = {
+            "project_and_list": "project + list",
+            "gather": "project + list",
+            "fill_lists": "bin",
+            "blend": "blend",
+            "blend_backward": "blend backward",
+            "projection_backward": "projection backward",
+            "adam_rows": "Adam",
+            "adam_values": "Adam",
+        }
+        original = pool.run
+
+        def timed(function, arguments):
+            start = time.perf_counter()
+            try:
+                return original(function, arguments)
+            finally:
+                spent = time.perf_counter() - start
+                self.seconds[names.get(function.__name__, "losses")] += spent
+                if self._inside:
+                    self._inside[-1] += spent
+
+        pool.run = timed  # type: ignore[assignment]
+
+
+def measure(overrides: list[str], steps: int) -> pd.DataFrame:
+    """Milliseconds per step of each part, and of the whole."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("config", overrides=overrides)
+    scene = instantiate(cfg.dataset.loader).load(cfg.scene)
+    method, budget = instantiate(cfg.method.method), instantiate(cfg.budget)
+    for view in scene.train:
+        _ = view.thermal, view.rgb if method.needs_rgb else None
+    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None) if method.needs_prior else {}
+    points = instantiate(cfg.init.points).points(scene)
+    method.setup(Context(scene, points, priors, budget, cfg.backend.name, int(cfg.seed)))
+    compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
+    train(method, steps)
+    parts = Parts()
+    parts.wrap_kernels()
+    parts.wrap(backend, "sort_by_depth", "bin")
+    parts.wrap(Adam, "step", "Adam")
+    parts.wrap(DensityControl, "observe", "density control")
+    parts.wrap(DensityControl, "update", "density control")
+    start = time.perf_counter()
+    train(method, steps)
+    whole = time.perf_counter() - start
+    rows = [{"part": name, "ms": 1e3 * s / steps} for name, s in parts.seconds.items()]
+    rest = whole - sum(parts.seconds.values())
+    rows.append({"part": "Python and torch", "ms": 1e3 * rest / steps})
+    table = pd.DataFrame(rows).sort_values("ms", ascending=False)
+    table["share"] = table["ms"] / (1e3 * whole / steps)
+    table.attrs["gaussians"] = sum(len(m) for m in method.models().values())
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training", description=__doc__)
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    table = measure(args.overrides, args.steps)
+    for row in table.itertuples():
+        print(f"{row.part:<20}{row.ms:8.2f} ms {100 * row.share:6.1f} %")
+    render = table[table["part"].isin(["project + list", "bin", "blend", "blend backward", "projection backward"])]
+    total, core = table["ms"].sum(), render["ms"].sum()
+    print(
+        f"{'whole step':<20}{total:8.2f} ms; render forward + backward kernels {core:.2f} ms, ratio {total / core:.2f}"
+    )
+    print(f"{table.attrs['gaussians']} Gaussians, {pool.get_threads()} threads")
+    args.out.mkdir(parents=True, exist_ok=True)
+    table.to_csv(args.out / "training.csv", index=False)
+
+
+if __name__ == "__main__":
+    main()
