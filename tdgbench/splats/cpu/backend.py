@@ -13,6 +13,7 @@ from tdgbench.splats.cpu.blend import make_blend
 from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
 from tdgbench.splats.cpu.projection import CAMERA_SIZE
 from tdgbench.splats.cpu.projection_backward import make_projection_backward
+from tdgbench.splats.cpu.scratch import Lease
 from tdgbench.splats.view import RenderedView
 
 MAX_CHANNELS = 4
@@ -42,6 +43,7 @@ class _TileLists:
     tile_start: np.ndarray  # (tiles + 1,)
     gaussian_of: np.ndarray  # (pairs,)
     slot_of: np.ndarray  # (pairs,)
+    lease: Lease  # owns the arrays above
 
 
 def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.ndarray:
@@ -56,24 +58,18 @@ def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.n
     return packed
 
 
-def _aligned(rows: int, columns: int) -> np.ndarray:
-    """An uninitialised float32 array whose rows of 16 are whole cache lines."""
-    raw = np.empty(rows * columns + 16, np.float32)
-    start = (-raw.ctypes.data % 64) // 4
-    return raw[start : start + rows * columns].reshape(rows, columns)
-
-
 def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
     """Project and bin all Gaussians; radii and means2d are written in place."""
     count = len(parameters[0])
     chunks = pool.chunks(count, max(1, min(pool.get_threads(), count)))
     n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
-    records, boxes = _aligned(count, RECORD), np.empty((count, 4), np.int16)
-    offsets = np.empty(count + 1, np.int64)
-    depth_keys, kept = np.empty(count, np.uint32), np.empty(count, np.int32)
+    lease, passing = Lease(), Lease()  # what the backward pass needs again, and what it does not
+    records, boxes = lease.take("records", (count, RECORD), np.float32), lease.take("boxes", (count, 4), np.int16)
+    offsets = lease.take("offsets", count + 1, np.int64)
+    depth_keys, kept = passing.take("keys", count, np.uint32), passing.take("order", count, np.int32)
     room = max(4096, 6 * count // len(chunks))
     while True:
-        tile_of_pair = [np.empty(room, np.int32) for _ in chunks]
+        tile_of_pair = [passing.take("tiles", room, np.int32) for _ in chunks]
         pairs_per_tile = np.zeros((len(chunks), n_tiles), np.int64)
         counts = np.zeros((len(chunks), 2), np.int64)
         pool.run(
@@ -92,8 +88,8 @@ def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
     kept_base = np.concatenate([[0], np.cumsum(counts[:, 0])])
     pair_base = np.concatenate([[0], np.cumsum(counts[:, 1])])
     n_kept, n_pairs = int(kept_base[-1]), int(pair_base[-1])
-    keys, order = np.empty(n_kept, np.uint32), np.empty(n_kept, np.int32)
-    all_tiles = np.empty(n_pairs, np.int32)
+    keys, order = passing.take("keys", n_kept, np.uint32), passing.take("order", n_kept, np.int32)
+    all_tiles = passing.take("all tiles", n_pairs, np.int32)
     pool.run(
         gather,
         [
@@ -109,7 +105,7 @@ def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
     tile_start = np.zeros(n_tiles + 1, np.int64)
     np.cumsum(pairs_per_tile.sum(axis=0), out=tile_start[1:])
     cursor = tile_start.copy()
-    gaussian_of, slot_of = np.empty(n_pairs, np.int32), np.empty(n_pairs, np.int32)
+    gaussian_of, slot_of = (lease.take(role, n_pairs, np.int32) for role in ("gaussian of", "slot of"))
     targets = [n_pairs * t // len(chunks) for t in range(1, len(chunks))]
     cuts = [0, *np.searchsorted(tile_start, targets).tolist(), n_tiles]
     pool.run(
@@ -119,7 +115,7 @@ def _build_lists(parameters, settings: Settings, radii, means2d) -> _TileLists:
             for t in range(len(chunks))
         ],
     )
-    return _TileLists(records, boxes, offsets, tile_start, gaussian_of, slot_of)
+    return _TileLists(records, boxes, offsets, tile_start, gaussian_of, slot_of, lease)
 
 
 class Rasterize(torch.autograd.Function):
@@ -160,8 +156,10 @@ class Rasterize(torch.autograd.Function):
             for grad, like in ((grad_image, image), (grad_depth, depth), (grad_transmittance, transmittance))
         )
         n_pairs = len(lists.gaussian_of)
-        slots = np.empty(n_pairs * slot_size(variant[0] + variant[1], settings.absgrad), np.float32)
-        written = np.zeros(n_pairs, np.uint8)
+        lease = Lease()
+        slots = lease.take("slots", n_pairs * slot_size(variant[0] + variant[1], settings.absgrad), np.float32)
+        written = lease.take("written", n_pairs, np.uint8)
+        written[:] = 0
         arguments = (
             np.zeros(1, np.int64), settings.width, settings.height, lists.records, lists.boxes, lists.tile_start,
             lists.gaussian_of, lists.slot_of, image, depth, transmittance, grad_image, grad_depth, grad_transmittance,

@@ -1,0 +1,44 @@
+import numpy as np
+import torch
+
+from tdgbench.splats import rasterization
+from tdgbench.splats.cpu import scratch
+from tdgbench.splats.cpu.scratch import Lease
+from tests.conftest import random_gaussians, turned_camera
+
+
+def test_buffers_are_used_again_and_grow():
+    lease = Lease()
+    first = lease.take("test", (10, 3), np.float32)
+    assert first.shape == (10, 3) and first.ctypes.data % 64 == 0
+    other = lease.take("test", 10, np.int64)
+    assert not np.shares_memory(first, other)
+    address = other.ctypes.data
+    del first, other, lease
+    lease = Lease()
+    assert lease.take("test", 5, np.uint8).ctypes.data == address
+    assert lease.take("test", 100_000, np.float32).shape == (100_000,)
+
+
+def test_only_a_few_wait():
+    leases = [Lease() for _ in range(10)]
+    for lease in leases:
+        lease.take("many", 10, np.float32)
+    del lease, leases
+    assert len(scratch._free["many"]) == scratch.KEEP
+
+
+def test_a_graph_keeps_its_own():
+    """Other renders between forward and backward, and a second backward, do not disturb a graph."""
+    camera = turned_camera(40, 30)
+    leaves = [p.requires_grad_() for p in random_gaussians(80, 1, None, 3)]
+    image = rasterization(*leaves, *camera, 40, 30)[0]
+    image.sum().backward(retain_graph=True)
+    want = [p.grad.clone() for p in leaves]
+    for count in (5, 500, 2000):
+        others = [p.requires_grad_() for p in random_gaussians(count, count, None, 3)]
+        rasterization(*others, *camera, 40, 30)[0].sum().backward()
+    for p in leaves:
+        p.grad = None
+    image.sum().backward()
+    assert all(torch.equal(p.grad, w) for p, w in zip(leaves, want, strict=True))
