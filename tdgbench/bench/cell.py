@@ -170,7 +170,7 @@ def _train(
     if method.needs_prior:
         with stages("prior"):
             estimator = instantiate(cfg.prior.estimator)
-            cache = Path(cfg.data.root) / "cache" / "priors"
+            cache = Path(cfg.results) / "cache" / "priors"
             priors = estimate_all(estimator, scene, cache, stages.progress.count)
             record.prior = {**estimator.identity(), "kind": next(iter(priors.values())).kind}
     with stages("init"):

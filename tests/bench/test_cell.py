@@ -50,6 +50,14 @@ def test_a_cell_leaves_everything(run, method):
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
 
 
+def test_the_data_folder_is_only_read(run, data_root):
+    before = {p: p.stat().st_mtime_ns for p in data_root.rglob("*")}
+    assert run("method=tdg").status == "ok" and run("scene=facade").status == "ok"
+    new = {p.relative_to(data_root).parts[0] for p in set(data_root.rglob("*")) - set(before)}
+    assert new <= {"synthetic"}  # where the synthetic scenes are made
+    assert list((run.experiment.parent / "cache" / "priors").iterdir())
+
+
 def test_scores_are_those_of_the_stored_pictures(run):
     from tdgbench.scoring.psnr import psnr
 
