@@ -7,10 +7,9 @@ of all Gaussians, which shrinks the gradients that density control looks at, and
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from tdgbench.scenes import Camera
-from tdgbench.training.losses import photometric, smoothness
+from tdgbench.training.losses import photometric, thermal
 from tdgbench.training.method import Context, Step, rgb_tensor, thermal_tensor
 from tdgbench.training.model import Render, SplatModel
 
@@ -34,16 +33,12 @@ class MSMG:
         self.rgb_views = context.view_order()
         self.thermal_views = context.view_order()
 
-    def thermal_loss(self, image: Tensor, target: Tensor) -> Tensor:
-        loss = photometric(image, target, self.lambda_ssim)
-        return loss + self.lambda_smooth * smoothness(image, self.smooth)
-
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
         loss_rgb = photometric(self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view), self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
         target = thermal_tensor(thermal_view)
-        loss_thermal = self.thermal_loss(render.image, target)
+        loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target)

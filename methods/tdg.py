@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera
-from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim
+from tdgbench.training.losses import l1, l1_and_dssim, min_max, ssim, thermal
 from tdgbench.training.method import Context, Step, thermal_tensor
 from tdgbench.training.model import Render, SplatModel
 
@@ -90,25 +90,18 @@ class TDg:
         self.targets = {name: DepthTarget.of(prior) for name, prior in context.priors.items()}
         self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
 
-    def thermal_loss(self, image: Tensor, target: Tensor) -> Tensor:
-        """Thermal loss (TDg, eq. 5): L1, SSIM and smoothness."""
-        loss = photometric(image, target, self.lambda_ssim)
-        if self.lambda_smooth > 0:
-            loss = loss + self.lambda_smooth * smoothness(image, self.smooth)
-        return loss
-
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         weight = self.lambda_depth * decay_weight(iteration, 1, self.last_depth_iteration)
         render = self.model.render(view.camera, depth=weight > 0)
         target = thermal_tensor(view)
-        loss = thermal = self.thermal_loss(render.image, target)
-        terms = {"thermal": thermal.item()}
+        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
+        terms = {"thermal": loss.item()}
         if weight > 0:
             prior = self.targets[view.name]
             depth = depth_loss(comparable_depth(render, prior.kind), prior)
             terms["depth"] = depth.item()
-            loss = thermal + weight * depth
+            loss = loss + weight * depth
         return Step(loss, terms, render, target)
 
     def models(self) -> dict[str, SplatModel]:

@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench import output
 from tdgbench.bench.environment import code_version, describe_environment
+from tdgbench.bench.init import InitialPoints
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
@@ -174,7 +175,7 @@ def _train(
             priors = estimate_all(estimator, scene, cache, stages.progress.count)
             record.prior = {**estimator.identity(), "kind": next(iter(priors.values())).kind}
     with stages("init"):
-        init = instantiate(cfg.init.points)
+        init: InitialPoints = instantiate(cfg.init.points)
         context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed))
         record.init_points = init.describe(scene)
         method.setup(context)

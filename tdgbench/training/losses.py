@@ -37,6 +37,12 @@ def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim)
 
 
+def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str) -> Tensor:
+    """Thermal loss (TDg, eq. 5, after ThermalGaussian): L1, SSIM and smoothness in one of its readings."""
+    loss = photometric(image, target, lambda_ssim)
+    return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
+
+
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
     """l1_weight · L1 + dssim_weight · (1 − SSIM) of two images. Raises ValueError if their shapes differ."""
     if image.shape != target.shape:

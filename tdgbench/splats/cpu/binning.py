@@ -1,8 +1,8 @@
 """From Gaussians to tile lists: project, cull, pack, and list for every 16×16 tile its Gaussians from near to far.
 
 Each kept Gaussian becomes one record of 16 floats (a cache line): u, v, then A, B, C and log2(opacity), so that
-log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; half width and height of the box in which
-alpha ≥ 1/255; and the channels. No list of pairs is sorted: N depths are, and the lists are filled in that order.
+log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; and the channels. The box in which alpha ≥ 1/255 is
+kept beside it. No list of pairs is sorted: N depths are, and the lists are filled in that order.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tdgbench.splats.cpu.simd import float_bits
 
 F, U = np.float32, np.uint64
 TILE = 16
-U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, HALF_WIDTH, HALF_HEIGHT, CHANNELS = range(10)
+U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
 RECORD = 16
 ZERO, HALF, ONE, TWO, FOUR = F(0), F(0.5), F(1), F(2), F(4)
 LOG2_E = F(math.log2(math.e))
@@ -39,12 +39,12 @@ FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
 
 
 @kernel(inline=True)
-def write_color(record, i, out, colors, degree, means, camera, basis):
+def write_color(records, i, colors, degree, means, camera, basis):
     """The channels of a Gaussian: as given (degree −1) or from its spherical harmonics."""
     channels = colors.shape[2]
     if degree < 0:
         for c in range(U(channels)):
-            record[out, U(CHANNELS) + c] = colors[i, U(0), c]
+            records[i, U(CHANNELS) + c] = colors[i, U(0), c]
     else:
         x, y, z, _ = view_direction(means[i, 0], means[i, 1], means[i, 2], camera)
         write_basis(x, y, z, degree, basis)
@@ -52,7 +52,7 @@ def write_color(record, i, out, colors, degree, means, camera, basis):
             total = HALF
             for k in range(U((degree + 1) * (degree + 1))):
                 total += basis[k] * colors[i, k, c]
-            record[out, U(CHANNELS) + c] = max(total, ZERO)
+            records[i, U(CHANNELS) + c] = max(total, ZERO)
 
 
 @kernel()
@@ -119,9 +119,7 @@ def project_and_list(
         records[i, C_] = C
         records[i, LOG2_OPACITY] = log2_opacity
         records[i, OPACITY] = opacity
-        records[i, HALF_WIDTH] = hw
-        records[i, HALF_HEIGHT] = hh
-        write_color(records, i, i, colors, degree, means, camera, basis)
+        write_color(records, i, colors, degree, means, camera, basis)
         if depth_channel:
             records[i, U(CHANNELS + channels)] = z
         boxes[i, 0] = x0
