@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from benchmarks.clouds import Cloud, random_cloud
 from benchmarks.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.binning import TILE
+from tdgbench.splats.cpu.tiles import TILE
 from tdgbench.splats.rasterization import render_view
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that the blend looks at
@@ -82,8 +82,8 @@ def looked_at(cloud: Cloud) -> int:
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
     leaves = [t.clone().requires_grad_() for t in given]
     view = render_view(*leaves, cloud.viewmat, cloud.K, cloud.width, cloud.height, backend="cpu")
-    saved = view.image.grad_fn.saved  # type: ignore[union-attr]
-    lists, reached = saved[2], saved[6]
+    lists = view.image.grad_fn.saved[2]  # type: ignore[union-attr]
+    reached = lists.reached
     tiles_x = -(-cloud.width // TILE)
     tile = np.repeat(np.arange(len(reached)), np.diff(lists.tile_start))
     place = np.arange(len(tile)) - lists.tile_start[tile]

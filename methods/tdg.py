@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera
-from tdgbench.training.losses import l1, l1_and_dssim, min_max, ssim, thermal
+from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
 from tdgbench.training.method import Context, Step, thermal_tensor
 from tdgbench.training.model import Render, SplatModel
 
@@ -20,16 +20,11 @@ MIN_ALPHA = 1e-3  # where less light than this is stopped, there is no depth to 
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:
-    """The rendered map in the prior's own kind of number: accumulated z (eq. 3), or inverse z for a disparity.
-
-    1 / (expected z) = alpha / accumulated z; where nothing is rendered it is 0, infinitely far.
-    """
+    """The rendered map in the prior's own kind of number: accumulated z (eq. 3), or inverse z for a disparity."""
     assert render.depth is not None
     if kind != "disparity":
         return render.depth
-    solid = render.alpha > MIN_ALPHA
-    depth = torch.where(solid, render.depth, 1.0)
-    return torch.where(solid, render.alpha / depth, 0.0)
+    return inverse_expected_depth(render.depth, render.transmittance, MIN_ALPHA)
 
 
 @dataclass(frozen=True)

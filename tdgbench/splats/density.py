@@ -7,14 +7,19 @@ that appends clones zeroes the screen radii, so its test "screen radius > 20 px"
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from tdgbench.splats.gaussians import Gaussians, concatenate
+from tdgbench.splats.columns import MEANS_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.statistics import observe_gradients, observe_seen
+from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.reference import rotation_matrices
+from tdgbench.splats.state import TrainingState
 
 
 @dataclass(frozen=True)
@@ -39,8 +44,10 @@ class DensityRules:
 
 @dataclass
 class DensityChange:
-    """What one round did."""
+    """What one iteration did to the set of Gaussians."""
 
+    densified: bool = False  # a round of cloning, splitting and pruning took place
+    opacity_reset: bool = False
     cloned: int = 0
     split: int = 0
     pruned: int = 0
@@ -49,90 +56,90 @@ class DensityChange:
 class DensityControl:
     """Gathers gradients and radii view by view and changes the set of Gaussians when its rules say so."""
 
-    def __init__(self, rules: DensityRules, extent: float, count: int) -> None:
-        self.rules = rules
-        self.extent = extent
-        self._clear(count)
+    def __init__(self, rules: DensityRules, extent: float, state: TrainingState) -> None:
+        self.rules, self.extent, self.state = rules, extent, state
+        self._clear()
 
-    def _clear(self, count: int) -> None:
-        self.grad_sum = torch.zeros(count)
-        self.seen = torch.zeros(count)
-        self.max_radii = torch.zeros(count)
+    def _clear(self) -> None:
+        self.grad_sum, self.seen, self.max_radii = self.state.values.new_zeros(3, len(self.state))
 
     @torch.no_grad()
-    def observe(self, means2d_grad: Tensor, radii: Tensor, width: int, height: int) -> None:
-        """Take in one backward pass: image gradients (N, 2) per px and screen radii (N,) in px."""
-        scale = means2d_grad.new_tensor([0.5 * width, 0.5 * height])
-        visible = radii > 0
-        norm = (means2d_grad * scale).norm(dim=1)
-        self.grad_sum += torch.where(visible, norm, 0.0)
-        self.seen += visible
-        self.max_radii = torch.maximum(self.max_radii, radii.to(self.max_radii))
+    def observe(self, gradients: Gradients, width: int, height: int) -> None:
+        """Take in one backward pass of a view of width × height px."""
+        half = (0.5 * width, 0.5 * height)
+        if self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32:
+            seen = (gradients.seen.numpy(), gradients.radii.numpy(), self.seen.numpy(), self.max_radii.numpy())
+            pool.run(observe_seen, [(*piece, *seen) for piece in gradients.seen_pieces])
+            pulls = (gradients.index.numpy(), gradients.image.numpy(), *half, self.grad_sum.numpy())
+            pool.run(observe_gradients, [(*piece, *pulls) for piece in gradients.pieces])
+            return
+        index, radii = gradients.visible()
+        self.seen[index] += 1
+        self.max_radii[index] = torch.maximum(self.max_radii[index], radii.to(self.max_radii))
+        index, _, image = gradients.rows()
+        norm = (image[:, :2] * image.new_tensor(half)).norm(dim=1)
+        self.grad_sum.index_add_(0, index, torch.where(image[:, 4] > 0, norm, 0.0))
 
     def is_active(self, iteration: int) -> bool:
         """Whether views are still observed at this iteration."""
         return iteration < self.rules.stop
 
     @torch.no_grad()
-    def update(
-        self, gaussians: Gaussians, optimizer: Adam, iteration: int, generator: torch.Generator
-    ) -> tuple[Gaussians, DensityChange | None]:
-        """Apply what is due at this iteration; returns the set to go on with, and what changed (None: nothing due)."""
-        rules = self.rules
-        change = None
-        if not self.is_active(iteration):
-            return gaussians, change
-        if iteration > rules.start and iteration % rules.every == 0:
-            gaussians, change = self._densify_and_prune(gaussians, optimizer, iteration, generator)
-        if iteration % rules.opacity_reset_every == 0:
-            ceiling = torch.tensor(rules.opacity_reset_to).logit().item()
-            opacity_logits = gaussians.opacity_logits.detach().clamp_max(ceiling)
-            gaussians = Gaussians(**{**dict(gaussians.items()), "opacity_logits": opacity_logits})
-            gaussians.opacity_logits.requires_grad_()
-            optimizer.forget("opacity_logits")
-        return gaussians, change
-
-    def _densify_and_prune(self, gaussians, optimizer, iteration, generator):
+    def update(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> DensityChange:
+        """Apply what is due at this iteration."""
         rules, change = self.rules, DensityChange()
-        old = gaussians.detach()
+        if not self.is_active(iteration):
+            return change
+        change.densified = iteration > rules.start and iteration % rules.every == 0
+        change.opacity_reset = iteration % rules.opacity_reset_every == 0
+        if change.densified or change.opacity_reset:
+            optimizer.settle()
+        if change.densified:
+            self._densify_and_prune(change, iteration, generator)
+        if change.opacity_reset:
+            ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
+            self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
+            optimizer.forget("opacity_logits")
+        return change
+
+    def _densify_and_prune(self, change: DensityChange, iteration: int, generator: torch.Generator) -> None:
+        rules, values = self.rules, self.state.values
+        old = self.state.split(values)
         grads = torch.nan_to_num(self.grad_sum / self.seen)
-        small = old.scales.amax(dim=1) <= rules.clone_max_scale * self.extent
+        largest = old.log_scales.amax(dim=1).exp_()
+        small = largest <= rules.clone_max_scale * self.extent
         hot = grads >= rules.grad_threshold
         if rules.max_gaussians is not None:
             hot = _hottest(hot, grads, rules.max_gaussians - len(old))
-        clone, split = hot & small, hot & ~small
-        clones = old.select(clone)
-        children = self._children(old.select(split), generator)
-        change.cloned, change.split = int(clone.sum()), int(split.sum())
-        optimizer.append(concatenate([clones, children]))
-        grown = concatenate([old, clones, children])
+        clone, split = (hot & small).nonzero().squeeze(1), (hot & ~small).nonzero().squeeze(1)
+        change.cloned, change.split = len(clone), len(split)
 
-        remove = grown.opacities < rules.min_opacity
-        remove[: len(old)] |= split
+        remove = old.opacities < rules.min_opacity
         if iteration > rules.opacity_reset_every:
-            remove |= grown.scales.amax(dim=1) > rules.max_world_scale * self.extent
+            remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
-                remove[: len(old)] |= self.max_radii > rules.max_screen_radius
-        change.pruned = int(remove.sum()) - change.split
-        keep = (~remove).nonzero().squeeze(1)
-        optimizer.keep(keep)
-        kept = grown.select(keep).as_leaves()
-        self._clear(len(kept))
-        return kept, change
+                remove |= self.max_radii > rules.max_screen_radius
+        change.pruned = int(remove.sum()) - int(remove[split].sum())
+        remove[split] = True
+        added = torch.cat([values[clone], self._children(values[split], generator)])
+        new = self.state.split(added)
+        drop = new.opacities < rules.min_opacity
+        if iteration > rules.opacity_reset_every:
+            drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
+        change.pruned += int(drop.sum())
+        self.state.exchange(remove.nonzero().squeeze(1), added[~drop])
+        self._clear()
 
-    def _children(self, parents: Gaussians, generator: torch.Generator) -> Gaussians:
-        """Smaller Gaussians drawn from inside each parent's own distribution."""
+    def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
+        """Smaller Gaussians drawn from inside each parent's own distribution; rows (n, columns) in and out."""
         n = self.rules.split_into
-        many = parents.map(lambda t: t.repeat(n, *[1] * (t.dim() - 1)))
-        offsets = torch.randn(len(many), 3, generator=generator).to(many.means) * many.scales
-        rotated = (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
-        return Gaussians(
-            means=many.means + rotated,
-            log_scales=(many.scales / (self.rules.split_shrink * n)).log(),
-            quats=many.quats,
-            opacity_logits=many.opacity_logits,
-            sh=many.sh,
-        )
+        children = parents.repeat(n, 1)
+        many = self.state.split(children)
+        scales = many.scales
+        offsets = torch.randn(len(children), 3, generator=generator).to(scales) * scales
+        children[:, MEANS_AT:SCALES_AT] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
+        children[:, SCALES_AT:QUATS_AT] = (scales / (self.rules.split_shrink * n)).log()
+        return children
 
 
 def _hottest(hot: Tensor, grads: Tensor, room: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""Adam over Gaussians, with 3DGS's learning rates, and moments that follow when Gaussians come and go."""
+"""Adam over Gaussians, with 3DGS's learning rates. A step costs what it touches, and is the same as a step for all."""
 
 from __future__ import annotations
 
@@ -8,10 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from tdgbench.splats.cpu.adam import adam_step
-from tdgbench.splats.gaussians import Gaussians, concatenate
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import coast_candidates, settle_rows, touched_rows, write_drift
+from tdgbench.splats.gaussians import Gaussians
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.state import TrainingState
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
+RHO = BETA1 / math.sqrt(BETA2)
+SETTLE_EVERY = 128  # steps after which every row is brought up to date
+# |m| / √v is at most (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
+MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
+MAX_COAST = MAX_SPEED * RHO / (1 - RHO)  # rates that a row can move while it is not touched
 
 
 @dataclass(frozen=True)
@@ -34,75 +42,116 @@ class LearningRates:
 
 
 class Adam:
-    """torch.optim.Adam's update for one set of Gaussians (a parameter without gradient is left alone)."""
+    """torch.optim.Adam's update for one set of Gaussians.
 
-    def __init__(self, gaussians: Gaussians, rates: LearningRates, extent: float) -> None:
-        self.rates = rates
-        self.extent = extent
-        self.first = gaussians.detach().zeros_like()
-        self.second = gaussians.detach().zeros_like()
-        self.steps = dict.fromkeys(Gaussians.names(), 0)
+    On the CPU in float32 rows without gradient are left where they are until someone looks at them (see
+    `tdgbench.splats.cpu.adam`): `settle` before reading `state.values`. Elsewhere every row moves at every step.
+    """
 
-    def step(self, gaussians: Gaussians, iteration: int) -> None:
-        """Move every parameter that has a gradient, then drop the gradients."""
-        for name, parameter in gaussians.items():
-            if parameter.grad is None:
-                continue
-            self.steps[name] += 1
-            rates = self._column_rates(name, parameter, iteration)
-            _update(
-                parameter,
-                parameter.grad,
-                getattr(self.first, name),
-                getattr(self.second, name),
-                rates,
-                self.steps[name],
-            )
-            parameter.grad = None
+    def __init__(self, state: TrainingState, rates: LearningRates, extent: float) -> None:
+        self.state, self.rates, self.extent = state, rates, extent
+        self.steps = dict.fromkeys(Gaussians.names(), 0)  # as torch counts them: opacity misses those of its resets
+        self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
+        self._settled = 0
+        self._used = 0  # columns that ever had a gradient
+        width = state.values.shape[1]
+        self._coefficients = torch.zeros(SETTLE_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
+        self._drift = torch.zeros((SETTLE_EVERY + 1) * width).numpy()
+        exponents = np.arange(SETTLE_EVERY + 2, dtype=np.float64)
+        self._powers = tuple((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2))
+        self._rho_powers = (RHO**exponents).astype(np.float32)
 
-    def _column_rates(self, name: str, parameter: torch.Tensor, iteration: int) -> np.ndarray:
-        """The learning rate of each column of a parameter seen as (N, columns)."""
-        columns = parameter[0].numel() if len(parameter) else 1
-        if name == "sh":
-            rates = np.full(columns, self.rates.sh_rest)
-            rates[: parameter.shape[2]] = self.rates.sh_dc
-            return rates
-        scalar = {
+    def step(self, gradients: Gradients, iteration: int, without: str | None = None) -> None:
+        """Take one step at an iteration (1-based); the parameter named `without` rests, as torch's without gradient."""
+        state = self.state
+        if without is not None:
+            gradients.values[:, state.column_of(without)] = 0
+        for name in self.steps:
+            self.steps[name] += name != without
+        rates, bias1, bias2 = self._columns(iteration)
+        state.now += 1
+        if not self.is_sparse:
+            self._step_all(gradients.values, rates / bias1, np.sqrt(bias2))
+            return
+        self._used = max(self._used, gradients.values.shape[1])
+        step_sizes, per_bias2 = torch.zeros(2, len(rates))
+        step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
+        self._coefficients[state.now % SETTLE_EVERY] = rates * np.sqrt(bias2) / bias1
+        constants = (*self._powers, step_sizes.numpy(), per_bias2.numpy())
+        small = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
+        arrays = (gradients.index.numpy(), gradients.values.numpy(), *self._arrays())
+        pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])
+        behind = state.now - self._settled
+        rho = np.float32(RHO)
+        write_drift(behind, state.now, len(rates), self._coefficients, rho, self._drift)
+        if behind >= SETTLE_EVERY - 1:
+            self.settle()
+
+    def catch_up(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
+        """Bring the parameters of candidates[first : first + count] up to date, for every span."""
+        if self.state.now == self._settled:
+            return
+        stride, values, first, second, _, clocks = self._arrays()
+        arrays = (candidates, self._used, stride, values, first, second, clocks)
+        pool.run(coast_candidates, [(*s, *arrays, self.state.now, self._drift, self._rho_powers) for s in _cut(spans)])
+
+    def settle(self) -> None:
+        """Bring every row up to date."""
+        state = self.state
+        if state.now == self._settled:
+            return
+        if self.is_sparse:
+            arrays = (self._used, *self._arrays(), state.now, self._drift, self._rho_powers, *self._powers)
+            pieces = pool.chunks(len(state), pool.get_threads())
+            pool.run(settle_rows, [(*piece, *arrays) for piece in pieces])
+        self._settled = state.now
+
+    def slack(self, iteration: int) -> tuple[float, float]:
+        """How far a row can be from its bounds: of the mean in world units, of the logarithm of a deviation."""
+        fastest = self.rates.position(max(iteration - SETTLE_EVERY, 0)) * self.extent
+        return MAX_COAST * fastest, MAX_COAST * self.rates.log_scale
+
+    def forget(self, name: str) -> None:
+        """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); all rows must be current."""
+        columns = self.state.column_of(name)
+        self.state.first[:, columns] = 0
+        self.state.second[:, columns] = 0
+
+    def _arrays(self):
+        """stride, then flat parameters and moments, bounds and clocks, as the kernels take them."""
+        state = self.state
+        flat = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
+        return (state.values.shape[1], *flat, state.bounds.numpy(), state.clocks.numpy())
+
+    def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Learning rate, 1 − β1^t and 1 − β2^t of each column."""
+        width = self.state.values.shape[1]
+        rates, steps = np.zeros(width), np.ones(width)
+        by_name = {
             "means": self.rates.position(iteration) * self.extent,
             "log_scales": self.rates.log_scale,
             "quats": self.rates.quaternion,
             "opacity_logits": self.rates.opacity,
-        }[name]
-        return np.full(columns, scalar)
+            "sh": self.rates.sh_rest,
+        }
+        for name, rate in by_name.items():
+            columns = self.state.column_of(name)
+            rates[columns], steps[columns] = rate, max(self.steps[name], 1)
+        start = self.state.column_of("sh").start
+        rates[start : start + self.state.channels] = self.rates.sh_dc
+        return rates, 1 - BETA1**steps, 1 - BETA2**steps
 
-    def keep(self, index: torch.Tensor) -> None:
-        """Follow a selection of Gaussians."""
-        self.first, self.second = self.first.select(index), self.second.select(index)
-
-    def append(self, added: Gaussians) -> None:
-        """New Gaussians begin with zero moments; step counts go on (3DGS, `cat_tensors_to_optimizer`)."""
-        self.first = concatenate([self.first, added.zeros_like()])
-        self.second = concatenate([self.second, added.zeros_like()])
-
-    def forget(self, name: str) -> None:
-        """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`)."""
-        getattr(self.first, name).zero_()
-        getattr(self.second, name).zero_()
+    @torch.no_grad()
+    def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:
+        values, first, second = self.state.values, self.state.first, self.state.second
+        sizes, bias = (torch.as_tensor(a, dtype=values.dtype, device=values.device) for a in (step_sizes, bias2_sqrt))
+        first.lerp_(grad, 1 - BETA1)
+        second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
+        values.sub_(sizes * first / (second.sqrt() / bias + EPS))
 
 
-@torch.no_grad()
-def _update(parameter, grad, first, second, rates: np.ndarray, step: int) -> None:
-    """One Adam step in place: the fused kernel for float32 on the CPU, torch elsewhere."""
-    step_sizes = rates / (1 - BETA1**step)
-    bias2_sqrt = math.sqrt(1 - BETA2**step)
-    if parameter.device.type == "cpu" and parameter.dtype == torch.float32:
-        arrays = [
-            t.detach().view(len(t), -1 if len(t) else 1).numpy() for t in (parameter, grad.contiguous(), first, second)
-        ]
-        adam_step(arrays, step_sizes.astype(np.float32), BETA1, BETA2, bias2_sqrt, EPS)
-        return
-    first.lerp_(grad, 1 - BETA1)
-    second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
-    sizes = torch.as_tensor(step_sizes, dtype=parameter.dtype, device=parameter.device)
-    sizes = sizes.view((1, *parameter.shape[1:]) if parameter.dim() > 1 else (1,))
-    parameter.sub_(sizes * first / (second.sqrt() / bias2_sqrt + EPS))
+def _cut(pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """As many pieces (first, count) as there are threads, if there is only one."""
+    if len(pieces) > 1:
+        return pieces
+    return [(pieces[0][0] + a, b - a) for a, b in pool.chunks(pieces[0][1], pool.get_threads())]

@@ -14,6 +14,7 @@ from tdgbench.splats.view import RenderedView
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 BACKENDS = ("auto", "reference", "cpu")
+NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
 
 
 def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> str:
@@ -38,9 +39,9 @@ def rasterization(
     width: int,
     height: int,
     *,
-    near_plane: float = 0.2,
-    far_plane: float = 1e10,
-    eps2d: float = 0.3,
+    near_plane: float = NEAR_PLANE,
+    far_plane: float = FAR_PLANE,
+    eps2d: float = EPS2D,
     sh_degree: int | None = None,
     backgrounds: Tensor | None = None,
     render_mode: str = "RGB",
@@ -116,9 +117,9 @@ def render_view(
     width: int,
     height: int,
     *,
-    near_plane: float = 0.2,
-    far_plane: float = 1e10,
-    eps2d: float = 0.3,
+    near_plane: float = NEAR_PLANE,
+    far_plane: float = FAR_PLANE,
+    eps2d: float = EPS2D,
     sh_degree: int | None = None,
     background: Tensor | None = None,
     depth: bool = False,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import torch
 
 from tdgbench.training.method import Method, Step
+from tdgbench.training.model import SplatModel
 
 LOG_LINES = 200
 
@@ -61,7 +62,7 @@ def train(method: Method, iterations: int, on_line: Callable[[LogLine], None] | 
             model.finish(iteration)
         if iteration % every == 0 or iteration in (1, iterations):
             for name, model in models.items():
-                _check_parameters(name, model.gaussians, iteration)
+                _check_parameters(name, model, iteration)
             psnr = _psnr(step)
             smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
             line = LogLine(
@@ -94,7 +95,8 @@ def _first_bad(step: Step) -> str:
     return f"loss term {bad[0]}" if bad else "loss"
 
 
-def _check_parameters(model: str, gaussians, iteration: int) -> None:
-    for name, tensor in gaussians.items():
-        if not torch.isfinite(tensor).all():
-            raise NonFiniteError(iteration, f"{model} {name}")
+def _check_parameters(name: str, model: SplatModel, iteration: int) -> None:
+    if not torch.isfinite(model.state.values.sum()):  # one pass; who it was is asked only when it must be
+        for parameter, tensor in model.gaussians.items():
+            if not torch.isfinite(tensor).all():
+                raise NonFiniteError(iteration, f"{name} {parameter}")

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.minmax import normalise, normalise_gradient
-from tdgbench.splats.cpu.photometric import l1_ssim_and_gradient
+from tdgbench.splats.cpu.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
+from tdgbench.splats.cpu.photometric import photometric_and_gradient
 from tdgbench.splats.cpu.smoothness import differences_and_gradient
 
 WINDOW, SIGMA = 11, 1.5
@@ -39,8 +39,11 @@ def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
 
 def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str) -> Tensor:
     """Thermal loss (TDg, eq. 5, after ThermalGaussian): L1, SSIM and smoothness in one of its readings."""
-    loss = photometric(image, target, lambda_ssim)
-    return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
+    if not _is_fused(image):
+        loss = photometric(image, target, lambda_ssim)
+        return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
+    wrap, value_scale, gradient_scale = _smoothness_scales(image, reading)
+    return _fused(image, target, 1 - lambda_ssim, lambda_ssim, wrap, lambda_smooth * value_scale, lambda_smooth * gradient_scale)
 
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
@@ -51,11 +54,28 @@ def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: 
         target = target.detach()
         error = (image - target).abs().mean()
         return l1_weight * error + dssim_weight * (1 - ssim_map(image, target).mean())
+    return _fused(image, target, l1_weight, dssim_weight)
+
+
+def _fused(
+    image: Tensor,
+    target: Tensor,
+    l1_weight: float,
+    dssim_weight: float,
+    wrap: bool = False,
+    smooth_value: float = 0.0,
+    smooth_gradient: float = 0.0,
+) -> Tensor:
+    """One pass for L1, SSIM and smoothness; raises ValueError if the shapes differ."""
+    if image.shape != target.shape:
+        raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
     other = _array(target)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
-        error, similarity, gradient = l1_ssim_and_gradient(a, other, l1_weight, -dssim_weight)
-        return l1_weight * error + dssim_weight * (1 - similarity), gradient
+        error, similarity, differences, gradient = photometric_and_gradient(
+            a, other, l1_weight, -dssim_weight, smooth_gradient, wrap
+        )
+        return l1_weight * error + dssim_weight * (1 - similarity) + smooth_value * differences, gradient
 
     return _ValueAndGradient.apply(image, compute)
 
@@ -78,20 +98,27 @@ def smoothness(image: Tensor, reading: str) -> Tensor:
     `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
     `reference` (ThermalGaussian's code): not divided by 4, neighbours wrap around at the border and are constants.
     """
-    if reading not in ("paper", "reference"):
-        raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    wrap, value_scale, gradient_scale = _smoothness_scales(image, reading)
     if not _is_fused(image):
         return _smoothness_in_torch(image, reading)
-    # Each pair is met from both sides. Constant neighbours halve the gradient.
-    wrap = reading == "reference"
-    value_scale = 2 / image.numel() if wrap else 2 / (4 * image.numel())
-    gradient_scale = np.float32(value_scale / 2 if wrap else value_scale)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
         total, gradient = differences_and_gradient(a, wrap)
-        return value_scale * total, gradient_scale * gradient
+        return value_scale * total, np.float32(gradient_scale) * gradient
 
     return _ValueAndGradient.apply(image, compute)
+
+
+def _smoothness_scales(image: Tensor, reading: str) -> tuple[bool, float, float]:
+    """Whether neighbours wrap around, and by what the sum over pairs and its gradient are multiplied.
+
+    Each pair is met from both sides. Constant neighbours halve the gradient.
+    """
+    if reading not in ("paper", "reference"):
+        raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    if reading == "reference":
+        return True, 2 / image.numel(), 1 / image.numel()
+    return False, 2 / (4 * image.numel()), 2 / (4 * image.numel())
 
 
 def min_max(values: Tensor) -> Tensor:
@@ -105,6 +132,15 @@ def min_max(values: Tensor) -> Tensor:
     if (high - low).item() < MIN_RANGE:
         return values * 0.0
     return (values - low) / (high - low)
+
+
+def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+    """1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha is not above min_alpha."""
+    if _is_fused(depth):
+        return _InverseDepth.apply(depth, transmittance, min_alpha)
+    alpha = 1.0 - transmittance
+    solid = alpha > min_alpha
+    return torch.where(solid, alpha / torch.where(solid, depth, 1.0), 0.0)
 
 
 def _is_fused(tensor: Tensor) -> bool:
@@ -167,3 +203,15 @@ class _MinMax(torch.autograd.Function):
         if ctx.normalised is None:
             return torch.zeros_like(grad)
         return torch.from_numpy(normalise_gradient(_array(grad), ctx.normalised, ctx.inverse_range))
+
+
+class _InverseDepth(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+        ctx.inputs = (_array(depth), _array(transmittance), min_alpha)
+        return torch.from_numpy(inverse_depth(*ctx.inputs))
+
+    @staticmethod
+    def backward(ctx, grad):
+        by_depth, by_transmittance = inverse_depth_gradient(_array(grad), *ctx.inputs)
+        return torch.from_numpy(by_depth), torch.from_numpy(by_transmittance), None

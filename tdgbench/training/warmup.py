@@ -25,7 +25,9 @@ def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
         start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
         for depth in (False, True):
+            model.begin(1)
             render = model.render(camera, depth=depth)
             loss = photometric(render.image, torch.zeros_like(render.image), 0.2)
             (loss if render.depth is None else loss + render.depth.mean()).backward()
-            model.optimizer.step(model.gaussians, 1)
+            model.finish(1)
+            model.optimizer.settle()

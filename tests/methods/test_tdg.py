@@ -50,7 +50,7 @@ def test_constant_maps(flat):
 def test_a_disparity_is_compared_with_a_disparity():
     depth = torch.rand(20, 20) * 5 + 1
     alpha = torch.rand(20, 20) * 0.5 + 0.5
-    render = Render(torch.zeros(20, 20, 1), 1 - alpha, alpha * depth, torch.zeros(0, 2), torch.zeros(0))
+    render = Render(torch.zeros(20, 20, 1), 1 - alpha, alpha * depth)
     assert torch.allclose(comparable_depth(render, "disparity"), 1 / depth)
     assert torch.equal(comparable_depth(render, "depth"), alpha * depth)
     assert torch.equal(comparable_depth(render, "metric"), alpha * depth)
@@ -59,7 +59,7 @@ def test_a_disparity_is_compared_with_a_disparity():
 
 def test_nothing_rendered_is_infinitely_far():
     alpha = torch.zeros(4, 4, requires_grad=True)
-    render = Render(torch.zeros(4, 4, 1), 1 - alpha, alpha * 0.0, torch.zeros(0, 2), torch.zeros(0))
+    render = Render(torch.zeros(4, 4, 1), 1 - alpha, alpha * 0.0)
     inverse = comparable_depth(render, "disparity")
     inverse.sum().backward()
     assert not inverse.any() and torch.isfinite(alpha.grad).all()

@@ -1,4 +1,9 @@
-"""One pass over parameter, gradient and both moments: Adam as torch.optim.Adam computes it (Kingma & Ba 2015)."""
+"""Adam (Kingma & Ba 2015) on rows that a step touched, exact for those it did not touch.
+
+An untouched row goes on moving: its moments fade, m ← β1 m and v ← β2 v, and it coasts by  c_s ρ^j m / √v  at the j-th
+such step s, with ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). Those steps are summed when the row is next
+looked at. What differs from torch.optim.Adam is rounding, and eps = 1e-15 beside a √v of that size while coasting.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +11,111 @@ import math
 
 import numpy as np
 
-from tdgbench.splats.cpu import pool
+from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import load, store
+from tdgbench.splats.cpu.simd import LANES, divide, splat, square_root
 
 F, U = np.float32, np.uint64
+ONE = F(1)
+TINY = F(1e-30)  # keeps 0 / 0 from being NaN where a parameter never had a gradient
+
+
+@kernel(inline=True)
+def note_bounds(bounds, i, row, parameters):
+    """What culling looks at: the mean and the largest logarithm of a deviation."""
+    for j in range(U(3)):
+        bounds[i, j] = parameters[row + j]
+    s = row + U(SCALES_AT)
+    bounds[i, U(3)] = max(parameters[s], max(parameters[s + U(1)], parameters[s + U(2)]))
 
 
 @kernel()
-def adam_values(start, stop, p, g, m, v, step_size, beta1, rest1, beta2, rest2, inverse_bias2, eps):
-    """Values [start, stop) of 1-D arrays; step_size is the learning rate over the bias correction, rest = 1 − beta."""
+def touched_rows(first, count, index, gradients, stride, parameters, first_moments, second_moments, bounds, clocks,
+                 now, powers1, powers2, step_sizes, per_bias2, rest1, rest2, eps):  # fmt: skip
+    """One step, the `now`-th, for the rows named by index[first : first + count].
+
+    gradients (rows, g) with g ≤ stride, columns beyond being zero; the others flat with `stride` floats a row; powers[k]
+    = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when the
+    moments and the parameters of a row were last brought up to date.
+    """
+    columns = gradients.shape[1]
+    flat = gradients.reshape(-1)
+    for r in range(U(first), U(first + count)):
+        i = U(index[r])
+        behind = U(now - clocks[i, U(0)])
+        fade1, fade2 = powers1[behind], powers2[behind]
+        row, source = i * U(stride), r * U(columns)
+        for j in range(0, columns, LANES):
+            g = load(flat, source + U(j))
+            o = row + U(j)
+            m = load(first_moments, o) * fade1 + g * rest1
+            v = load(second_moments, o) * fade2 + g * g * rest2
+            store(first_moments, o, m)
+            store(second_moments, o, v)
+            move = divide(m, square_root(v) * load(per_bias2, j) + eps) * load(step_sizes, j)
+            store(parameters, o, load(parameters, o) - move)
+        clocks[i, U(0)] = now
+        clocks[i, U(1)] = now
+        note_bounds(bounds, i, row, parameters)
+
+
+@kernel(inline=True)
+def coast(row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers):
+    """Move one row to where it is at `now`; its moments stay as they are."""
+    behind = now - clocks[i, U(1)]
+    faded = clocks[i, U(1)] - clocks[i, U(0)]
+    if behind > 0:
+        share = rho_powers[U(faded)]
+        for j in range(0, columns, LANES):
+            o = row + U(j)
+            speed = divide(load(first_moments, o), square_root(load(second_moments, o)) + TINY)
+            store(parameters, o, load(parameters, o) - speed * (load(drift, behind * stride + j) * share))
+    clocks[i, U(1)] = now
+
+
+@kernel()
+def coast_candidates(first, count, candidates, columns, stride, parameters, first_moments, second_moments, clocks, now,
+                     drift, rho_powers):  # fmt: skip
+    """Bring the parameters of candidates[first : first + count] up to date; `columns` of them are in use."""
+    for k in range(U(first), U(first + count)):
+        i = U(candidates[k])
+        if clocks[i, U(1)] < now:
+            coast(
+                i * U(stride), i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift,
+                rho_powers,
+            )  # fmt: skip
+
+
+@kernel()
+def settle_rows(start, stop, columns, stride, parameters, first_moments, second_moments, bounds, clocks, now, drift,
+                rho_powers, powers1, powers2):  # fmt: skip
+    """Bring parameters and moments of rows [start, stop) up to date."""
     for i in range(U(start), U(stop)):
-        m[i] = beta1 * m[i] + rest1 * g[i]
-        v[i] = beta2 * v[i] + rest2 * g[i] * g[i]
-        p[i] -= step_size * m[i] / (math.sqrt(v[i]) * inverse_bias2 + eps)
+        row = i * U(stride)
+        coast(
+            row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers
+        )  # fmt: skip
+        behind = U(now - clocks[i, U(0)])
+        if behind > U(0):
+            for j in range(0, columns, LANES):
+                o = row + U(j)
+                store(first_moments, o, load(first_moments, o) * powers1[behind])
+                store(second_moments, o, load(second_moments, o) * powers2[behind])
+        clocks[i, U(0)] = now
+        note_bounds(bounds, i, row, parameters)
 
 
 @kernel()
-def adam_rows(start, stop, parameter, grad, first, second, step_sizes, beta1, rest1, beta2, rest2, inverse_bias2, eps):
-    """Rows [start, stop) of 2-D arrays; step_sizes[c] belongs to column c."""
-    columns = parameter.shape[1]
-    for r in range(start, stop):
-        p, g, m, v = parameter[r], grad[r], first[r], second[r]
-        for c in range(U(columns)):
-            m[c] = beta1 * m[c] + rest1 * g[c]
-            v[c] = beta2 * v[c] + rest2 * g[c] * g[c]
-            p[c] -= step_sizes[c] * m[c] / (math.sqrt(v[c]) * inverse_bias2 + eps)
+def write_drift(count, now, stride, coefficients, rho, drift):
+    """drift[k] = Σ_{j=1..k} c_{now−k+j} ρ^j for k ≤ count: how far k untouched steps carry, in units of m / √v.
 
-
-def adam_step(arrays, step_sizes, beta1, beta2, bias2_sqrt, eps) -> None:
-    """Update parameter, gradient, first and second moment, float32 (rows, columns), in place on all threads."""
-    constants = (F(beta1), F(1 - beta1), F(beta2), F(1 - beta2), F(1 / bias2_sqrt), F(eps))
-    if (step_sizes == step_sizes[0]).all():
-        flat = [a.reshape(-1) for a in arrays]
-        pieces = pool.chunks(len(flat[0]), pool.get_threads())
-        pool.run(adam_values, [(a, b, *flat, step_sizes[0], *constants) for a, b in pieces])
-        return
-    pieces = pool.chunks(len(arrays[0]), pool.get_threads())
-    pool.run(adam_rows, [(a, b, *arrays, step_sizes, *constants) for a, b in pieces])
+    coefficients[s % len]: c of step s, for each column.
+    """
+    period = coefficients.shape[0]
+    for c in range(U(stride)):
+        drift[c] = F(0)
+    for k in range(U(1), U(count + 1)):
+        step = coefficients[U((now - np.int64(k) + 1) % period)]
+        for c in range(U(stride)):
+            drift[k * U(stride) + c] = rho * (step[c] + drift[(k - U(1)) * U(stride) + c])

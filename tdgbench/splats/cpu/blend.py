@@ -13,34 +13,22 @@ import functools
 import numpy as np
 from numba import int64
 
-from tdgbench.splats.cpu.binning import (
-    A_,
-    B_,
-    C_,
-    CHANNELS,
-    LOG2_MIN_ALPHA,
-    LOG2_OPACITY,
-    TILE,
-    U_,
-    V_,
-)
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
+from tdgbench.splats.cpu.records import A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.simd import (
     LANES,
     any_positive,
     exp2,
     greater_equal,
     lane_index,
-    load,
     maximum,
     minimum,
     negative_abs,
-    prefetch_row,
     select,
     splat,
-    store,
-    take_next,
 )
+from tdgbench.splats.cpu.tiles import TILE
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, DEAD = F(0), F(0.5), F(1), F(-0.0)
@@ -48,13 +36,6 @@ MAX_ALPHA, MIN_TRANSMITTANCE = F(0.99), F(1e-4)
 BLOCKS = TILE // LANES  # registers per row of a tile
 LOOK_AHEAD = 4
 CHECK_EVERY = 16
-
-
-@kernel(inline=True)
-def aligned_floats(count):
-    """`count` zeros that begin on a 64-byte boundary."""
-    raw = np.zeros(count + 16, np.float32)
-    return raw[((-raw.ctypes.data) & 63) >> 2 :]
 
 
 @kernel(inline=True)

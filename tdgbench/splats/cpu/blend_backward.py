@@ -16,7 +16,6 @@ import functools
 import numpy as np
 from numba import int64
 
-from tdgbench.splats.cpu.binning import A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, TILE, U_, V_
 from tdgbench.splats.cpu.blend import (
     BLOCKS,
     CHECK_EVERY,
@@ -27,10 +26,11 @@ from tdgbench.splats.cpu.blend import (
     MIN_TRANSMITTANCE,
     ONE,
     ZERO,
-    aligned_floats,
     row_alive,
 )
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
+from tdgbench.splats.cpu.records import A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.simd import (
     LANES,
     absolute,
@@ -42,17 +42,14 @@ from tdgbench.splats.cpu.simd import (
     lane_sum,
     lane_sums_of_8,
     less_equal,
-    load,
     maximum,
     minimum,
     negative_abs,
-    prefetch_row,
     reciprocal,
     select,
     splat,
-    store,
-    take_next,
 )
+from tdgbench.splats.cpu.tiles import TILE
 
 F, U = np.float32, np.uint64
 TWO = F(2)

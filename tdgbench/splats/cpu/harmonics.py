@@ -1,13 +1,13 @@
-"""Spherical-harmonics colours of one Gaussian and their gradients (the same basis as `tdgbench.splats.harmonics`)."""
+"""The basis of spherical harmonics and its gradient, LANES directions at a time (as `tdgbench.splats.harmonics`)."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from tdgbench.splats import harmonics
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import load, store
+from tdgbench.splats.cpu.simd import LANES, divide, splat, square_root
 
 F = np.float32
 C0, C1 = F(harmonics.C0), F(harmonics.C1)
@@ -18,74 +18,80 @@ _1, _2, _3, _4, _6, _8 = F(1), F(2), F(3), F(4), F(6), F(8)
 
 @kernel(inline=True)
 def view_direction(mx, my, mz, camera):
-    """Unit vector from the camera centre to the Gaussian, and the inverse of the distance."""
+    """Unit vectors from the camera centre to the Gaussians, and the inverse of the distance."""
     x = mx - camera[16]
     y = my - camera[17]
     z = mz - camera[18]
-    inverse = _1 / math.sqrt(x * x + y * y + z * z)
+    inverse = divide(_1, square_root(x * x + y * y + z * z))
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-@kernel()
+@kernel(inline=True)
 def write_basis(x, y, z, degree, b):
-    """b[k] = basis function k at the unit direction (x, y, z), for k < (degree + 1)²."""
-    b[0] = C0
+    """Register k of b = basis function k at the unit directions (x, y, z), for k < (degree + 1)²."""
+    store(b, 0, splat(C0))
     if degree >= 1:
-        b[1] = -C1 * y
-        b[2] = C1 * z
-        b[3] = -C1 * x
+        store(b, LANES, y * -C1)
+        store(b, 2 * LANES, C1 * z)
+        store(b, 3 * LANES, x * -C1)
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        b[4] = C20 * x * y
-        b[5] = C21 * y * z
-        b[6] = C22 * (_2 * zz - xx - yy)
-        b[7] = C23 * x * z
-        b[8] = C24 * (xx - yy)
+        store(b, 4 * LANES, C20 * x * y)
+        store(b, 5 * LANES, C21 * y * z)
+        store(b, 6 * LANES, C22 * (_2 * zz - xx - yy))
+        store(b, 7 * LANES, C23 * x * z)
+        store(b, 8 * LANES, C24 * (xx - yy))
         if degree >= 3:
-            b[9] = C30 * y * (_3 * xx - yy)
-            b[10] = C31 * x * y * z
-            b[11] = C32 * y * (_4 * zz - xx - yy)
-            b[12] = C33 * z * (_2 * zz - _3 * xx - _3 * yy)
-            b[13] = C34 * x * (_4 * zz - xx - yy)
-            b[14] = C35 * z * (xx - yy)
-            b[15] = C36 * x * (xx - _3 * yy)
+            store(b, 9 * LANES, C30 * y * (_3 * xx - yy))
+            store(b, 10 * LANES, C31 * x * y * z)
+            store(b, 11 * LANES, C32 * y * (_4 * zz - xx - yy))
+            store(b, 12 * LANES, C33 * z * (_2 * zz - _3 * xx - _3 * yy))
+            store(b, 13 * LANES, C34 * x * (_4 * zz - xx - yy))
+            store(b, 14 * LANES, C35 * z * (xx - yy))
+            store(b, 15 * LANES, C36 * x * (xx - _3 * yy))
 
 
-@kernel()
+@kernel(inline=True)
 def direction_gradient(x, y, z, degree, s):
-    """d(Σ_k s_k basis_k)/d(x, y, z)."""
-    gx = -C1 * s[3]
-    gy = -C1 * s[1]
-    gz = C1 * s[2]
+    """d(Σ_k s_k basis_k)/d(x, y, z); s_k is register k of s."""
+    s1, s2, s3 = load(s, LANES), load(s, 2 * LANES), load(s, 3 * LANES)
+    gx = s3 * -C1
+    gy = s1 * -C1
+    gz = C1 * s2
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        gx += C20 * y * s[4] - _2 * C22 * x * s[6] + C23 * z * s[7] + _2 * C24 * x * s[8]
-        gy += C20 * x * s[4] + C21 * z * s[5] - _2 * C22 * y * s[6] - _2 * C24 * y * s[8]
-        gz += C21 * y * s[5] + _4 * C22 * z * s[6] + C23 * x * s[7]
+        s4, s5, s6 = load(s, 4 * LANES), load(s, 5 * LANES), load(s, 6 * LANES)
+        s7, s8 = load(s, 7 * LANES), load(s, 8 * LANES)
+        gx += C20 * y * s4 - _2 * C22 * x * s6 + C23 * z * s7 + _2 * C24 * x * s8
+        gy += C20 * x * s4 + C21 * z * s5 - _2 * C22 * y * s6 - _2 * C24 * y * s8
+        gz += C21 * y * s5 + _4 * C22 * z * s6 + C23 * x * s7
         if degree >= 3:
+            s9, s10, s11 = load(s, 9 * LANES), load(s, 10 * LANES), load(s, 11 * LANES)
+            s12, s13, s14 = load(s, 12 * LANES), load(s, 13 * LANES), load(s, 14 * LANES)
+            s15 = load(s, 15 * LANES)
             gx += (
-                _6 * C30 * x * y * s[9]
-                + C31 * y * z * s[10]
-                - _2 * C32 * x * y * s[11]
-                - _6 * C33 * x * z * s[12]
-                + C34 * (_4 * zz - _3 * xx - yy) * s[13]
-                + _2 * C35 * x * z * s[14]
-                + _3 * C36 * (xx - yy) * s[15]
+                _6 * C30 * x * y * s9
+                + C31 * y * z * s10
+                - _2 * C32 * x * y * s11
+                - _6 * C33 * x * z * s12
+                + C34 * (_4 * zz - _3 * xx - yy) * s13
+                + _2 * C35 * x * z * s14
+                + _3 * C36 * (xx - yy) * s15
             )
             gy += (
-                _3 * C30 * (xx - yy) * s[9]
-                + C31 * x * z * s[10]
-                + C32 * (_4 * zz - xx - _3 * yy) * s[11]
-                - _6 * C33 * y * z * s[12]
-                - _2 * C34 * x * y * s[13]
-                - _2 * C35 * y * z * s[14]
-                - _6 * C36 * x * y * s[15]
+                _3 * C30 * (xx - yy) * s9
+                + C31 * x * z * s10
+                + C32 * (_4 * zz - xx - _3 * yy) * s11
+                - _6 * C33 * y * z * s12
+                - _2 * C34 * x * y * s13
+                - _2 * C35 * y * z * s14
+                - _6 * C36 * x * y * s15
             )
             gz += (
-                C31 * x * y * s[10]
-                + _8 * C32 * y * z * s[11]
-                + C33 * (_6 * zz - _3 * xx - _3 * yy) * s[12]
-                + _8 * C34 * x * z * s[13]
-                + C35 * (xx - yy) * s[14]
+                C31 * x * y * s10
+                + _8 * C32 * y * z * s11
+                + C33 * (_6 * zz - _3 * xx - _3 * yy) * s12
+                + _8 * C34 * x * z * s13
+                + C35 * (xx - yy) * s14
             )
     return gx, gy, gz

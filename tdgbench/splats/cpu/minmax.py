@@ -82,3 +82,41 @@ def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: 
     out = np.empty_like(grad)
     pool.run(spread_rows, [(*band, grad, normalised, *shares, out) for band in bands])
     return out
+
+
+@kernel()
+def inverse_rows(start, stop, depth, transmittance, min_alpha, out):
+    """out = alpha / accumulated depth, the inverse of the expected depth; 0 where alpha ≤ min_alpha."""
+    for y in range(start, stop):
+        d, t, target = depth[y], transmittance[y], out[y]
+        for x in range(U(d.shape[0])):
+            alpha = ONE - t[x]
+            target[x] = alpha / d[x] if alpha > min_alpha else F(0)
+
+
+@kernel()
+def inverse_gradient_rows(start, stop, grad, depth, transmittance, min_alpha, grad_depth, grad_transmittance):
+    """d(alpha / depth): −alpha / depth² by the depth, −1 / depth by the transmittance."""
+    for y in range(start, stop):
+        g, d, t, by_d, by_t = grad[y], depth[y], transmittance[y], grad_depth[y], grad_transmittance[y]
+        for x in range(U(d.shape[0])):
+            alpha = ONE - t[x]
+            pull = g[x] / d[x] if alpha > min_alpha else F(0)
+            by_t[x] = -pull
+            by_d[x] = -pull * alpha / d[x] if alpha > min_alpha else F(0)
+
+
+def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float) -> np.ndarray:
+    """Map (H, W) of inverse expected depths."""
+    out = np.empty_like(depth)
+    bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
+    pool.run(inverse_rows, [(*band, depth, transmittance, F(min_alpha), out) for band in bands])
+    return out
+
+
+def inverse_depth_gradient(grad, depth, transmittance, min_alpha: float) -> tuple[np.ndarray, np.ndarray]:
+    """The gradients by depth and by transmittance, given that by the inverse depth."""
+    out = np.empty_like(depth), np.empty_like(depth)
+    bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
+    pool.run(inverse_gradient_rows, [(*band, grad, depth, transmittance, F(min_alpha), *out) for band in bands])
+    return out

@@ -1,7 +1,7 @@
 """L1 and mean SSIM of two images and their gradient, fused (SSIM: 11×11 Gaussian window, sigma 1.5, zero padding).
 
 Images are (rows, columns × channels), channels interleaved: neighbours in a row lie `channels` floats apart, so one
-kernel serves every channel count. With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
+kernel serves every channel count. A band of rows is streamed: the last eleven rows of everything stay in the cache. With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
 first image is  G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
 """
 
@@ -11,9 +11,10 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.smoothness import difference_row
 
 F, U = np.float32, np.uint64
-RADIUS = 5
+RADIUS, TAPS = 5, 11
 _weights = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
 W0, W1, W2, W3, W4, W5 = (F(w) for w in (_weights / _weights.sum())[:6])
 ZERO, ONE, TWO = F(0), F(1), F(2)
@@ -34,10 +35,13 @@ def along_row(line, x, c):
 
 
 @kernel()
-def across_rows(rows, out):
-    """out = the window across 11 rows."""
-    r0, r1, r2, r3, r4, r5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    r6, r7, r8, r9, r10 = rows[6], rows[7], rows[8], rows[9], rows[10]
+def across_rows(ring, field, centre, out):
+    """out = the window across rows centre − 5 … centre + 5, row y standing at ring[y mod 11]."""
+    first = centre + 2 * TAPS - RADIUS
+    r0, r1, r2 = ring[first % TAPS, field], ring[(first + 1) % TAPS, field], ring[(first + 2) % TAPS, field]
+    r3, r4, r5 = ring[(first + 3) % TAPS, field], ring[(first + 4) % TAPS, field], ring[(first + 5) % TAPS, field]
+    r6, r7, r8 = ring[(first + 6) % TAPS, field], ring[(first + 7) % TAPS, field], ring[(first + 8) % TAPS, field]
+    r9, r10 = ring[(first + 9) % TAPS, field], ring[(first + 10) % TAPS, field]
     for x in range(U(out.shape[0])):
         out[x] = (
             W5 * r5[x]
@@ -49,109 +53,127 @@ def across_rows(rows, out):
         )
 
 
-@kernel(free_sums=True)
-def filter_rows(start, stop, a, b, channels, moments, l1_sums):
-    """moments (5, rows + 10, columns): a, b, a², b², ab filtered along rows [start, stop). l1_sums[y] = Σ |a − b|."""
-    n = a.shape[1]
+@kernel()
+def moments_of_row(ra, rb, channels, line, out):
+    """out (5, columns) = a, b, a², b², ab filtered along the row; line (5, padded columns) is room to work in."""
+    n = ra.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
-    line = np.zeros((5, n + 2 * RADIUS * channels), np.float32)
     l0, l1, l2, l3, l4 = line[0], line[1], line[2], line[3], line[4]
-    for y in range(start, stop):
-        ra, rb = a[y], b[y]
-        total = ZERO
+    for x in range(U(n)):
+        p, q = ra[x], rb[x]
+        l0[x + pad] = p
+        l1[x + pad] = q
+        l2[x + pad] = p * p
+        l3[x + pad] = q * q
+        l4[x + pad] = p * q
+    for k in range(5):
+        source, target = line[k], out[k]
         for x in range(U(n)):
-            total += abs(ra[x] - rb[x])
-        l1_sums[y] = total
-        for x in range(U(n)):
-            p, q = ra[x], rb[x]
-            l0[x + pad] = p
-            l1[x + pad] = q
-            l2[x + pad] = p * p
-            l3[x + pad] = q * q
-            l4[x + pad] = p * q
-        for k in range(5):
-            source, out = line[k], moments[k, y + RADIUS]
-            for x in range(U(n)):
-                out[x] = along_row(source, x, c)
+            target[x] = along_row(source, x, c)
 
 
 @kernel(free_sums=True)
-def similarity_rows(start, stop, moments, channels, derivatives, sums):
-    """sums[y] = Σ SSIM of row y; derivatives (3, rows + 10, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], row-filtered."""
-    n = moments.shape[2]
+def similarity_of_row(filtered, channels, line, values, out):
+    """Σ SSIM of a row, given its five moments; out (3, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along it."""
+    n = values.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
-    filtered = np.empty((5, n), np.float32)
-    line = np.zeros((3, n + 2 * RADIUS * channels), np.float32)
     f0, f1, f2, f3, f4 = filtered[0], filtered[1], filtered[2], filtered[3], filtered[4]
     l0, l1, l2 = line[0], line[1], line[2]
-    values = np.empty(n, np.float32)
-    for y in range(start, stop):
-        for k in range(5):
-            across_rows(moments[k, y : y + 11], filtered[k])
+    for x in range(U(n)):
+        mu_a, mu_b = f0[x], f1[x]
+        var_a, var_b, cov = f2[x] - mu_a * mu_a, f3[x] - mu_b * mu_b, f4[x] - mu_a * mu_b
+        light = TWO * mu_a * mu_b + C1
+        structure = TWO * cov + C2
+        inv_light = ONE / (mu_a * mu_a + mu_b * mu_b + C1)
+        inv_structure = ONE / (var_a + var_b + C2)
+        s = light * structure * inv_light * inv_structure
+        values[x] = s
+        d_aa = -s * inv_structure
+        d_ab = TWO * light * inv_light * inv_structure
+        l0[x + pad] = (
+            TWO * mu_b * structure * inv_light * inv_structure
+            - TWO * mu_a * s * inv_light
+            - TWO * mu_a * d_aa
+            - mu_b * d_ab
+        )
+        l1[x + pad] = d_aa
+        l2[x + pad] = d_ab
+    total = ZERO
+    for x in range(U(n)):
+        total += values[x]
+    for k in range(3):
+        source, target = line[k], out[k]
         for x in range(U(n)):
-            mu_a, mu_b = f0[x], f1[x]
-            var_a, var_b, cov = f2[x] - mu_a * mu_a, f3[x] - mu_b * mu_b, f4[x] - mu_a * mu_b
-            light = TWO * mu_a * mu_b + C1
-            structure = TWO * cov + C2
-            inv_light = ONE / (mu_a * mu_a + mu_b * mu_b + C1)
-            inv_structure = ONE / (var_a + var_b + C2)
-            s = light * structure * inv_light * inv_structure
-            values[x] = s
-            d_aa = -s * inv_structure
-            d_ab = TWO * light * inv_light * inv_structure
-            l0[x + pad] = (
-                TWO * mu_b * structure * inv_light * inv_structure
-                - TWO * mu_a * s * inv_light
-                - TWO * mu_a * d_aa
-                - mu_b * d_ab
-            )
-            l1[x + pad] = d_aa
-            l2[x + pad] = d_ab
-        total = ZERO
-        for x in range(U(n)):
-            total += values[x]
-        sums[y] = total
-        for k in range(3):
-            source, out = line[k], derivatives[k, y + RADIUS]
-            for x in range(U(n)):
-                out[x] = along_row(source, x, c)
+            target[x] = along_row(source, x, c)
+    return total
 
 
 @kernel(free_sums=True)
-def gradient_rows(start, stop, a, b, derivatives, l1_scale, ssim_scale, gradient):
-    """gradient = l1_scale · sign(a − b) + ssim_scale · dS/da."""
-    n = a.shape[1]
-    filtered = np.empty((3, n), np.float32)
+def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
+    """Σ |a − b| of a row; out = l1_scale · sign(a − b) + ssim_scale · dS/da."""
+    n = ra.shape[0]
     f0, f1, f2 = filtered[0], filtered[1], filtered[2]
-    for y in range(start, stop):
+    total = ZERO
+    for x in range(U(n)):
+        total += abs(ra[x] - rb[x])
+    for x in range(U(n)):
+        d = ra[x] - rb[x]
+        sign = l1_scale if d > ZERO else (-l1_scale if d < ZERO else ZERO)
+        out[x] = sign + ssim_scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
+    return total
+
+
+@kernel()
+def photometric_band(start, stop, a, b, channels, l1_scale, ssim_scale, smooth_scale, wrap, gradient, sums):
+    """Rows [start, stop) of the gradient; sums[y] = Σ |a − b|, Σ SSIM and Σ neighbour differences of row y."""
+    rows, n = a.shape
+    padded = n + 2 * RADIUS * channels
+    line, slope_line = np.zeros((5, padded), np.float32), np.zeros((3, padded), np.float32)
+    moments, slopes = np.zeros((TAPS, 5, n), np.float32), np.zeros((TAPS, 3, n), np.float32)
+    filtered, values = np.empty((5, n), np.float32), np.empty(n, np.float32)
+    for y in range(start - 2 * RADIUS, stop + 2 * RADIUS):
+        here = (y + 2 * TAPS) % TAPS
+        if y >= 0 and y < rows:
+            moments_of_row(a[y], b[y], channels, line, moments[here])
+        else:
+            moments[here, :, :] = ZERO
+        s = y - RADIUS
+        if s < start - RADIUS:
+            continue
+        here = (s + 2 * TAPS) % TAPS
+        if s >= 0 and s < rows:
+            for k in range(5):
+                across_rows(moments, k, s, filtered[k])
+            total = similarity_of_row(filtered, channels, slope_line, values, slopes[here])
+            if s >= start and s < stop:
+                sums[s, 1] = total
+        else:
+            slopes[here, :, :] = ZERO
+        g = s - RADIUS
+        if g < start:
+            continue
         for k in range(3):
-            across_rows(derivatives[k, y : y + 11], filtered[k])
-        ra, rb, out = a[y], b[y], gradient[y]
-        for x in range(U(n)):
-            d = ra[x] - rb[x]
-            sign = l1_scale if d > ZERO else (-l1_scale if d < ZERO else ZERO)
-            out[x] = sign + ssim_scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
+            across_rows(slopes, k, g, filtered[k])
+        sums[g, 0] = gradient_of_row(a[g], b[g], filtered, l1_scale, ssim_scale, gradient[g])
+        if smooth_scale != ZERO:
+            sums[g, 2] = difference_row(g, a, channels, wrap, smooth_scale, gradient[g])
 
 
-def l1_ssim_and_gradient(
-    a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float
-) -> tuple[float, float, np.ndarray]:
-    """L1, mean SSIM, and the gradient by the first image of l1_weight · L1 + ssim_weight · SSIM.
+def photometric_and_gradient(
+    a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float, smooth_scale: float = 0.0, wrap: bool = False
+) -> tuple[float, float, float, np.ndarray]:
+    """L1, mean SSIM, Σ |differences of neighbours in a| (0 unless asked for), and a gradient by a.
 
-    Images are float32 (H, W, C), contiguous, in [0, 1].
+    The gradient is that of l1_weight · L1 + ssim_weight · SSIM, plus smooth_scale · that of the sum of differences
+    (see `tdgbench.splats.cpu.smoothness`). Images are float32 (H, W, C), contiguous, in [0, 1].
     """
     height, width, channels = a.shape
-    columns = width * channels
-    flat_a, flat_b = a.reshape(height, columns), b.reshape(height, columns)
-    moments = np.zeros((5, height + 2 * RADIUS, columns), np.float32)
-    derivatives = np.zeros((3, height + 2 * RADIUS, columns), np.float32)
-    gradient = np.empty((height, columns), np.float32)
-    ssim_sums, l1_sums = np.empty(height, np.float64), np.empty(height, np.float64)
+    flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
+    gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
+    scales = F(l1_weight / a.size), F(ssim_weight / a.size), F(smooth_scale)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    scales = F(l1_weight / a.size), F(ssim_weight / a.size)
-    pool.run(filter_rows, [(*band, flat_a, flat_b, channels, moments, l1_sums) for band in bands])
-    pool.run(similarity_rows, [(*band, moments, channels, derivatives, ssim_sums) for band in bands])
-    pool.run(gradient_rows, [(*band, flat_a, flat_b, derivatives, *scales, gradient) for band in bands])
-    return float(l1_sums.sum() / a.size), float(ssim_sums.sum() / a.size), gradient.reshape(a.shape)
+    pool.run(photometric_band, [(*band, flat_a, flat_b, channels, *scales, wrap, gradient, sums) for band in bands])
+    error, similarity, differences = sums.sum(axis=0).tolist()
+    return error / a.size, similarity / a.size, differences, gradient.reshape(a.shape)

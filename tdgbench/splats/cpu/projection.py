@@ -1,4 +1,4 @@
-"""Projection of one 3-D Gaussian to a 2-D one (EWA splatting; Zwicker et al. 2001, as used by 3DGS).
+"""Projection of 3-D Gaussians to 2-D ones (EWA splatting; Zwicker et al. 2001, as used by 3DGS), LANES at a time.
 
 The camera is one float32 array: [0:12] the rows of world-to-camera [R | t], [12:16] fx fy cx cy, [16:19] camera
 centre, [19] near, [20] far, [21] eps2d, [22] width, [23] height. Pixel centres lie at whole numbers + 1/2.
@@ -11,50 +11,85 @@ import math
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import gather
+from tdgbench.splats.cpu.simd import divide, exp2, log2, maximum, minimum, splat, square_root
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 CAMERA_SIZE = 24
+LOG2_E = F(math.log2(math.e))
+LARGEST_EXPONENT = F(126)
 
 
 @kernel(inline=True)
-def camera_point(i, means, camera):
+def exponential(x):
+    """e^x, held within 2^±126."""
+    return exp2(minimum(maximum(x * LOG2_E, -LARGEST_EXPONENT), LARGEST_EXPONENT))
+
+
+@kernel(inline=True)
+def deviations(scales, rows, k, stride, column, raw):
+    """Standard deviations along the three axes; `raw` stores their natural logarithms."""
+    s0 = gather(scales, rows, k, stride, column)
+    s1 = gather(scales, rows, k, stride, column + 1)
+    s2 = gather(scales, rows, k, stride, column + 2)
+    if raw:
+        s0, s1, s2 = exponential(s0), exponential(s1), exponential(s2)
+    return s0, s1, s2
+
+
+@kernel(inline=True)
+def opacity_and_log2(opacities, rows, k, stride, column, raw):
+    """Opacity and its log2; `raw` stores the logit: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
+    opacity = gather(opacities, rows, k, stride, column)
+    if raw:
+        inverse = exponential(ZERO - opacity) + ONE
+        opacity = divide(ONE, inverse)
+        logarithm = ZERO - log2(inverse)
+    else:
+        logarithm = log2(opacity)
+    return opacity, logarithm
+
+
+@kernel(inline=True)
+def camera_point(mx, my, mz, camera):
     """The mean in camera coordinates."""
-    mx, my, mz = means[i, 0], means[i, 1], means[i, 2]
-    x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[3]
-    y = camera[4] * mx + camera[5] * my + camera[6] * mz + camera[7]
-    z = camera[8] * mx + camera[9] * my + camera[10] * mz + camera[11]
+    x = mx * camera[0] + my * camera[1] + mz * camera[2] + camera[3]
+    y = mx * camera[4] + my * camera[5] + mz * camera[6] + camera[7]
+    z = mx * camera[8] + my * camera[9] + mz * camera[10] + camera[11]
     return x, y, z
 
 
 @kernel(inline=True)
-def rotation(i, quats):
-    """Rows of the rotation matrix of the normalised quaternion (wxyz), and 1 / |quaternion|."""
-    w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-    n = ONE / math.sqrt(w * w + x * x + y * y + z * z)
+def rotation(w, x, y, z):
+    """Rows of the rotation matrix of a quaternion, its normalised parts, and 1 / |quaternion|."""
+    n = divide(ONE, square_root(w * w + x * x + y * y + z * z))
     w, x, y, z = w * n, x * n, y * n, z * n
-    return (
-        (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y)),
-        (TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x)),
-        (TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y)),
-        n,
-    )
+    r0 = (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y))
+    r1 = (TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x))
+    r2 = (TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y))
+    return r0, r1, r2, (w, x, y, z), n
+
+
+@kernel(inline=True)
+def ray_limits(camera):
+    """Where viewing rays are clamped: 1.3 × the field of view, where the linearisation would explode (3DGS)."""
+    fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
+    margin_x, margin_y = F(0.15) * camera[22] / fx, F(0.15) * camera[23] / fy
+    return -cx / fx - margin_x, (camera[22] - cx) / fx + margin_x, -cy / fy - margin_y, (camera[23] - cy) / fy + margin_y
 
 
 @kernel(inline=True)
 def clamped_ray(x, y, rz, camera):
-    """tan of the viewing ray, clamped to 1.3 × the field of view where the linearisation would explode (3DGS)."""
-    fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
-    margin_x, margin_y = F(0.15) * camera[22] / fx, F(0.15) * camera[23] / fy
-    tx = min((camera[22] - cx) / fx + margin_x, max(-cx / fx - margin_x, x * rz))
-    ty = min((camera[23] - cy) / fy + margin_y, max(-cy / fy - margin_y, y * rz))
-    return tx, ty
+    """tan of the viewing ray, clamped."""
+    left, right, top, bottom = ray_limits(camera)
+    return minimum(maximum(x * rz, left), right), minimum(maximum(y * rz, top), bottom)
 
 
 @kernel(inline=True)
 def jacobian_rows(tx, ty, rz, camera):
     """Rows of J·R: how u and v move with the mean in world coordinates."""
-    sx, sy = camera[12] * rz, camera[13] * rz
+    sx, sy = rz * camera[12], rz * camera[13]
     ja = (
         sx * (camera[0] - tx * camera[8]),
         sx * (camera[1] - tx * camera[9]),
@@ -79,12 +114,6 @@ def along_axes(j, r0, r1, r2):
 
 
 @kernel(inline=True)
-def scaled(v, i, scales):
-    """v times the Gaussian's standard deviations, axis by axis."""
-    return v[0] * scales[i, 0], v[1] * scales[i, 1], v[2] * scales[i, 2]
-
-
-@kernel(inline=True)
 def covariance_2d(p, q, eps2d):
     """Image covariance [[a, b], [b, c]] of the scaled axes p, q, and its determinant.
 
@@ -96,18 +125,24 @@ def covariance_2d(p, q, eps2d):
     k0 = p[1] * q[2] - p[2] * q[1]
     k1 = p[2] * q[0] - p[0] * q[2]
     k2 = p[0] * q[1] - p[1] * q[0]
-    det = k0 * k0 + k1 * k1 + k2 * k2 + eps2d * (pp + qq) + eps2d * eps2d
+    det = k0 * k0 + k1 * k1 + k2 * k2 + (pp + qq) * eps2d + eps2d * eps2d
     return pp + eps2d, b, qq + eps2d, det
 
 
 @kernel(inline=True)
-def screen_radius(a, c, det, u, v, camera):
-    """3DGS's radius (px): 3 σ of the longer axis, rounded up; 0 if its square misses the grid of 16×16 tiles.
+def long_axis(a, c, det):
+    """3 σ of the longer axis of an image covariance, in px (3DGS)."""
+    mid = HALF * (a + c)
+    return F(3) * square_root(mid + square_root(maximum(mid * mid - det, splat(F(0.1)))))
+
+
+@kernel(inline=True)
+def screen_radius(reach, u, v, camera):
+    """3DGS's radius (px, scalars): `long_axis` rounded up; 0 if its square misses the grid of 16×16 tiles.
 
     Density control counts a Gaussian as seen when this is above zero, whatever its opacity.
     """
-    mid = HALF * (a + c)
-    radius = math.ceil(F(3) * math.sqrt(mid + math.sqrt(max(F(0.1), mid * mid - det))))
+    radius = math.ceil(reach)
     width = F(16) * math.ceil(camera[22] / F(16))
     height = F(16) * math.ceil(camera[23] / F(16))
     x, y = u - HALF, v - HALF  # 3DGS counts pixel centres as whole numbers

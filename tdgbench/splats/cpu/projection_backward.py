@@ -1,41 +1,60 @@
 """From a Gaussian's gradient slots back to its parameters: blend moments → 2-D Gaussian → EWA → mean, scale, rotation.
 
-The derivatives are exact, those of the clamped ray included (3DGS's CUDA code treats the clamp as a constant).
+The derivatives are exact, those of the clamped ray included (3DGS's CUDA code treats the clamp as a constant). Only
+Gaussians that some pixel looked at get a row of gradients; LANES of them are worked on at a time.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 
-from tdgbench.splats.cpu.binning import CHANNELS, OPACITY
-from tdgbench.splats.cpu.blend_backward import slot_size
+from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.harmonics import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import aligned_floats, gather, load, put_column, store
 from tdgbench.splats.cpu.projection import (
     along_axes,
     camera_point,
     clamped_ray,
     covariance_2d,
+    deviations,
     jacobian_rows,
     rotation,
-    scaled,
 )
+from tdgbench.splats.cpu.records import CHANNELS, OPACITY, RADIUS, RECORD
+from tdgbench.splats.cpu.simd import LANES, divide, equal, greater, select, splat
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 LN_2 = F(math.log(2))
+MAX_SLOT = 12  # floats: six moments, four channels, two absolute sums
 
 
 @kernel(inline=True)
-def conic_to_covariance(gx, gy, gz, x, y, z):
-    """Gradient of the covariance (a, b, c) from that of its inverse (x, y, z): −M G M, b standing for both corners."""
-    h = HALF * gy
-    t00, t01 = gx * x + h * y, gx * y + h * z
-    t10, t11 = h * x + gz * y, h * y + gz * z
-    return -(x * t00 + y * t10), -TWO * (x * t01 + y * t11), -(y * t01 + z * t11)
+def whitened(w_u, w_v, p, q, eps2d, inverse):
+    """M w for the inverse M of the image covariance Σ_l a_l a_lᵀ + eps I, a_l = (p_l, q_l) being its scaled axes.
+
+    adj(a aᵀ) w = (a⊥ · w) a⊥ with a⊥ = (q, −p): an axis adds nothing to its own product. Written so, a needle's long
+    axis loses no digits, where the entries of M would cancel.
+    """
+    c0, c1, c2 = q[0] * w_u - p[0] * w_v, q[1] * w_u - p[1] * w_v, q[2] * w_u - p[2] * w_v
+    u = c0 * q[0] + c1 * q[1] + c2 * q[2] + eps2d * w_u
+    v = eps2d * w_v - (c0 * p[0] + c1 * p[1] + c2 * p[2])
+    return u * inverse, v * inverse
+
+
+@kernel(inline=True)
+def axis_gradient(y, s, g, cx, cy, cz):
+    """Gradient of a scaled axis a = s w and of its length s, given y = M w and the gradient g (xx, xy, yy) of M.
+
+    dΣ = a daᵀ + da aᵀ and dM = −M dΣ M:  dL/da = −2 M G (M a),  dL/ds = w · dL/da = −2 s yᵀ G y.
+    """
+    z_u, z_v = g[0] * y[0] + g[1] * y[1], g[1] * y[0] + g[2] * y[1]
+    of_length = -TWO * s * (y[0] * z_u + y[1] * z_v)
+    scale = -TWO * s
+    return scale * (cx * z_u + cy * z_v), scale * (cy * z_u + cz * z_v), of_length
 
 
 @kernel(inline=True)
@@ -49,140 +68,188 @@ def quaternion_gradient(w, x, y, z, n, g0, g1, g2):
     return (dw - dot * w) * n, (dx - dot * x) * n, (dy - dot * y) * n, (dz - dot * z) * n
 
 
-@functools.cache
-def make_projection_backward(channels: int, absgrad: bool):
-    """The kernel for 1 to 4 blended channels (depth counted as one)."""
-    size = slot_size(channels, absgrad)
+@kernel()
+def projection_backward(
+    first, count, owners, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
+    depth_channel, records, pairs, written, slots, slot_size, absgrad, stride, touched, gradients, image_gradients,
+):  # fmt: skip
+    """Gradients of records [first, first + count), for those that any pixel looked at; returns how many rows that is.
 
-    @kernel()
-    def projection_backward(
-        start, stop, means, scales, quats, colors, degree, camera, depth_channel, records, offsets, written, slots,
-        grad_means, grad_scales, grad_quats, grad_opacities, grad_colors, grad_means2d, abs_means2d,
-    ):  # fmt: skip
-        """Gradients of Gaussians [start, stop). The outputs come in as zeros; untouched Gaussians stay so."""
-        n_colors = U(colors.shape[2])
-        total = np.empty(size, np.float32)
-        basis = np.zeros(16, np.float32)
-        pull = np.zeros(16, np.float32)
-        for i_ in range(start, stop):
-            i = U(i_)
-            touched = False
-            for j in range(U(size)):
-                total[j] = ZERO
-            for slot_ in range(offsets[i], offsets[i + U(1)]):
+    Rows are written from `first` on: touched (the Gaussian), gradients (means, scales, quats, opacity, colours, zeros
+    up to `stride`), image_gradients (d/du, d/dv, with absgrad Σ |d/du|, Σ |d/dv| over the pixels, and the radius).
+    """
+    total, basis = aligned_floats(MAX_SLOT * LANES), aligned_floats(16 * LANES)
+    pull = aligned_floats(16 * LANES)
+    own = np.empty(MAX_SLOT, np.float32)
+    place = np.zeros(LANES, np.int32)  # the records of the group
+    n_bases = (degree + 1) * (degree + 1) if degree >= 0 else 1
+    used = COLORS_AT + n_bases * channels
+    zero = splat(ZERO)
+    done, filled = first, 0
+    r = first
+    while r < first + count or filled > 0:
+        if r < first + count:
+            looked_at = False
+            for j in range(U(slot_size)):
+                own[j] = ZERO
+            for slot_ in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
                 slot = U(slot_)
-                if written[slot] == 0:
-                    continue
-                touched = True
-                for j in range(U(size)):
-                    total[j] += slots[slot * U(size) + j]
-            if not touched:
+                if written[slot] != 0:
+                    looked_at = True
+                    for j in range(U(slot_size)):
+                        own[j] += slots[slot * U(slot_size) + j]
+            if looked_at:
+                for j in range(U(slot_size)):
+                    total[j * U(LANES) + U(filled)] = own[j]
+                place[filled] = r
+                touched[U(done + filled)] = owners[U(r)]
+                filled += 1
+            r += 1
+            if filled < LANES and r < first + count:
                 continue
-            grad_opacities[i] = total[0] / records[i, OPACITY]
+        if filled == 0:
+            break
+        for lane in range(filled, LANES):  # an unfinished group repeats its first record; nobody reads those rows
+            place[lane] = place[0]
+            touched[U(done + lane)] = touched[U(done)]
 
-            x, y, z = camera_point(i, means, camera)
-            rz = ONE / z
-            tx, ty = clamped_ray(x, y, rz, camera)
-            r0, r1, r2, n = rotation(i, quats)
-            ja, jb = jacobian_rows(tx, ty, rz, camera)
-            p_unit = along_axes(ja, r0, r1, r2)
-            q_unit = along_axes(jb, r0, r1, r2)
-            p, q = scaled(p_unit, i, scales), scaled(q_unit, i, scales)
-            a, b, c, det = covariance_2d(p, q, camera[21])
-            cx, cy, cz = c / det, -b / det, a / det
+        mx = gather(means, touched, done, layout[0], layout[1])
+        my = gather(means, touched, done, layout[0], layout[1] + 1)
+        mz = gather(means, touched, done, layout[0], layout[1] + 2)
+        s0, s1, s2 = deviations(scales, touched, done, layout[2], layout[3], raw)
+        r0, r1, r2, unit, n = rotation(
+            gather(quats, touched, done, layout[4], layout[5]),
+            gather(quats, touched, done, layout[4], layout[5] + 1),
+            gather(quats, touched, done, layout[4], layout[5] + 2),
+            gather(quats, touched, done, layout[4], layout[5] + 3),
+        )
+        opacity = gather(records, place, 0, RECORD, OPACITY)
+        t0 = load(total, 0)
+        t1, t2 = load(total, LANES), load(total, 2 * LANES)
+        t3, t4, t5 = load(total, 3 * LANES), load(total, 4 * LANES), load(total, 5 * LANES)
+        if raw:
+            put_column(gradients, done, stride, OPACITY_AT, t0 * (ONE - opacity))
+        else:
+            put_column(gradients, done, stride, OPACITY_AT, divide(t0, opacity))
 
-            gu = cx * total[1] + cy * total[2]
-            gv = cz * total[2] + cy * total[1]
-            grad_means2d[i, 0] = gu
-            grad_means2d[i, 1] = gv
-            if absgrad:
-                abs_means2d[i, 0] = LN_2 * total[size - 2]
-                abs_means2d[i, 1] = LN_2 * total[size - 1]
-            ga, gb, gc = conic_to_covariance(-HALF * total[3], -total[4], -HALF * total[5], cx, cy, cz)
-            gp = (
-                (TWO * ga * p[0] + gb * q[0]) * scales[i, 0],
-                (TWO * ga * p[1] + gb * q[1]) * scales[i, 1],
-                (TWO * ga * p[2] + gb * q[2]) * scales[i, 2],
-            )
-            gq = (
-                (TWO * gc * q[0] + gb * p[0]) * scales[i, 0],
-                (TWO * gc * q[1] + gb * p[1]) * scales[i, 1],
-                (TWO * gc * q[2] + gb * p[2]) * scales[i, 2],
-            )
-            grad_scales[i, 0] = (TWO * ga * p[0] + gb * q[0]) * p_unit[0] + (TWO * gc * q[0] + gb * p[0]) * q_unit[0]
-            grad_scales[i, 1] = (TWO * ga * p[1] + gb * q[1]) * p_unit[1] + (TWO * gc * q[1] + gb * p[1]) * q_unit[1]
-            grad_scales[i, 2] = (TWO * ga * p[2] + gb * q[2]) * p_unit[2] + (TWO * gc * q[2] + gb * p[2]) * q_unit[2]
-            g0 = (
-                ja[0] * gp[0] + jb[0] * gq[0],
-                ja[0] * gp[1] + jb[0] * gq[1],
-                ja[0] * gp[2] + jb[0] * gq[2],
-            )
-            g1 = (
-                ja[1] * gp[0] + jb[1] * gq[0],
-                ja[1] * gp[1] + jb[1] * gq[1],
-                ja[1] * gp[2] + jb[1] * gq[2],
-            )
-            g2 = (
-                ja[2] * gp[0] + jb[2] * gq[0],
-                ja[2] * gp[1] + jb[2] * gq[1],
-                ja[2] * gp[2] + jb[2] * gq[2],
-            )
-            dw, dx, dy, dz = quaternion_gradient(
-                quats[i, 0] * n, quats[i, 1] * n, quats[i, 2] * n, quats[i, 3] * n, n, g0, g1, g2
-            )
-            grad_quats[i, 0] = dw
-            grad_quats[i, 1] = dx
-            grad_quats[i, 2] = dy
-            grad_quats[i, 3] = dz
+        x, y, z = camera_point(mx, my, mz, camera)
+        rz = divide(ONE, z)
+        tx, ty = clamped_ray(x, y, rz, camera)
+        ja, jb = jacobian_rows(tx, ty, rz, camera)
+        p_unit, q_unit = along_axes(ja, r0, r1, r2), along_axes(jb, r0, r1, r2)
+        p = (p_unit[0] * s0, p_unit[1] * s1, p_unit[2] * s2)
+        q = (q_unit[0] * s0, q_unit[1] * s1, q_unit[2] * s2)
+        a, b, c, det = covariance_2d(p, q, camera[21])
+        inverse = divide(ONE, det)
+        cx, cy, cz = c * inverse, ZERO - b * inverse, a * inverse
 
-            gja0 = r0[0] * gp[0] + r0[1] * gp[1] + r0[2] * gp[2]
-            gja1 = r1[0] * gp[0] + r1[1] * gp[1] + r1[2] * gp[2]
-            gja2 = r2[0] * gp[0] + r2[1] * gp[1] + r2[2] * gp[2]
-            gjb0 = r0[0] * gq[0] + r0[1] * gq[1] + r0[2] * gq[2]
-            gjb1 = r1[0] * gq[0] + r1[1] * gq[1] + r1[2] * gq[2]
-            gjb2 = r2[0] * gq[0] + r2[1] * gq[1] + r2[2] * gq[2]
-            fx, fy = camera[12], camera[13]
-            sx, sy = fx * rz, fy * rz
-            gsx = (gja0 * ja[0] + gja1 * ja[1] + gja2 * ja[2]) / sx
-            gsy = (gjb0 * jb[0] + gjb1 * jb[1] + gjb2 * jb[2]) / sy
-            gtx = -sx * (gja0 * camera[8] + gja1 * camera[9] + gja2 * camera[10])
-            gty = -sy * (gjb0 * camera[8] + gjb1 * camera[9] + gjb2 * camera[10])
-            g_rz = fx * gsx + fy * gsy + fx * x * gu + fy * y * gv
-            gx, gy = sx * gu, sy * gv
-            if tx == x * rz:
-                gx += gtx * rz
-                g_rz += gtx * x
-            if ty == y * rz:
-                gy += gty * rz
-                g_rz += gty * y
-            gz = -g_rz * rz * rz
-            if depth_channel:
-                gz += total[6 + channels - 1]
+        gu = cx * t1 + cy * t2
+        gv = cz * t2 + cy * t1
+        put_column(image_gradients, done, 5, 0, gu)
+        put_column(image_gradients, done, 5, 1, gv)
+        if absgrad:
+            put_column(image_gradients, done, 5, 2, LN_2 * load(total, (slot_size - 2) * LANES))
+            put_column(image_gradients, done, 5, 3, LN_2 * load(total, (slot_size - 1) * LANES))
+        put_column(image_gradients, done, 5, 4, gather(records, place, 0, RECORD, RADIUS))
+        moments = (-HALF * t3, -HALF * t4, -HALF * t5)
+        y0 = whitened(p_unit[0], q_unit[0], p, q, camera[21], inverse)
+        y1 = whitened(p_unit[1], q_unit[1], p, q, camera[21], inverse)
+        y2 = whitened(p_unit[2], q_unit[2], p, q, camera[21], inverse)
+        h0, k0, g_s0 = axis_gradient(y0, s0, moments, cx, cy, cz)
+        h1, k1, g_s1 = axis_gradient(y1, s1, moments, cx, cy, cz)
+        h2, k2, g_s2 = axis_gradient(y2, s2, moments, cx, cy, cz)
+        if raw:
+            g_s0, g_s1, g_s2 = g_s0 * s0, g_s1 * s1, g_s2 * s2
+        put_column(gradients, done, stride, SCALES_AT, g_s0)
+        put_column(gradients, done, stride, SCALES_AT + 1, g_s1)
+        put_column(gradients, done, stride, SCALES_AT + 2, g_s2)
+        gp = (h0 * s0, h1 * s1, h2 * s2)
+        gq = (k0 * s0, k1 * s1, k2 * s2)
+        g0 = (ja[0] * gp[0] + jb[0] * gq[0], ja[0] * gp[1] + jb[0] * gq[1], ja[0] * gp[2] + jb[0] * gq[2])
+        g1 = (ja[1] * gp[0] + jb[1] * gq[0], ja[1] * gp[1] + jb[1] * gq[1], ja[1] * gp[2] + jb[1] * gq[2])
+        g2 = (ja[2] * gp[0] + jb[2] * gq[0], ja[2] * gp[1] + jb[2] * gq[1], ja[2] * gp[2] + jb[2] * gq[2])
+        dw, dx, dy, dz = quaternion_gradient(unit[0], unit[1], unit[2], unit[3], n, g0, g1, g2)
+        put_column(gradients, done, stride, QUATS_AT, dw)
+        put_column(gradients, done, stride, QUATS_AT + 1, dx)
+        put_column(gradients, done, stride, QUATS_AT + 2, dy)
+        put_column(gradients, done, stride, QUATS_AT + 3, dz)
 
-            dir_x, dir_y, dir_z = ZERO, ZERO, ZERO
-            if degree < 0:
-                for ch in range(n_colors):
-                    grad_colors[i, U(0), ch] = total[U(6) + ch]
-            else:
-                vx, vy, vz, inverse = view_direction(means[i, 0], means[i, 1], means[i, 2], camera)
-                write_basis(vx, vy, vz, degree, basis)
-                n_bases = U((degree + 1) * (degree + 1))
+        gja0 = r0[0] * gp[0] + r0[1] * gp[1] + r0[2] * gp[2]
+        gja1 = r1[0] * gp[0] + r1[1] * gp[1] + r1[2] * gp[2]
+        gja2 = r2[0] * gp[0] + r2[1] * gp[1] + r2[2] * gp[2]
+        gjb0 = r0[0] * gq[0] + r0[1] * gq[1] + r0[2] * gq[2]
+        gjb1 = r1[0] * gq[0] + r1[1] * gq[1] + r1[2] * gq[2]
+        gjb2 = r2[0] * gq[0] + r2[1] * gq[1] + r2[2] * gq[2]
+        fx, fy = camera[12], camera[13]
+        sx, sy = fx * rz, fy * rz
+        gsx = divide(gja0 * ja[0] + gja1 * ja[1] + gja2 * ja[2], sx)
+        gsy = divide(gjb0 * jb[0] + gjb1 * jb[1] + gjb2 * jb[2], sy)
+        gtx = -sx * (gja0 * camera[8] + gja1 * camera[9] + gja2 * camera[10])
+        gty = -sy * (gjb0 * camera[8] + gjb1 * camera[9] + gjb2 * camera[10])
+        gtx, gty = select(equal(tx, x * rz), gtx, zero), select(equal(ty, y * rz), gty, zero)  # zero where clamped
+        gx, gy = sx * gu + gtx * rz, sy * gv + gty * rz
+        g_rz = fx * gsx + fy * gsy + fx * x * gu + fy * y * gv + gtx * x + gty * y
+        gz = -g_rz * rz * rz
+        if depth_channel:
+            gz = gz + load(total, (6 + channels) * LANES)
+        gx, gy, gz = (
+            gx * camera[0] + gy * camera[4] + gz * camera[8],
+            gx * camera[1] + gy * camera[5] + gz * camera[9],
+            gx * camera[2] + gy * camera[6] + gz * camera[10],
+        )
+
+        if degree < 0:
+            for ch in range(channels):
+                put_column(gradients, done, stride, COLORS_AT + ch, load(total, (6 + ch) * LANES))
+        else:
+            vx, vy, vz, per_distance = view_direction(mx, my, mz, camera)
+            write_basis(vx, vy, vz, degree, basis)
+            for k in range(n_bases):
+                store(pull, k * LANES, zero)
+            for ch in range(channels):
+                lit = greater(gather(records, place, 0, RECORD, CHANNELS + ch), zero)  # else held at zero
+                g = select(lit, load(total, (6 + ch) * LANES), zero)
                 for k in range(n_bases):
-                    pull[k] = ZERO
-                for ch in range(n_colors):
-                    if records[i, U(CHANNELS) + ch] > ZERO:
-                        g = total[U(6) + ch]
-                        for k in range(n_bases):
-                            grad_colors[i, k, ch] = basis[k] * g
-                            pull[k] += colors[i, k, ch] * g
-                if degree > 0:
-                    gdx, gdy, gdz = direction_gradient(vx, vy, vz, degree, pull)
-                    dot = gdx * vx + gdy * vy + gdz * vz
-                    dir_x = (gdx - dot * vx) * inverse
-                    dir_y = (gdy - dot * vy) * inverse
-                    dir_z = (gdz - dot * vz) * inverse
-            grad_means[i, 0] = camera[0] * gx + camera[4] * gy + camera[8] * gz + dir_x
-            grad_means[i, 1] = camera[1] * gx + camera[5] * gy + camera[9] * gz + dir_y
-            grad_means[i, 2] = camera[2] * gx + camera[6] * gy + camera[10] * gz + dir_z
+                    put_column(gradients, done, stride, COLORS_AT + k * channels + ch, load(basis, k * LANES) * g)
+                    coefficient = gather(colors, touched, done, layout[8], layout[9] + k * channels + ch)
+                    store(pull, k * LANES, load(pull, k * LANES) + coefficient * g)
+            if degree > 0:
+                gdx, gdy, gdz = direction_gradient(vx, vy, vz, degree, pull)
+                dot = gdx * vx + gdy * vy + gdz * vz
+                gx = gx + (gdx - dot * vx) * per_distance
+                gy = gy + (gdy - dot * vy) * per_distance
+                gz = gz + (gdz - dot * vz) * per_distance
+        put_column(gradients, done, stride, MEANS_AT, gx)
+        put_column(gradients, done, stride, MEANS_AT + 1, gy)
+        put_column(gradients, done, stride, MEANS_AT + 2, gz)
+        for column in range(used, stride):
+            put_column(gradients, done, stride, column, zero)
+        done += filled
+        filled = 0
+    return done - first
 
-    return projection_backward
+
+@kernel()
+def scatter_gradients(first, count, touched, gradients, means, scales, quats, opacities, colors):
+    """Spread rows over dense arrays (N, 3), (N, 3), (N, 4), (N,), (N, colours), which come in as zeros."""
+    for r in range(U(first), U(first + count)):
+        i = U(touched[r])
+        row = gradients[r]
+        for j in range(U(3)):
+            means[i, j] = row[U(MEANS_AT) + j]
+            scales[i, j] = row[U(SCALES_AT) + j]
+        for j in range(U(4)):
+            quats[i, j] = row[U(QUATS_AT) + j]
+        opacities[i] = row[U(OPACITY_AT)]
+        for j in range(U(colors.shape[1])):
+            colors[i, j] = row[U(COLORS_AT) + j]
+
+
+@kernel()
+def scatter_projected(first, count, seen, radii, means2d, all_radii, all_means2d):
+    """Spread what was projected over dense arrays (N,) and (N, 2)."""
+    for r in range(U(first), U(first + count)):
+        i = U(seen[r])
+        all_radii[i] = radii[r]
+        all_means2d[i, U(0)] = means2d[r, U(0)]
+        all_means2d[i, U(1)] = means2d[r, U(1)]

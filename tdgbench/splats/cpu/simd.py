@@ -18,7 +18,7 @@ from tdgbench.splats.cpu.jit import lanes
 
 LANES = lanes()
 
-_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+FLOATS = ir.VectorType(ir.FloatType(), LANES)
 _INTS = ir.VectorType(ir.IntType(32), LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
 _FAST = ("contract", "nsz", "nnan", "arcp")
@@ -39,7 +39,7 @@ class _VectorModel(models.PrimitiveModel):
         super().__init__(manager, vector_type, vector_type.llvm_type)
 
 
-vec = _VectorType("vec", _FLOATS)
+vec = _VectorType("vec", FLOATS)
 mask = _VectorType("mask", _BITS)
 
 
@@ -48,7 +48,7 @@ def _is_operand(t: types.Type) -> bool:
 
 
 def _broadcast(builder, scalar):
-    empty = ir.Constant(_FLOATS, ir.Undefined)
+    empty = ir.Constant(FLOATS, ir.Undefined)
     first = builder.insert_element(empty, scalar, _INDEX(0))
     return builder.shuffle_vector(first, empty, ir.Constant(_INTS, [0] * LANES))
 
@@ -58,7 +58,7 @@ def _as_vector(builder, value, value_type):
 
 
 def _constant(value: float) -> ir.Constant:
-    return ir.Constant(_FLOATS, [ir.FloatType()(float(np.float32(value)))] * LANES)
+    return ir.Constant(FLOATS, [ir.FloatType()(float(np.float32(value)))] * LANES)
 
 
 def _shuffle(builder, a, b, index):
@@ -101,6 +101,16 @@ for _operator, _function in (
     _overload_operator(_operator, _function)
 
 
+@intrinsic
+def _negate(typing_context, x):
+    return vec(vec), lambda context, builder, signature, args: builder.fneg(args[0], flags=_FAST)
+
+
+@overload(operator.neg)
+def _negative(x):
+    return (lambda x: _negate(x)) if x == vec else None
+
+
 def _comparison(predicate: str):
     @intrinsic
     def operation(typing_context, x, y):
@@ -113,7 +123,7 @@ def _comparison(predicate: str):
     return operation
 
 
-greater_equal, greater, less_equal = _comparison(">="), _comparison(">"), _comparison("<=")
+greater_equal, greater, less_equal, equal = (_comparison(p) for p in (">=", ">", "<=", "=="))
 
 
 def _extremum(predicate: str):
@@ -155,7 +165,7 @@ def negative_abs(typing_context, x):
 
     def generate(context, builder, signature, args):
         bits = builder.or_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [-(2**31)] * LANES))
-        return builder.bitcast(bits, _FLOATS)
+        return builder.bitcast(bits, FLOATS)
 
     return vec(vec), generate
 
@@ -166,7 +176,7 @@ def absolute(typing_context, x):
 
     def generate(context, builder, signature, args):
         bits = builder.and_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [2**31 - 1] * LANES))
-        return builder.bitcast(bits, _FLOATS)
+        return builder.bitcast(bits, FLOATS)
 
     return vec(vec), generate
 
@@ -181,34 +191,7 @@ def splat(typing_context, x):
 def lane_index(typing_context):
     """0, 1, 2, … LANES − 1."""
     ramp = [ir.FloatType()(float(i)) for i in range(LANES)]
-    return vec(), lambda context, builder, signature, args: ir.Constant(_FLOATS, ramp)
-
-
-def _address(context, builder, array_type, array, index):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _FLOATS.as_pointer())
-
-
-@intrinsic
-def load(typing_context, array, index):
-    """LANES floats from a 1-D float32 array, at an offset aligned to the register."""
-
-    def generate(context, builder, signature, args):
-        return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=4 * LANES)
-
-    return vec(array, index), generate
-
-
-@intrinsic
-def store(typing_context, array, index, value):
-    """LANES floats into a 1-D float32 array, at an offset aligned to the register."""
-
-    def generate(context, builder, signature, args):
-        target = _address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], target, align=4 * LANES)
-        return context.get_dummy_value()
-
-    return types.void(array, index, vec), generate
+    return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
 
 
 @intrinsic
@@ -228,14 +211,67 @@ def exp2(typing_context, x):
         for coefficient in (0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007):
             product = builder.fmul(result, rest, flags=exact)
             result = builder.fadd(product, _constant(coefficient), flags=exact)
-        return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), _FLOATS)
+        return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
 
     return vec(vec), generate
 
 
 @intrinsic
+def log2(typing_context, x):
+    """log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 elsewhere.
+
+    x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹.
+    """
+
+    def generate(context, builder, signature, args):
+        exact = ("contract",)
+        root_half = ir.Constant(_INTS, [0x3F3504F3] * LANES)  # the bits of √½
+        bits = builder.sub(builder.bitcast(args[0], _INTS), root_half)
+        exponent = builder.ashr(bits, ir.Constant(_INTS, [23] * LANES))
+        shift = builder.shl(exponent, ir.Constant(_INTS, [23] * LANES))
+        m = builder.bitcast(builder.sub(builder.bitcast(args[0], _INTS), shift), FLOATS)
+        one = _constant(1.0)
+        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
+        square = builder.fmul(s, s)
+        series = _constant(1 / 9)
+        for k in (7, 5, 3):
+            series = builder.fadd(builder.fmul(series, square, flags=exact), _constant(1 / k), flags=exact)
+        scaled = builder.fmul(s, _constant(2.8853900817779268))
+        tail = builder.fmul(builder.fmul(series, square), scaled)
+        whole = builder.sitofp(exponent, FLOATS)
+        return builder.fadd(whole, builder.fadd(scaled, tail))
+
+    return vec(vec), generate
+
+
+@intrinsic
+def square_root(typing_context, x):
+    """√x, correctly rounded."""
+
+    def generate(context, builder, signature, args):
+        name = f"llvm.sqrt.v{LANES}f32"
+        function = builder.module.globals.get(name) or ir.Function(
+            builder.module, ir.FunctionType(FLOATS, [FLOATS]), name
+        )
+        return builder.call(function, [args[0]])
+
+    return vec(vec), generate
+
+
+@intrinsic
+def divide(typing_context, x, y):
+    """x / y, correctly rounded."""
+
+    def generate(context, builder, signature, args):
+        a, b = (_as_vector(builder, v, t) for v, t in zip(args, signature.args, strict=True))
+        return builder.fdiv(a, b)
+
+    return vec(x, y), generate
+
+
+@intrinsic
 def reciprocal(typing_context, x):
-    """1 / x."""
+    """1 / x, to a rounding error or two."""
     flags = ("arcp", "afn", "contract", "nnan", "nsz", "ninf", "reassoc")
     return vec(vec), lambda context, builder, signature, args: builder.fdiv(_constant(1.0), args[0], flags=flags)
 
@@ -301,40 +337,3 @@ def lane_sums_of_8(typing_context, v0, v1, v2, v3, v4, v5, v6, v7):
         return _shuffle(builder, total, total, places + [0] * (LANES - 8))
 
     return vec(*[vec] * 8), generate
-
-
-@intrinsic
-def take_next(typing_context, counter):
-    """Atomically counter[0]++, returning the old value: hands out work to threads that run without the GIL."""
-
-    def generate(context, builder, signature, args):
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, ir.IntType(64)(1), "monotonic")
-
-    return types.int64(counter), generate
-
-
-@intrinsic
-def float_bits(typing_context, x):
-    """The bits of a float32 as int32; for positive floats their order is the order of the numbers."""
-    return types.int32(types.float32), lambda context, builder, signature, args: builder.bitcast(
-        args[0], ir.IntType(32)
-    )
-
-
-@intrinsic
-def prefetch_row(typing_context, array, row):
-    """Ask for row `row` (unsigned) of a 2-D array to be brought into the cache."""
-
-    def generate(context, builder, signature, args):
-        struct = context.make_array(signature.args[0])(context, builder, args[0])
-        stride = builder.extract_value(struct.strides, 0)
-        address = builder.add(builder.ptrtoint(struct.data, ir.IntType(64)), builder.mul(args[1], stride))
-        pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
-        name = "llvm.prefetch.p0"
-        signature_ = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
-        function = builder.module.globals.get(name) or ir.Function(builder.module, signature_, name)
-        builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
-        return context.get_dummy_value()
-
-    return types.void(array, row), generate

@@ -1,0 +1,88 @@
+"""Render Gaussians in training, so that gradients come back as rows: through autograd, or past it on the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.cpu import backend as cpu
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_backend, render_view
+from tdgbench.splats.state import TrainingState
+
+Collect = Callable[[Gradients], None]
+
+
+def render_state(
+    state: TrainingState,
+    optimizer: Adam,
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    *,
+    degree: int,
+    depth: bool,
+    iteration: int,
+    backend: str,
+    collect: Collect,
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Image (H, W, C), depth (H, W) or None, transmittance (H, W), before black, as `render_view` gives them.
+
+    The backward pass calls collect(Gradients) once it is through. viewmat (4, 4), K (3, 3).
+    """
+    like = state.values
+    if choose_backend(backend, like.device, like.dtype) == "cpu":
+        return _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect)
+    optimizer.settle()
+    rows = like.detach()
+    if torch.is_grad_enabled():
+        rows = rows.requires_grad_()
+    gaussians = state.split(rows)
+    view = render_view(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        torch.as_tensor(viewmat).to(like), torch.as_tensor(K).to(like), width, height,
+        sh_degree=degree, depth=depth, backend=backend,
+    )  # fmt: skip
+    if rows.requires_grad:
+        rows.register_hook(lambda grad: collect(_dense(grad, view)))
+    return view.image, view.depth, view.transmittance
+
+
+def _dense(grad, view) -> Gradients:
+    assert view.means2d.grad is not None
+    return Gradients.dense(grad, view.means2d.grad, view.radii)
+
+
+def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect):
+    values = state.values.numpy().reshape(-1)
+    stride = state.values.shape[1]
+    columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
+    layout = np.array([n for column in columns for n in (stride, column)], np.int64)
+    bounds = state.bounds.numpy().reshape(-1)
+    slack, growth = optimizer.slack(iteration)
+    source = cpu.Source(
+        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.catch_up
+    )
+    settings = cpu.Settings(
+        camera=cpu.pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),
+        width=width,
+        height=height,
+        degree=degree,
+        depth_channel=depth,
+        background=np.zeros(state.channels, np.float32),
+    )
+
+    def deliver(rows, done) -> None:
+        index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
+        seen, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
+        owner = (rows.lease, done.lease)
+        collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, owner))
+
+    image, depth_map, transmittance = cpu.render_rows(source, settings, deliver)
+    return image, depth_map if depth else None, transmittance

@@ -1,0 +1,128 @@
+"""What every Gaussian carries through training: a row of parameters, its two moments, and when they were last moved."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.gaussians import Gaussians
+
+GROWTH = 1.5  # of the room, when it is used up; memory that was never written costs nothing
+
+
+class TrainingState:
+    """N Gaussians as rows (N, columns): means, log_scales, quats, opacity_logits, then sh; each row whole cache lines.
+
+    `first` and `second` are Adam's moments in the same layout. Room grows ahead of need, so that Gaussians come and go
+    without copying the others.
+    """
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
+        self.columns = COLORS_AT + self.bases * self.channels
+        self.count = count
+        like = gaussians.means.detach()
+        shape = (max(count, 1), padded(self.columns))
+        self._values, self._first, self._second = (like.new_zeros(shape) for _ in range(3))
+        self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
+        self.now = 0  # the optimiser's steps so far
+        self.values[:] = self.rows_of(gaussians)
+        self._bounds = _bounds_of(self._values)
+
+    def __len__(self) -> int:
+        return self.count
+
+    @property
+    def values(self) -> Tensor:
+        """(N, columns) parameters."""
+        return self._values[: self.count]
+
+    @property
+    def first(self) -> Tensor:
+        return self._first[: self.count]
+
+    @property
+    def second(self) -> Tensor:
+        return self._second[: self.count]
+
+    @property
+    def bounds(self) -> Tensor:
+        """(N, 4): mean and largest log scale when a row was last moved, for culling."""
+        return self._bounds[: self.count]
+
+    @property
+    def clocks(self) -> Tensor:
+        """(N, 2) int32: the optimiser's step up to which moments and parameters are current."""
+        return self._clocks[: self.count]
+
+    def split(self, rows: Tensor) -> Gaussians:
+        """Rows (n, columns) seen as the five tensors of Gaussians; they share memory and gradients."""
+        return Gaussians(
+            means=rows[:, MEANS_AT:SCALES_AT],
+            log_scales=rows[:, SCALES_AT:QUATS_AT],
+            quats=rows[:, QUATS_AT:OPACITY_AT],
+            opacity_logits=rows[:, OPACITY_AT],
+            sh=rows[:, COLORS_AT : self.columns].unflatten(1, (self.bases, self.channels)),
+        )
+
+    def rows_of(self, gaussians: Gaussians) -> Tensor:
+        """Gaussians as rows of this layout."""
+        rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
+        for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
+            part[1].copy_(given[1].detach())
+        return rows
+
+    def column_of(self, name: str) -> slice:
+        """Where a parameter stands in a row."""
+        ends = {
+            "means": (MEANS_AT, SCALES_AT),
+            "log_scales": (SCALES_AT, QUATS_AT),
+            "quats": (QUATS_AT, OPACITY_AT),
+            "opacity_logits": (OPACITY_AT, COLORS_AT),
+            "sh": (COLORS_AT, self.columns),
+        }[name]
+        return slice(*ends)
+
+    def used_columns(self, degree: int) -> int:
+        """How many columns, in whole cache lines, have ever had a gradient while harmonics up to `degree` were used."""
+        return min(padded(COLORS_AT + (degree + 1) ** 2 * self.channels), self._values.shape[1])
+
+    def exchange(self, removed: Tensor, added: Tensor) -> None:
+        """Take away the rows at `removed` (ascending) and put in new ones (n, columns), whose moments are zero.
+
+        All rows must be current. New rows take the places of removed ones first; then they go to the end, or rows from
+        the end fill the places that are left.
+        """
+        gone, new = len(removed), len(added)
+        self._make_room(self.count + max(new - gone, 0))
+        end = self.count + new - gone
+        places = torch.cat([removed[:new], torch.arange(self.count, max(end, self.count), device=removed.device)])
+        for own, rows in ((self._values, added), (self._bounds, _bounds_of(added))):
+            own[places] = rows
+        for own in (self._first, self._second):
+            own[places] = 0
+        if end < self.count:
+            holes = removed[new:]
+            stays = torch.ones(self.count - end, dtype=torch.bool, device=holes.device)
+            stays[holes[holes >= end] - end] = False
+            last = stays.nonzero().squeeze(1) + end
+            for own in (self._values, self._bounds, self._first, self._second):
+                own[holes[holes < end]] = own[last]
+        self.count = end
+        self._clocks[:end] = self.now
+
+    def _make_room(self, count: int) -> None:
+        if count <= len(self._values):
+            return
+        room = int(count * GROWTH)
+        for name in ("_values", "_first", "_second", "_bounds", "_clocks"):
+            old = getattr(self, name)
+            larger = old.new_empty(room, old.shape[1])
+            larger[: self.count] = old[: self.count]
+            setattr(self, name, larger)
+            del old, larger
+
+
+def _bounds_of(rows: Tensor) -> Tensor:
+    return torch.cat([rows[:, MEANS_AT:SCALES_AT], rows[:, SCALES_AT:QUATS_AT].amax(dim=1, keepdim=True)], dim=1)
