@@ -29,7 +29,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.loop import NonFiniteError, TrainingLog, train
-from tdgbench.training.method import Context, Method
+from tdgbench.training.method import Context, Method, training_device
 from tdgbench.training.warmup import compile_kernels
 
 OVERWRITE = ("only-missing", "always", "never")
@@ -161,7 +161,7 @@ def _train(
     record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
     record.convention, record.iterations = scorer.convention, budget.iterations
     record.views = {"train": len(scene.train), "test": len(scene.test)}
-    record.backend = choose_backend(cfg.backend.name, torch.device("cpu"), torch.float32)
+    record.backend = choose_backend(cfg.backend.name, training_device(cfg.backend.name), torch.float32)
     with stages("images"):  # all of them, so that training does not pay for it and a broken one stops the cell now
         for view in scene.views:
             _ = view.thermal

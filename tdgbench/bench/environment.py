@@ -16,7 +16,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd import LANES
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core")
+PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core", "gsplat")
 CODE_OF_A_RESULT = (
     "tdgbench/scenes",
     "tdgbench/priors",

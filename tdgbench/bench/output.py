@@ -45,7 +45,7 @@ def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple
         (folder / sub).mkdir()
     results = []
     for view in views:
-        render = method.render(view.camera)
+        render = method.render(view.camera).cpu()
         assert render.depth is not None
         image = to_8bit(render.image.cpu().numpy())
         for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):

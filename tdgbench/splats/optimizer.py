@@ -77,7 +77,7 @@ class Adam:
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
         self._coefficients[state.now % SETTLE_EVERY] = rates * np.sqrt(bias2) / bias1
-        constants = (*self._powers, step_sizes.numpy(), per_bias2.numpy())
+        constants = (self._drift, self._rho_powers, *self._powers, step_sizes.numpy(), per_bias2.numpy())
         small = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
         arrays = (gradients.index.numpy(), gradients.values.numpy(), *self._arrays())
         pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])

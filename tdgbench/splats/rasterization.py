@@ -7,24 +7,30 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tdgbench.splats import reference
+from tdgbench.splats import cuda, reference
 from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.harmonics import num_bases
 from tdgbench.splats.view import RenderedView
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
-BACKENDS = ("auto", "reference", "cpu")
+BACKENDS = ("auto", "reference", "cpu", "cuda")
 NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
 
 
 def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> str:
-    """What `auto` means: float32 on the CPU goes to `cpu`, everything else to the slow but general `reference`."""
+    """What `auto` means: float32 goes to `cpu` or `cuda` by its device, everything else to the general `reference`.
+
+    Raises ValueError if a backend cannot take such tensors, RuntimeError if it cannot run here.
+    """
     if backend not in BACKENDS:
         raise ValueError(f"backend is {backend!r}; it must be one of {', '.join(BACKENDS)}")
     if backend == "auto":
-        return "cpu" if device.type == "cpu" and dtype == torch.float32 else "reference"
-    if backend == "cpu" and (device.type != "cpu" or dtype != torch.float32):
-        raise ValueError(f"backend cpu takes float32 tensors on the CPU, not {dtype} on {device}; use 'reference'")
+        return device.type if device.type in ("cpu", "cuda") and dtype == torch.float32 else "reference"
+    if backend in ("cpu", "cuda") and (device.type != backend or dtype != torch.float32):
+        where = "the CPU" if backend == "cpu" else "a CUDA GPU"
+        raise ValueError(f"backend {backend} takes float32 tensors on {where}, not {dtype} on {device}; use 'reference'")
+    if backend == "cuda" and (reason := cuda.why_not()) is not None:
+        raise RuntimeError(f"backend cuda cannot run: {reason}")
     return backend
 
 
@@ -65,7 +71,7 @@ def rasterization(
         render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that divided by alpha),
             "RGB+D", "RGB+ED" (depth is the last channel).
         absgrad: also sum the absolute image gradients per Gaussian (AbsGS), left in `meta["means2d"].absgrad`.
-        backend: "auto", "reference" or "cpu".
+        backend: "auto", "reference", "cpu" or "cuda".
 
     Returns:
         renders (C, H, W, D [+ 1]), alphas (C, H, W, 1) and meta: `means2d` (list of C tensors (N, 2), px; after
@@ -134,11 +140,11 @@ def render_view(
         raise ValueError(f"near_plane is {near_plane}; it must be above 0")
     options: dict[str, Any] = {"near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d, "sh_degree": sh_degree}
     chosen = choose_backend(backend, means.device, means.dtype)
-    if chosen == "cpu":
+    if chosen != "reference":
         options["absgrad"] = absgrad
     elif absgrad:
         raise ValueError("backend reference does not compute absgrad; use 'cpu'")
-    rasterize = cpu.rasterize if chosen == "cpu" else reference.rasterize
+    rasterize = {"cpu": cpu.rasterize, "cuda": cuda.rasterize, "reference": reference.rasterize}[chosen]
     return rasterize(
         means, quats, scales, opacities, colors, viewmat, K, width, height,
         background=background, depth_channel=depth, **options,

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.gaussians import Gaussians
 
 GROWTH = 1.5  # of the room, when it is used up; memory that was never written costs nothing
+ORDER_AGAIN = 1.25  # times as many Gaussians as when they were last ordered in space
+AXIS_BITS = 21
 
 
 class TrainingState:
@@ -24,11 +28,12 @@ class TrainingState:
         self.count = count
         like = gaussians.means.detach()
         shape = (max(count, 1), padded(self.columns))
-        self._values, self._first, self._second = (like.new_zeros(shape) for _ in range(3))
+        self._values, self._first, self._second = (_room(like, shape).zero_() for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # the optimiser's steps so far
         self.values[:] = self.rows_of(gaussians)
         self._bounds = _bounds_of(self._values)
+        self.order_in_space()
 
     def __len__(self) -> int:
         return self.count
@@ -111,6 +116,18 @@ class TrainingState:
                 own[holes[holes < end]] = own[last]
         self.count = end
         self._clocks[:end] = self.now
+        if self.count > ORDER_AGAIN * self._ordered_at:
+            self.order_in_space()
+
+    def order_in_space(self) -> None:
+        """Put neighbours beside each other (along a Z-order curve): what a camera sees then lies in few places.
+
+        All rows must be current.
+        """
+        order = _z_order(self.values[:, MEANS_AT:SCALES_AT])
+        for own in (self._values, self._bounds, self._first, self._second):
+            own[: self.count] = own[: self.count][order]
+        self._ordered_at = self.count
 
     def _make_room(self, count: int) -> None:
         if count <= len(self._values):
@@ -118,10 +135,43 @@ class TrainingState:
         room = int(count * GROWTH)
         for name in ("_values", "_first", "_second", "_bounds", "_clocks"):
             old = getattr(self, name)
-            larger = old.new_empty(room, old.shape[1])
+            larger = _room(old, (room, old.shape[1]))
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
+
+
+def _room(like: Tensor, shape: tuple[int, int]) -> Tensor:
+    """An uninitialised tensor of a type and device; on the CPU in memory as the kernels want it."""
+    if like.device.type == "cpu" and like.dtype == torch.float32:
+        return torch.from_numpy(empty_aligned(shape, np.float32))
+    return like.new_empty(shape)
+
+
+def _z_order(means: Tensor) -> Tensor:
+    """The order (N,) of points (N, 3) along a Z-order (Morton) curve through their bounding box."""
+    points = np.nan_to_num(means.detach().cpu().numpy().astype(np.float64))
+    if not len(points):
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    low, high = points.min(axis=0), points.max(axis=0)
+    cells = (points - low) * ((2**AXIS_BITS - 1) / max((high - low).max(), 1e-300))
+    code = np.zeros(len(points), np.uint64)
+    for axis in range(3):
+        bits = cells[:, axis].astype(np.uint64)
+        for shift, mask in _SPREAD:
+            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+        code |= bits << np.uint64(axis)
+    return torch.from_numpy(np.argsort(code, kind="stable")).to(means.device)
+
+
+# Steps that put two zero bits between the bits of a 21-bit number.
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
 
 
 def _bounds_of(rows: Tensor) -> Tensor:

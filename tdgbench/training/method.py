@@ -12,6 +12,7 @@ from torch import Tensor
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget
 from tdgbench.training.model import Render, SplatModel
 
@@ -48,9 +49,15 @@ class Context:
         state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
         return torch.Generator().manual_seed(int(state) % 2**63)
 
+    @property
+    def device(self) -> torch.device:
+        """Where this cell trains: a GPU if the backend is `cuda`, else the CPU."""
+        return training_device(self.backend)
+
     def make_model(self, channels: int) -> SplatModel:
         """Gaussians at the first points, ready to train."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
+        start = start.map(lambda tensor: tensor.to(self.device))
         return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator())
 
     def view_order(self) -> ViewOrder:
@@ -87,11 +94,18 @@ class Method(Protocol):
         """The thermal image and depth from a camera, without gradients."""
 
 
-def thermal_tensor(view: View) -> Tensor:
-    """A view's thermal image (H, W, C) as a tensor that shares its memory."""
-    return torch.from_numpy(view.thermal)
+def training_device(backend: str) -> torch.device:
+    """Where a backend trains; `auto` stays on the CPU. Raises RuntimeError if the backend cannot run here."""
+    device = torch.device("cuda" if backend == "cuda" else "cpu")
+    choose_backend(backend, device, torch.float32)
+    return device
 
 
-def rgb_tensor(view: View) -> Tensor:
-    """A view's RGB image (H, W, 3) as a tensor that shares its memory."""
-    return torch.from_numpy(view.rgb)
+def thermal_tensor(view: View, device: torch.device) -> Tensor:
+    """A view's thermal image (H, W, C) as a tensor; on the CPU it shares the view's memory."""
+    return torch.from_numpy(view.thermal).to(device)
+
+
+def rgb_tensor(view: View, device: torch.device) -> Tensor:
+    """A view's RGB image (H, W, 3) as a tensor; on the CPU it shares the view's memory."""
+    return torch.from_numpy(view.rgb).to(device)

@@ -30,6 +30,10 @@ class Render:
         """(H, W): the share of the pixel that is covered."""
         return 1.0 - self.transmittance
 
+    def cpu(self) -> Render:
+        """The same on the CPU."""
+        return Render(self.image.cpu(), self.transmittance.cpu(), None if self.depth is None else self.depth.cpu())
+
 
 class SplatModel:
     """Gaussians with their optimiser and density control."""

@@ -8,7 +8,8 @@ import torch
 from tdgbench.scenes import Camera
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
-from tdgbench.training.losses import photometric
+from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
+from tdgbench.training.method import training_device
 from tdgbench.training.model import SplatModel
 
 SIZE = 16
@@ -23,11 +24,14 @@ def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3))
     for count in sorted(channels):
         start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
+        start = start.map(lambda tensor: tensor.to(training_device(backend)))
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
-        for depth in (False, True):
-            model.begin(1)
+        for iteration, depth in enumerate((False, True), start=1):
+            model.begin(iteration)
             render = model.render(camera, depth=depth)
-            loss = photometric(render.image, torch.zeros_like(render.image), 0.2)
-            (loss if render.depth is None else loss + render.depth.mean()).backward()
-            model.finish(1)
-            model.optimizer.settle()
+            loss = thermal(render.image, torch.zeros_like(render.image), 0.2, 0.1, "paper")
+            if render.depth is not None:
+                loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
+            loss.backward()
+            model.finish(iteration)
+        model.optimizer.settle()

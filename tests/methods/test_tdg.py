@@ -10,7 +10,7 @@ from tests.training.test_loop import trained
 
 
 def depth_loss(rendered, prior):
-    return loss_against(rendered, DepthTarget.of(DepthPrior(prior.numpy(), "depth")))
+    return loss_against(rendered, DepthTarget.of(DepthPrior(prior.numpy(), "depth"), torch.device("cpu")))
 
 
 def test_depth_loss_by_hand():

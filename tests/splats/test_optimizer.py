@@ -1,52 +1,149 @@
+import math
+
+import numpy as np
 import pytest
 import torch
 
 from tdgbench.splats import Gaussians
-from tdgbench.splats.optimizer import BETA1, BETA2, EPS, Adam, LearningRates
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import BETA1, BETA2, EPS, MAX_COAST, MAX_SPEED, SETTLE_EVERY, Adam, LearningRates
+from tdgbench.splats.state import TrainingState
 from tests.splats.test_ply import model
 
 RATES = LearningRates(
     position_initial=1e-2, position_final=1e-4, position_steps=50, sh_dc=2.5e-3, sh_rest=1e-4, opacity=0.05,
     log_scale=5e-3, quaternion=1e-3,
 )  # fmt: skip
+EXTENT = 2.0
 
 
-def gradients(gaussians: Gaussians, step: int) -> None:
+def step_gradients(state: TrainingState, step: int, share: float) -> Gradients:
+    """Random gradients for a random share of the Gaussians, in two pieces with a gap."""
     g = torch.Generator().manual_seed(step)
-    for _, tensor in gaussians.items():
-        scale = 10.0 ** (step % 7 - 4)
-        tensor.grad = torch.randn(tensor.shape, generator=g, dtype=torch.float32).to(tensor) * scale
+    index = (torch.rand(len(state), generator=g) < share).nonzero().squeeze(1).to(torch.int32)
+    values = torch.zeros(len(index) + 3, state.values.shape[1], dtype=state.values.dtype)
+    values[:, : state.columns] = torch.randn(len(values), state.columns, generator=g) * 10.0 ** (step % 7 - 4)
+    half = len(index) // 2
+    pieces = [(0, half), (half + 3, len(index) - half)]
+    room = torch.cat([index[:half], torch.zeros(3, dtype=torch.int32), index[half:]])
+    return Gradients(pieces, room, values, torch.zeros(len(room), 5), [], room[:0], room[:0])
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
+    rates = {"means": 0.0, "log_scales": RATES.log_scale, "quats": RATES.quaternion, "opacity_logits": RATES.opacity}
+    return [{"params": [getattr(leaves, name)], "lr": rate} for name, rate in rates.items()]
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_is_torch_adam(dtype, channels):
-    start = model(channels, 2, count=33).map(lambda t: t.to(dtype))
-    ours, extent = start.map(torch.clone).as_leaves(), 2.0
-    optimizer = Adam(ours, RATES, extent)
-    theirs = {n: t.clone().requires_grad_() for n, t in start.items() if n != "sh"}
-    dc, rest = start.sh[:, :1].clone().requires_grad_(), start.sh[:, 1:].clone().requires_grad_()
-    groups = [
-        {"params": [theirs["means"]], "lr": 0.0},
-        {"params": [theirs["log_scales"]], "lr": RATES.log_scale},
-        {"params": [theirs["quats"]], "lr": RATES.quaternion},
-        {"params": [theirs["opacity_logits"]], "lr": RATES.opacity},
-        {"params": [dc], "lr": RATES.sh_dc},
-        {"params": [rest], "lr": RATES.sh_rest},
-    ]
+def test_is_torch_adam(share, channels):
+    """Rows without gradient included: torch moves them by their momentum, step after step."""
+    state = TrainingState(model(channels, 2, count=133))
+    start = state.split(state.values.clone())
+    optimizer = Adam(state, RATES, EXTENT)
+    theirs = start.map(lambda t: t.double().clone()).as_leaves()
+    dc, rest = (t.detach().clone().requires_grad_() for t in (theirs.sh[:, :1], theirs.sh[:, 1:]))
+    groups = torch_groups(state, theirs)
+    groups += [{"params": [dc], "lr": RATES.sh_dc}, {"params": [rest], "lr": RATES.sh_rest}]
     peer = torch.optim.Adam(groups, betas=(BETA1, BETA2), eps=EPS)
-    for step in range(1, 60):
-        gradients(ours, step)
+    for step in range(1, 2 * SETTLE_EVERY + 40):
+        gradients = step_gradients(state, step, share)
+        index, rows, _ = gradients.rows()
+        dense = torch.zeros(len(state), state.values.shape[1], dtype=torch.float64)
+        dense[index] = rows.double()
+        parts = state.split(dense)
         for name, tensor in theirs.items():
-            tensor.grad = getattr(ours, name).grad.clone()
-        dc.grad, rest.grad = ours.sh.grad[:, :1].clone(), ours.sh.grad[:, 1:].clone()
-        peer.param_groups[0]["lr"] = RATES.position(step) * extent
-        optimizer.step(ours, step)
+            if name != "sh":
+                tensor.grad = getattr(parts, name).clone()
+        dc.grad, rest.grad = parts.sh[:, :1].clone(), parts.sh[:, 1:].clone()
+        peer.param_groups[0]["lr"] = RATES.position(step) * EXTENT
+        optimizer.step(gradients, step)
         peer.step()
-    tolerance = 2e-6 if dtype == torch.float32 else 1e-12
-    for name, tensor in theirs.items():
-        assert torch.allclose(getattr(ours, name), tensor, rtol=tolerance, atol=tolerance), name
-    assert torch.allclose(ours.sh, torch.cat([dc, rest], dim=1), rtol=tolerance, atol=tolerance)
+    optimizer.settle()
+    ours = state.split(state.values)
+    moved = {"sh": torch.cat([dc, rest], dim=1)}
+    for name, tensor in ours.items():
+        want = moved.get(name, getattr(theirs, name)).detach()
+        travelled = (want - getattr(start, name).double()).abs().max()
+        assert (tensor.double() - want).abs().max() < 1e-5 * max(travelled.item(), 1.0), name
+    moments = optimizer.state.split(state.second).means.double()
+    assert torch.allclose(moments, peer.state[theirs.means]["exp_avg_sq"], rtol=1e-4, atol=1e-12)
+
+
+def test_a_look_brings_only_candidates_up_to_date():
+    state = TrainingState(model(1, 0, count=40))
+    optimizer = Adam(state, RATES, EXTENT)
+    for step in range(1, 8):
+        optimizer.step(step_gradients(state, step, 1.0 if step == 1 else 0.0), step)
+    stale = state.values.clone()
+    candidates = np.arange(0, 40, 2, dtype=np.int32)
+    optimizer.catch_up([(0, 20)], candidates)
+    looked_at = state.values.clone()
+    optimizer.settle()
+    assert torch.equal(looked_at[1::2], stale[1::2]) and not torch.equal(stale[1::2], state.values[1::2])
+    assert torch.equal(looked_at[::2], state.values[::2])  # a second look adds nothing
+    assert (state.clocks == 7).all()
+
+
+def test_nothing_coasts_farther_than_the_slack():
+    state = TrainingState(model(1, 0, count=60))
+    optimizer = Adam(state, RATES, EXTENT)
+    for step in range(1, 20):
+        gradients = step_gradients(state, step, 1.0)
+        gradients.values.abs_()  # all in one direction: as fast as it gets
+        optimizer.step(gradients, step)
+    slack, growth = optimizer.slack(20)
+    before, bounds = state.values.clone(), state.bounds.clone()
+    for step in range(20, 20 + SETTLE_EVERY // 2):
+        optimizer.step(step_gradients(state, step, 0.0), step)
+    optimizer.catch_up([(0, 60)], np.arange(60, dtype=np.int32))
+    moved = (state.values - before).abs()
+    assert 0 < moved[:, :3].max() < slack and 0 < moved[:, 3:6].max() < growth
+    assert torch.equal(state.bounds, bounds)
+
+
+def test_no_step_is_longer_than_the_bound():
+    """|m| / √v after any gradients: the worst are those that grow by β2 / β1 from step to step."""
+    m = v = 0.0
+    for step in range(200):
+        g = (BETA2 / BETA1) ** step * 1e-9
+        m, v = BETA1 * m + (1 - BETA1) * g, BETA2 * v + (1 - BETA2) * g * g
+    assert 0.99 * MAX_SPEED < abs(m) / math.sqrt(v) <= MAX_SPEED * (1 + 1e-9)
+    assert MAX_COAST == pytest.approx(MAX_SPEED * sum((BETA1 / math.sqrt(BETA2)) ** j for j in range(1, 2000)))
+
+
+def test_same_bytes_on_any_number_of_threads():
+    results = []
+    try:
+        for threads in (1, 2, 5):
+            pool.set_threads(threads)
+            state = TrainingState(model(3, 1, count=101))
+            optimizer = Adam(state, RATES, EXTENT)
+            for step in range(1, 30):
+                optimizer.step(step_gradients(state, step, 0.4), step)
+            optimizer.settle()
+            results.append(state.values.numpy().tobytes())
+    finally:
+        pool.set_threads(None)
+    assert len(set(results)) == 1
+
+
+def test_float64_moves_everyone_at_once():
+    given = model(1, 1, count=30)
+    fast, exact = TrainingState(given), TrainingState(given.map(torch.Tensor.double))
+    optimizers = Adam(fast, RATES, EXTENT), Adam(exact, RATES, EXTENT)
+    for step in range(1, 40):
+        gradients = step_gradients(fast, step, 0.5)
+        optimizers[0].step(gradients, step)
+        index, rows, _ = gradients.rows()
+        dense = torch.zeros(exact.values.shape, dtype=torch.float64)
+        dense[index] = rows.double()
+        radii = torch.zeros(30, dtype=torch.int32)
+        optimizers[1].step(Gradients.dense(dense, torch.zeros(30, 2), radii), step)
+    for optimizer in optimizers:
+        optimizer.settle()
+    assert (fast.values.double() - exact.values).abs().max() < 1e-4
 
 
 def test_position_rate_is_log_linear():
@@ -55,22 +152,14 @@ def test_position_rate_is_log_linear():
     assert RATES.position(50) == pytest.approx(1e-4) == RATES.position(500)
 
 
-def test_moments_follow_the_gaussians():
-    gaussians = model(1, 0, count=4).as_leaves()
-    optimizer = Adam(gaussians, RATES, 1.0)
-    gradients(gaussians, 1)
-    optimizer.step(gaussians, 1)
-    before = optimizer.first.means.clone()
-    optimizer.append(model(1, 0, count=2))
-    optimizer.keep(torch.tensor([3, 0, 5]))
-    assert torch.equal(optimizer.first.means, torch.stack([before[3], before[0], torch.zeros(3)]))
+def test_a_parameter_that_rests():
+    state = TrainingState(model(1, 0, count=9))
+    optimizer = Adam(state, RATES, EXTENT)
+    optimizer.step(step_gradients(state, 1, 1.0), 1)
     optimizer.forget("opacity_logits")
-    assert not optimizer.second.opacity_logits.any() and optimizer.second.means.any()
-
-
-def test_parameters_without_gradient_stay():
-    gaussians = model(1, 0).as_leaves()
-    before = gaussians.means.clone()
-    optimizer = Adam(gaussians, RATES, 1.0)
-    optimizer.step(gaussians, 1)
-    assert torch.equal(gaussians.means, before) and optimizer.steps["means"] == 0
+    column = state.column_of("opacity_logits")
+    before, others = state.values[:, column].clone(), state.values[:, :3].clone()
+    optimizer.step(step_gradients(state, 2, 1.0), 2, without="opacity_logits")
+    assert torch.equal(state.values[:, column], before) and not torch.equal(state.values[:, :3], others)
+    assert (optimizer.steps["opacity_logits"], optimizer.steps["means"]) == (1, 2)
+    assert not state.second[:, column].any() and state.second[:, :3].any()

@@ -11,33 +11,37 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tdgbench.splats import rasterization, reference
+from tdgbench.splats import cuda, rasterization, reference
 from tdgbench.splats.cpu import pool
 from tests.conftest import ROOT, random_gaussians, turned_camera
 
-FAST_BACKENDS = ["cpu"]
+FAST_BACKENDS = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(cuda.why_not() is not None, reason=str(cuda.why_not())))]
 IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 1e-4, 1e-3
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
 def render(parameters, camera, size, backend, weights=None, **options):
     """Image, alpha, gradients by name (None without weights), meta; everything as float64."""
-    dtype = torch.float64 if backend == "reference" else torch.float32
-    leaves = [p.detach().to(dtype).requires_grad_() for p in parameters]
+    kind = {"dtype": torch.float64 if backend == "reference" else torch.float32}
+    if backend == "cuda":
+        kind["device"] = "cuda"
+    leaves = [p.detach().to(**kind).requires_grad_() for p in parameters]
+    camera = [t.to(**kind) for t in camera]
     if options.get("backgrounds") is not None:
-        options = {**options, "backgrounds": options["backgrounds"].to(dtype)}
+        options = {**options, "backgrounds": options["backgrounds"].to(**kind)}
     image, alpha, meta = rasterization(*leaves, *camera, *size, backend=backend, **options)
     grads = None
     if weights is not None:
-        loss = (image * weights[0].to(dtype)).sum() + (alpha * weights[1].to(dtype)).sum()
+        loss = (image * weights[0].to(**kind)).sum() + (alpha * weights[1].to(**kind)).sum()
         if loss.requires_grad:
             loss.backward()
         tensors = dict(zip(NAMES, leaves, strict=True))
-        grads = {n: (torch.zeros_like(t) if t.grad is None else t.grad).double() for n, t in tensors.items()}
+        grads = {n: (torch.zeros_like(t) if t.grad is None else t.grad).double().cpu() for n, t in tensors.items()}
         seen = [m.grad for m in meta["means2d"] if m.grad is not None]
         if seen:
-            grads["means2d"] = torch.stack(seen).double()
-    return image.detach().double(), alpha.detach().double(), grads, meta
+            grads["means2d"] = torch.stack(seen).double().cpu()
+    meta["radii"] = meta["radii"].cpu()
+    return image.detach().double().cpu(), alpha.detach().double().cpu(), grads, meta
 
 
 def undecided_pixels(parameters, camera, size, **options) -> torch.Tensor:
@@ -55,6 +59,13 @@ def undecided_pixels(parameters, camera, size, **options) -> torch.Tensor:
 
 def compare(parameters, camera, size, backend, seed=0, **options):
     """Assert that a backend agrees with the reference in image, alpha, radii and all gradients."""
+    with pytest.MonkeyPatch.context() as patch:
+        if backend == "cuda":
+            patch.setattr(reference, "MAX_ALPHA", 0.999)  # gsplat's own
+        _compare(parameters, camera, size, backend, seed, **options)
+
+
+def _compare(parameters, camera, size, backend, seed, **options):
     unsure = undecided_pixels(parameters, camera, size, **options)
     assert unsure.float().mean() < 0.05
     sure = (~unsure)[..., None].double()
@@ -69,7 +80,8 @@ def compare(parameters, camera, size, backend, seed=0, **options):
     scale = max(1.0, expected[0].abs().max().item() if expected[0].numel() else 1.0)
     assert ((got[0] - expected[0]) * sure).abs().max() < IMAGE_TOLERANCE * scale
     assert ((got[1] - expected[1]) * sure).abs().max() < IMAGE_TOLERANCE
-    assert torch.equal(got[3]["radii"], expected[3]["radii"])
+    if backend != "cuda":  # gsplat's radii depend on the opacity
+        assert torch.equal(got[3]["radii"], expected[3]["radii"])
     for name, want in expected[2].items():
         error = (got[2][name] - want).norm() / want.norm().clamp_min(1e-8)
         assert error < GRADIENT_TOLERANCE, f"gradient of {name}: {error:.1e}"

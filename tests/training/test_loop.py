@@ -74,7 +74,14 @@ def test_sh_degree_rises(small_scene):
 
 def test_a_nan_is_found_where_it_first_appears(small_scene):
     method, _ = trained(small_scene, "splat", 2)
-    method.model.gaussians.sh.data[3, 0, 0] = torch.nan
+    method.model.gaussians.sh[:, 0, 0] = torch.nan
     with pytest.raises(NonFiniteError, match="thermal render is not finite at iteration 1") as error:
         train(method, 5)
     assert error.value.iteration == 1
+
+
+def test_a_nan_that_no_view_shows_is_found_too(small_scene):
+    method, _ = trained(small_scene, "splat", 2)
+    method.model.gaussians.means[3, 1] = torch.nan
+    with pytest.raises(NonFiniteError, match="thermal means is not finite at iteration 1"):
+        train(method, 5)

@@ -13,11 +13,11 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import load, store
+from tdgbench.splats.cpu.memory import load, prefetch, store
 from tdgbench.splats.cpu.simd import LANES, divide, splat, square_root
 
 F, U = np.float32, np.uint64
-ONE = F(1)
+AHEAD = 6  # rows for which memory is asked before they are worked on
 TINY = F(1e-30)  # keeps 0 / 0 from being NaN where a parameter never had a gradient
 
 
@@ -30,34 +30,14 @@ def note_bounds(bounds, i, row, parameters):
     bounds[i, U(3)] = max(parameters[s], max(parameters[s + U(1)], parameters[s + U(2)]))
 
 
-@kernel()
-def touched_rows(first, count, index, gradients, stride, parameters, first_moments, second_moments, bounds, clocks,
-                 now, powers1, powers2, step_sizes, per_bias2, rest1, rest2, eps):  # fmt: skip
-    """One step, the `now`-th, for the rows named by index[first : first + count].
-
-    gradients (rows, g) with g ≤ stride, columns beyond being zero; the others flat with `stride` floats a row; powers[k]
-    = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when the
-    moments and the parameters of a row were last brought up to date.
-    """
-    columns = gradients.shape[1]
-    flat = gradients.reshape(-1)
-    for r in range(U(first), U(first + count)):
-        i = U(index[r])
-        behind = U(now - clocks[i, U(0)])
-        fade1, fade2 = powers1[behind], powers2[behind]
-        row, source = i * U(stride), r * U(columns)
-        for j in range(0, columns, LANES):
-            g = load(flat, source + U(j))
-            o = row + U(j)
-            m = load(first_moments, o) * fade1 + g * rest1
-            v = load(second_moments, o) * fade2 + g * g * rest2
-            store(first_moments, o, m)
-            store(second_moments, o, v)
-            move = divide(m, square_root(v) * load(per_bias2, j) + eps) * load(step_sizes, j)
-            store(parameters, o, load(parameters, o) - move)
-        clocks[i, U(0)] = now
-        clocks[i, U(1)] = now
-        note_bounds(bounds, i, row, parameters)
+@kernel(inline=True)
+def prefetch_row_of_each(i, columns, stride, parameters, first_moments, second_moments):
+    """Ask for the row of Gaussian i in all three arrays, cache line by cache line."""
+    for j in range(0, columns, 16):
+        o = U(i * stride + j)
+        prefetch(parameters, o)
+        prefetch(first_moments, o)
+        prefetch(second_moments, o)
 
 
 @kernel(inline=True)
@@ -75,10 +55,50 @@ def coast(row, i, columns, stride, parameters, first_moments, second_moments, cl
 
 
 @kernel()
+def touched_rows(first, count, index, gradients, stride, parameters, first_moments, second_moments, bounds, clocks,
+                 now, drift, rho_powers, powers1, powers2, step_sizes, per_bias2, rest1, rest2, eps):  # fmt: skip
+    """One step, the `now`-th, for the rows named by index[first : first + count]; drift is that of the step before.
+
+    gradients (rows, g) with g ≤ stride, columns beyond being zero; the others flat with `stride` floats a row; powers[k]
+    = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when the
+    moments and the parameters of a row were last brought up to date.
+    """
+    columns = gradients.shape[1]
+    flat = gradients.reshape(-1)
+    last = U(first + count - 1)
+    for r in range(U(first), U(first + count)):
+        ahead = np.int64(index[min(r + U(AHEAD), last)])
+        prefetch_row_of_each(ahead, columns, stride, parameters, first_moments, second_moments)
+        i = U(index[r])
+        behind = U(now - clocks[i, U(0)])
+        fade1, fade2 = powers1[behind], powers2[behind]
+        row, source = i * U(stride), r * U(columns)
+        if clocks[i, U(1)] < now - 1:
+            coast(
+                row, i, columns, stride, parameters, first_moments, second_moments, clocks, now - 1, drift, rho_powers
+            )  # fmt: skip
+        for j in range(0, columns, LANES):
+            g = load(flat, source + U(j))
+            o = row + U(j)
+            m = load(first_moments, o) * fade1 + g * rest1
+            v = load(second_moments, o) * fade2 + g * g * rest2
+            store(first_moments, o, m)
+            store(second_moments, o, v)
+            move = divide(m, square_root(v) * load(per_bias2, j) + eps) * load(step_sizes, j)
+            store(parameters, o, load(parameters, o) - move)
+        clocks[i, U(0)] = now
+        clocks[i, U(1)] = now
+        note_bounds(bounds, i, row, parameters)
+
+
+@kernel()
 def coast_candidates(first, count, candidates, columns, stride, parameters, first_moments, second_moments, clocks, now,
                      drift, rho_powers):  # fmt: skip
     """Bring the parameters of candidates[first : first + count] up to date; `columns` of them are in use."""
+    last = U(first + count - 1)
     for k in range(U(first), U(first + count)):
+        ahead = np.int64(candidates[min(k + U(AHEAD), last)])
+        prefetch_row_of_each(ahead, columns, stride, parameters, first_moments, second_moments)
         i = U(candidates[k])
         if clocks[i, U(1)] < now:
             coast(

@@ -12,7 +12,7 @@ from tdgbench.splats.cpu.projection_backward import scatter_gradients, scatter_p
 from tdgbench.splats.view import RenderedView
 
 MAX_CHANNELS = 4
-MAX_SIDE = 32_767  # boxes are int16
+MAX_SIDE = 32_767
 
 
 def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.ndarray:

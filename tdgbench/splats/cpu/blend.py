@@ -15,7 +15,9 @@ from numba import int64
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
-from tdgbench.splats.cpu.records import A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_
+from tdgbench.splats.cpu.records import (
+    A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LAST_X, LAST_Y, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_,
+)  # fmt: skip
 from tdgbench.splats.cpu.simd import (
     LANES,
     any_positive,
@@ -55,7 +57,7 @@ def make_blend(colors: int, depth: bool):
     row = BLOCKS * block
 
     @kernel()
-    def blend(counter, width, height, records, boxes, tile_start, gaussian_of, background,
+    def blend(counter, width, height, records, tile_start, gaussian_of, background,
               image, depth_map, transmittance, reached):  # fmt: skip
         """Blend tiles until none is left. reached[tile]: how many of its Gaussians were looked at."""
         tiles_x = (width + TILE - 1) // TILE
@@ -87,8 +89,8 @@ def make_blend(colors: int, depth: bool):
                 i = U(gaussian_of[U(k)])
                 if k + LOOK_AHEAD < end:
                     prefetch_row(records, U(gaussian_of[U(k + LOOK_AHEAD)]))
-                y0 = max(int64(boxes[i, 2]) - top, first_row)
-                y1 = min(int64(boxes[i, 3]) - top, last_row)
+                y0 = max(int64(records[i, FIRST_Y]) - top, first_row)
+                y1 = min(int64(records[i, LAST_Y]) - top, last_row)
                 dy0 = F(top) - records[i, V_]
                 for h in range(0, TILE, LANES):
                     dy = centre + (dy0 + F(h))
@@ -100,7 +102,7 @@ def make_blend(colors: int, depth: bool):
                 c3 = splat(records[i, CHANNELS + 3])
                 for part in range(BLOCKS):
                     x = left + part * LANES
-                    if BLOCKS == 2 and (int64(boxes[i, 1]) < x or int64(boxes[i, 0]) >= x + LANES):
+                    if BLOCKS == 2 and (records[i, LAST_X] < F(x) or records[i, FIRST_X] >= F(x + LANES)):
                         continue
                     dx = centre + (F(x) - records[i, U_])
                     along_x = dx * dx * records[i, A_] + records[i, LOG2_OPACITY]

@@ -29,8 +29,10 @@ from tdgbench.splats.cpu.blend import (
     row_alive,
 )
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
-from tdgbench.splats.cpu.records import A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_
+from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch, prefetch_row, store, take_next
+from tdgbench.splats.cpu.records import (
+    A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LAST_X, LAST_Y, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_,
+)  # fmt: skip
 from tdgbench.splats.cpu.simd import (
     LANES,
     absolute,
@@ -69,10 +71,10 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
     size = slot_size(channels, absgrad)
 
     @kernel()
-    def blend_backward(counter, width, height, records, boxes, tile_start, gaussian_of, slot_of,
+    def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of,
                        image, depth_map, transmittance, grad_image, grad_depth, grad_transmittance, reached,
-                       slots, written):  # fmt: skip
-        """Write the slots of every pair that was looked at; written[slot] = 1 for those."""
+                       slots):  # fmt: skip
+        """Write the slots of every pair; those that were not looked at become zero."""
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
         pixels = aligned_floats(TILE * row + 3 * TILE)
@@ -114,14 +116,16 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                 i = U(gaussian_of[U(k)])
                 if k + LOOK_AHEAD < end:
                     prefetch_row(records, U(gaussian_of[U(k + LOOK_AHEAD)]))
-                y0 = max(int64(boxes[i, 2]) - top, first_row)
-                y1 = min(int64(boxes[i, 3]) - top, last_row)
+                    prefetch(slots, U(slot_of[U(k + LOOK_AHEAD)]) * U(size))
+                y0 = max(int64(records[i, FIRST_Y]) - top, first_row)
+                y1 = min(int64(records[i, LAST_Y]) - top, last_row)
                 dy0 = F(top) - records[i, V_]
+                A, B, C = records[i, A_], records[i, B_], records[i, C_]
                 for h in range(0, TILE, LANES):
                     dy = centre + (dy0 + F(h))
                     store(row_y, h, dy)
-                    store(row_b, h, dy * records[i, B_])
-                    store(row_c, h, dy * dy * records[i, C_])
+                    store(row_b, h, dy * B)
+                    store(row_c, h, dy * dy * C)
                 c0, c1 = records[i, CHANNELS], records[i, CHANNELS + 1]
                 c2, c3 = records[i, CHANNELS + 2], records[i, CHANNELS + 3]
                 m0 = zero
@@ -138,16 +142,16 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                 abs_v = zero
                 for part in range(BLOCKS):
                     x0 = left + part * LANES
-                    if BLOCKS == 2 and (int64(boxes[i, 1]) < x0 or int64(boxes[i, 0]) >= x0 + LANES):
+                    if BLOCKS == 2 and (records[i, LAST_X] < F(x0) or records[i, FIRST_X] >= F(x0 + LANES)):
                         continue
                     dx = centre + (F(x0) - records[i, U_])
-                    along_x = dx * dx * records[i, A_] + records[i, LOG2_OPACITY]
+                    along_x = dx * dx * A + records[i, LOG2_OPACITY]
                     column_0 = zero
                     column_y = zero
                     column_yy = zero
                     for row_index in range(y0, y1 + 1):
                         o = row_index * row + part * block
-                        dy_row = row_y[U(row_index)]
+                        dy = row_y[U(row_index)]
                         log2_alpha = dx * row_b[U(row_index)] + (along_x + row_c[U(row_index)])
                         uncapped = exp2(log2_alpha)
                         alpha = minimum(uncapped, MAX_ALPHA)
@@ -179,12 +183,12 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                         moves = both(greater(weight, zero), less_equal(uncapped, MAX_ALPHA))
                         g = select(moves, behind * (alpha * reciprocal(alpha - ONE)) + own, zero)
                         column_0 = column_0 + g
-                        g_dy = g * dy_row
+                        g_dy = g * dy
                         column_y = column_y + g_dy
-                        column_yy = column_yy + g_dy * dy_row
+                        column_yy = column_yy + g_dy * dy
                         if absgrad:
-                            abs_u = abs_u + absolute(g * (dx * (TWO * records[i, A_]) + row_b[U(row_index)]))
-                            abs_v = abs_v + absolute(g * (dx * records[i, B_] + TWO * records[i, C_] * dy_row))
+                            abs_u = abs_u + absolute(g * (dx * (TWO * A) + row_b[U(row_index)]))
+                            abs_v = abs_v + absolute(g * (dx * B + TWO * C * dy))
                     column_x = column_0 * dx
                     m0 = m0 + column_0
                     mx = mx + column_x
@@ -193,7 +197,6 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                     mxy = mxy + column_y * dx
                     myy = myy + column_yy
                 slot = U(slot_of[U(k)])
-                written[slot] = 1
                 store(row_b, 0, lane_sums_of_8(m0, mx, my, mxx, mxy, myy, k0, k1))
                 o = slot * U(size)
                 for j in range(U(min(6 + channels, 8))):
@@ -210,5 +213,9 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                         first_row += 1
                     while last_row >= first_row and not row_alive(pixels, last_row * row, block):
                         last_row -= 1
+            for k in range(end, tile_start[tile + 1]):
+                o = U(slot_of[U(k)]) * U(size)
+                for j in range(U(size)):
+                    slots[o + j] = ZERO
 
     return blend_backward

@@ -48,6 +48,25 @@ def store(typing_context, array, index, value):
     return types.void(array, index, vec), generate
 
 
+@intrinsic
+def prefetch(typing_context, values, index):
+    """Ask for the cache line of values[index] (1-D) to be brought in."""
+
+    def generate(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        _call_prefetch(builder, builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(values, index), generate
+
+
+def _call_prefetch(builder, pointer):
+    name = "llvm.prefetch.p0"
+    signature = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
+    function = builder.module.globals.get(name) or ir.Function(builder.module, signature, name)
+    builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
+
+
 def _element(builder, data, row, stride, column):
     """The address of data[row · stride + column]."""
     return builder.gep(data, [builder.add(builder.mul(row, stride), column)])
@@ -113,10 +132,7 @@ def prefetch_row(typing_context, array, row):
         stride = builder.extract_value(struct.strides, 0)
         address = builder.add(builder.ptrtoint(struct.data, ir.IntType(64)), builder.mul(args[1], stride))
         pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
-        name = "llvm.prefetch.p0"
-        signature_ = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
-        function = builder.module.globals.get(name) or ir.Function(builder.module, signature_, name)
-        builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
+        _call_prefetch(builder, pointer)
         return context.get_dummy_value()
 
     return types.void(array, row), generate

@@ -75,7 +75,6 @@ class ForwardPass:
     projected: Projected
     records: np.ndarray  # (room, 16)
     owners: np.ndarray  # (room,): a record's Gaussian
-    boxes: np.ndarray  # (room, 4) int16: first and last column, first and last row
     pairs: np.ndarray  # (room, 2): a record's first (tile, Gaussian) pair, and the end
     kept: list[tuple[int, int]]  # records, piece by piece
     pair_room: int  # ids of pairs lie below
@@ -138,7 +137,7 @@ def _pack(candidates: np.ndarray, found: list[tuple[int, int]], threads: int) ->
 def _project_and_blend(source, settings, candidates, spans, lease, passing) -> ForwardPass:
     n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
     room = max(sum(n for _, n in spans), 1)
-    records, boxes = lease.take("records", (room, RECORD), np.float32), lease.take("boxes", (room, 4), np.int16)
+    records = lease.take("records", (room, RECORD), np.float32)
     owners, pairs = lease.take("owners", room, np.int32), lease.take("pairs", (room, 2), np.int32)
     keys, order = passing.take("keys", room, np.uint32), passing.take("order", room, np.int32)
     index, radii = lease.take("seen", room, np.int32), lease.take("radii", room, np.int32)
@@ -154,7 +153,7 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
             [
                 (
                     *span, candidates, *source.arrays, source.layout, source.raw, channels, settings.degree,
-                    settings.camera, settings.depth_channel, t * pair_room, records, owners, boxes, pairs, keys, order,
+                    settings.camera, settings.depth_channel, t * pair_room, records, owners, pairs, keys, order,
                     index, radii, means2d, tile_of_pair[t], pairs_per_tile[t], counts[t],
                 )
                 for t, span in enumerate(spans)
@@ -187,13 +186,13 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     depth = np.empty(size if settings.depth_channel else (0, 0), np.float32)
     transmittance, reached = np.empty(size, np.float32), np.empty(n_tiles, np.int32)
     arguments = (
-        np.zeros(1, np.int64), settings.width, settings.height, records, boxes, tile_start, gaussian_of,
+        np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
         settings.background, image, depth, transmittance, reached,
     )  # fmt: skip
     pool.run(make_blend(channels, settings.depth_channel), [arguments] * pool.get_threads())
     projected = Projected(spans, list(zip(firsts, counts[:, 2].tolist())), index, radii, means2d)
     return ForwardPass(
-        image, depth, transmittance, projected, records, owners, boxes, pairs, kept, len(spans) * pair_room,
+        image, depth, transmittance, projected, records, owners, pairs, kept, len(spans) * pair_room,
         tile_start, gaussian_of, slot_of, reached, lease,
     )  # fmt: skip
 
@@ -212,12 +211,9 @@ def backward(
     lease, passing = Lease(), Lease()
     size = slot_size(channels + settings.depth_channel, settings.absgrad)
     slots = passing.take("slots", done.pair_room * size, np.float32)
-    written = passing.take("written", done.pair_room, np.uint8)
-    written[:] = 0
     arguments = (
-        np.zeros(1, np.int64), settings.width, settings.height, done.records, done.boxes, done.tile_start,
+        np.zeros(1, np.int64), settings.width, settings.height, done.records, done.tile_start,
         done.gaussian_of, done.slot_of, done.image, done.depth, done.transmittance, *gradients, done.reached, slots,
-        written,
     )  # fmt: skip
     variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad)
     pool.run(variant, [arguments] * pool.get_threads())
@@ -232,7 +228,7 @@ def backward(
         [
             (
                 *piece, done.owners, *source.arrays, source.layout, source.raw, channels, settings.degree,
-                settings.camera, settings.depth_channel, done.records, done.pairs, written, slots, size,
+                settings.camera, settings.depth_channel, done.records, done.pairs, slots, size,
                 settings.absgrad, stride, index, values, image,
             )
             for piece in done.kept

@@ -12,13 +12,26 @@ import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import gather
-from tdgbench.splats.cpu.simd import divide, exp2, log2, maximum, minimum, splat, square_root
+from tdgbench.splats.cpu.simd import (
+    divide,
+    exp2,
+    greater,
+    greater_equal,
+    log2,
+    maximum,
+    minimum,
+    round_up,
+    select,
+    splat,
+    square_root,
+)
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 CAMERA_SIZE = 24
 LOG2_E = F(math.log2(math.e))
 LARGEST_EXPONENT = F(126)
+FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
 
 
 @kernel(inline=True)
@@ -130,22 +143,20 @@ def covariance_2d(p, q, eps2d):
 
 
 @kernel(inline=True)
-def long_axis(a, c, det):
-    """3 σ of the longer axis of an image covariance, in px (3DGS)."""
-    mid = HALF * (a + c)
-    return F(3) * square_root(mid + square_root(maximum(mid * mid - det, splat(F(0.1)))))
-
-
-@kernel(inline=True)
-def screen_radius(reach, u, v, camera):
-    """3DGS's radius (px, scalars): `long_axis` rounded up; 0 if its square misses the grid of 16×16 tiles.
+def screen_radius(a, c, det, u, v, camera):
+    """3DGS's radius (px): 3 σ of the longer axis, rounded up; 0 if its square misses the grid of 16×16 tiles.
 
     Density control counts a Gaussian as seen when this is above zero, whatever its opacity.
     """
-    radius = math.ceil(reach)
-    width = F(16) * math.ceil(camera[22] / F(16))
-    height = F(16) * math.ceil(camera[23] / F(16))
+    mid = HALF * (a + c)
+    longest = square_root(mid + square_root(maximum(mid * mid - det, splat(F(0.1)))))
+    radius = round_up(F(3) * longest)
+    width = splat(F(16) * math.ceil(camera[22] / F(16)))
+    height = splat(F(16) * math.ceil(camera[23] / F(16)))
     x, y = u - HALF, v - HALF  # 3DGS counts pixel centres as whole numbers
-    if x + radius < ONE or y + radius < ONE or x - radius >= width or y - radius >= height:
-        return ZERO
-    return radius
+    zero, one = splat(ZERO), splat(ONE)
+    radius = select(greater(one, x + radius), zero, radius)
+    radius = select(greater(one, y + radius), zero, radius)
+    radius = select(greater_equal(x - radius, width), zero, radius)
+    radius = select(greater_equal(y - radius, height), zero, radius)
+    return minimum(radius, splat(FAR_AWAY))

@@ -1,7 +1,7 @@
 """From a Gaussian's gradient slots back to its parameters: blend moments → 2-D Gaussian → EWA → mean, scale, rotation.
 
 The derivatives are exact, those of the clamped ray included (3DGS's CUDA code treats the clamp as a constant). Only
-Gaussians that some pixel looked at get a row of gradients; LANES of them are worked on at a time.
+Gaussians that some pixel pulls at get a row of gradients; LANES of them are worked on at a time.
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ MAX_SLOT = 12  # floats: six moments, four channels, two absolute sums
 
 
 @kernel(inline=True)
-def whitened(w_u, w_v, p, q, eps2d, inverse):
-    """M w for the inverse M of the image covariance Σ_l a_l a_lᵀ + eps I, a_l = (p_l, q_l) being its scaled axes.
+def whitened(w_u, w_v, p, q, one, other, eps2d, inverse):
+    """M w of an axis w, for the inverse M of the image covariance Σ_l a_l a_lᵀ + eps I, a_l = (p_l, q_l) being the
+    scaled axes, of which `one` and `other` are not w's own; inverse = 1 / det.
 
     adj(a aᵀ) w = (a⊥ · w) a⊥ with a⊥ = (q, −p): an axis adds nothing to its own product. Written so, a needle's long
     axis loses no digits, where the entries of M would cancel.
     """
-    c0, c1, c2 = q[0] * w_u - p[0] * w_v, q[1] * w_u - p[1] * w_v, q[2] * w_u - p[2] * w_v
-    u = c0 * q[0] + c1 * q[1] + c2 * q[2] + eps2d * w_u
-    v = eps2d * w_v - (c0 * p[0] + c1 * p[1] + c2 * p[2])
+    c1, c2 = q[one] * w_u - p[one] * w_v, q[other] * w_u - p[other] * w_v
+    u = c1 * q[one] + c2 * q[other] + eps2d * w_u
+    v = eps2d * w_v - (c1 * p[one] + c2 * p[other])
     return u * inverse, v * inverse
 
 
@@ -71,9 +72,9 @@ def quaternion_gradient(w, x, y, z, n, g0, g1, g2):
 @kernel()
 def projection_backward(
     first, count, owners, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
-    depth_channel, records, pairs, written, slots, slot_size, absgrad, stride, touched, gradients, image_gradients,
+    depth_channel, records, pairs, slots, slot_size, absgrad, stride, touched, gradients, image_gradients,
 ):  # fmt: skip
-    """Gradients of records [first, first + count), for those that any pixel looked at; returns how many rows that is.
+    """Gradients of records [first, first + count), for those that have any; returns how many rows that is.
 
     Rows are written from `first` on: touched (the Gaussian), gradients (means, scales, quats, opacity, colours, zeros
     up to `stride`), image_gradients (d/du, d/dv, with absgrad Σ |d/du|, Σ |d/dv| over the pixels, and the radius).
@@ -89,16 +90,15 @@ def projection_backward(
     r = first
     while r < first + count or filled > 0:
         if r < first + count:
-            looked_at = False
             for j in range(U(slot_size)):
                 own[j] = ZERO
-            for slot_ in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
-                slot = U(slot_)
-                if written[slot] != 0:
-                    looked_at = True
-                    for j in range(U(slot_size)):
-                        own[j] += slots[slot * U(slot_size) + j]
-            if looked_at:
+            for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
+                for j in range(U(slot_size)):
+                    own[j] += slots[U(slot) * U(slot_size) + j]
+            pulled = False
+            for j in range(U(slot_size)):
+                pulled = pulled or own[j] != ZERO
+            if pulled:
                 for j in range(U(slot_size)):
                     total[j * U(LANES) + U(filled)] = own[j]
                 place[filled] = r
@@ -147,14 +147,17 @@ def projection_backward(
         gv = cz * t2 + cy * t1
         put_column(image_gradients, done, 5, 0, gu)
         put_column(image_gradients, done, 5, 1, gv)
+        abs_u, abs_v = zero, zero
         if absgrad:
-            put_column(image_gradients, done, 5, 2, LN_2 * load(total, (slot_size - 2) * LANES))
-            put_column(image_gradients, done, 5, 3, LN_2 * load(total, (slot_size - 1) * LANES))
+            abs_u = LN_2 * load(total, (slot_size - 2) * LANES)
+            abs_v = LN_2 * load(total, (slot_size - 1) * LANES)
+        put_column(image_gradients, done, 5, 2, abs_u)
+        put_column(image_gradients, done, 5, 3, abs_v)
         put_column(image_gradients, done, 5, 4, gather(records, place, 0, RECORD, RADIUS))
         moments = (-HALF * t3, -HALF * t4, -HALF * t5)
-        y0 = whitened(p_unit[0], q_unit[0], p, q, camera[21], inverse)
-        y1 = whitened(p_unit[1], q_unit[1], p, q, camera[21], inverse)
-        y2 = whitened(p_unit[2], q_unit[2], p, q, camera[21], inverse)
+        y0 = whitened(p_unit[0], q_unit[0], p, q, 1, 2, camera[21], inverse)
+        y1 = whitened(p_unit[1], q_unit[1], p, q, 2, 0, camera[21], inverse)
+        y2 = whitened(p_unit[2], q_unit[2], p, q, 0, 1, camera[21], inverse)
         h0, k0, g_s0 = axis_gradient(y0, s0, moments, cx, cy, cz)
         h1, k1, g_s1 = axis_gradient(y1, s1, moments, cx, cy, cz)
         h2, k2, g_s2 = axis_gradient(y2, s2, moments, cx, cy, cz)

@@ -1,13 +1,10 @@
 """From Gaussians to records, LANES at a time: project, cull, colour, and list the tiles of each that can be seen.
 
 Each kept Gaussian becomes one record of 16 floats (a cache line): u, v, then A, B, C and log2(opacity), so that
-log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; and the channels. The box in which alpha ≥ 1/255 is
-kept beside it.
+log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; the channels; and the box in which alpha ≥ 1/255.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numba import int64
@@ -23,23 +20,34 @@ from tdgbench.splats.cpu.projection import (
     covariance_2d,
     deviations,
     jacobian_rows,
-    long_axis,
     opacity_and_log2,
     rotation,
     screen_radius,
 )
 from tdgbench.splats.cpu.records import (
-    A_, B_, C_, CHANNELS, LOG2_MIN_ALPHA, LOG2_OPACITY, MIN_ALPHA, OPACITY, RADIUS, U_, V_,
+    A_, B_, C_, CHANNELS, FIRST_X, LOG2_MIN_ALPHA, LOG2_OPACITY, MIN_ALPHA, OPACITY, RADIUS, U_, V_,
 )  # fmt: skip
-from tdgbench.splats.cpu.simd import LANES, divide, greater, maximum, select, splat, square_root
+from tdgbench.splats.cpu.simd import (
+    LANES,
+    divide,
+    greater,
+    greater_equal,
+    maximum,
+    minimum,
+    round_down,
+    round_up,
+    select,
+    splat,
+    square_root,
+)
 from tdgbench.splats.cpu.tiles import SLACK, TILE, list_tiles
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
 # Registers of one group of Gaussians, from the vector half of the kernel to its scalar half.
-VALID, Z, AXIS, WIDE, HIGH, SLOPE, CUT, DET = range(8, 16)  # 0 to 6: as in a record; channels from COLOR on
-COLOR, GROUP = 16, 20
+# 0 to 6 are as in a record; the channels stand from COLOR on.
+VALID, KEEP, Z, REACH, WIDE, HIGH, SLOPE, CUT, DET, X0, X1, Y0, Y1 = range(7, 20)
+COLOR, GROUP = 20, 24
 
 
 @kernel(inline=True)
@@ -55,13 +63,14 @@ def write_colors(group, colors, rows, k, stride, column, channels, degree, mx, m
             total = splat(HALF)
             for b in range((degree + 1) * (degree + 1)):
                 total = total + load(basis, b * LANES) * gather(colors, rows, k, stride, column + b * channels + c)
-            store(group, (COLOR + c) * LANES, maximum(total, splat(ZERO)))
+            dark = greater(splat(ZERO), total)  # not so for NaN, which must be seen
+            store(group, (COLOR + c) * LANES, select(dark, splat(ZERO), total))
 
 
 @kernel()
 def project_and_list(
     first, count, candidates, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
-    depth_channel, first_pair, records, owners, boxes, pairs, depth_keys, order, seen, radii, means2d, tile_of_pair,
+    depth_channel, first_pair, records, owners, pairs, depth_keys, order, seen, radii, means2d, tile_of_pair,
     pairs_per_tile, counts,
 ):  # fmt: skip
     """Project candidates [first, first + count); kept ones become records from `first` on.
@@ -101,8 +110,21 @@ def project_and_list(
         cut = log2_opacity - LOG2_MIN_ALPHA
         inverse = divide(ONE, det)
         wide = square_root(maximum(TWO / LOG2_E * cut * a, zero))
-        store(group, U_ * LANES, x * rz * camera[12] + camera[14])
-        store(group, V_ * LANES, y * rz * camera[13] + camera[15])
+        high = square_root(maximum(TWO / LOG2_E * cut * c, zero))
+        u, v = x * rz * camera[12] + camera[14], y * rz * camera[13] + camera[15]
+        left, right = maximum(u - wide - (HALF + SLACK), zero), minimum(u + wide - (HALF - SLACK), splat(width - ONE))
+        top, bottom = maximum(v - high - (HALF + SLACK), zero), minimum(v + high - (HALF - SLACK), splat(height - ONE))
+        x0, x1, y0, y1 = round_up(left), round_down(right), round_up(top), round_down(bottom)
+        keep = select(greater_equal(opacity, splat(MIN_ALPHA)), valid, zero)
+        keep = select(greater_equal(x1, x0), keep, zero)
+        keep = select(greater_equal(y1, y0), keep, zero)
+        store(group, KEEP * LANES, keep)
+        store(group, X0 * LANES, x0)
+        store(group, X1 * LANES, x1)
+        store(group, Y0 * LANES, y0)
+        store(group, Y1 * LANES, y1)
+        store(group, U_ * LANES, u)
+        store(group, V_ * LANES, v)
         store(group, A_ * LANES, -HALF * LOG2_E * c * inverse)
         store(group, B_ * LANES, LOG2_E * b * inverse)
         store(group, C_ * LANES, -HALF * LOG2_E * a * inverse)
@@ -110,9 +132,9 @@ def project_and_list(
         store(group, OPACITY * LANES, opacity)
         store(group, VALID * LANES, valid)
         store(group, Z * LANES, z)
-        store(group, AXIS * LANES, long_axis(a, c, det))
+        store(group, REACH * LANES, screen_radius(a, c, det, u, v, camera))
         store(group, WIDE * LANES, wide)
-        store(group, HIGH * LANES, square_root(maximum(TWO / LOG2_E * cut * c, zero)))
+        store(group, HIGH * LANES, high)
         store(group, SLOPE * LANES, divide(b * wide, a))
         store(group, CUT * LANES, cut)
         store(group, DET * LANES, det)
@@ -126,27 +148,19 @@ def project_and_list(
             u, v = group[U(U_ * LANES) + i], group[U(V_ * LANES) + i]
             at = U(n_seen)
             seen[at] = candidates[U(k) + i]
-            radii[at] = np.int32(min(screen_radius(group[U(AXIS * LANES) + i], u, v, camera), FAR_AWAY))
+            radii[at] = np.int32(group[U(REACH * LANES) + i])
             means2d[at, U(0)], means2d[at, U(1)] = u, v
             n_seen += 1
-            if not (group[U(OPACITY * LANES) + i] >= MIN_ALPHA):
+            if not (group[U(KEEP * LANES) + i] > ZERO):
                 continue
             hw, hh = group[U(WIDE * LANES) + i], group[U(HIGH * LANES) + i]
-            left = max(u - hw - HALF - SLACK, ZERO)
-            right = min(u + hw - HALF + SLACK, width - ONE)
-            top = max(v - hh - HALF - SLACK, ZERO)
-            bottom = min(v + hh - HALF + SLACK, height - ONE)
-            if not (right >= left and bottom >= top):
-                continue
-            x0, x1 = int64(math.ceil(left)), int64(right)
-            y0, y1 = int64(math.ceil(top)), int64(bottom)
-            if x1 < x0 or y1 < y0:
-                continue
+            x0_, x1_ = int64(group[U(X0 * LANES) + i]), int64(group[U(X1 * LANES) + i])
+            y0_, y1_ = int64(group[U(Y0 * LANES) + i]), int64(group[U(Y1 * LANES) + i])
             A, B, C = group[U(A_ * LANES) + i], group[U(B_ * LANES) + i], group[U(C_ * LANES) + i]
             before = n_pairs
             n_pairs = list_tiles(
                 n_pairs, u, v, A, B, C, group[U(DET * LANES) + i], group[U(CUT * LANES) + i], hw, hh,
-                group[U(SLOPE * LANES) + i], x0, x1, y0, y1, tiles_x, tile_of_pair, pairs_per_tile,
+                group[U(SLOPE * LANES) + i], x0_, x1_, y0_, y1_, tiles_x, tile_of_pair, pairs_per_tile,
             )  # fmt: skip
             if n_pairs == before:
                 continue
@@ -158,7 +172,8 @@ def project_and_list(
             if depth_channel:
                 records[r, U(CHANNELS + channels)] = group[U(Z * LANES) + i]
             records[r, U(RADIUS)] = F(radii[at])
-            boxes[r, U(0)], boxes[r, U(1)], boxes[r, U(2)], boxes[r, U(3)] = x0, x1, y0, y1
+            for j in range(U(4)):
+                records[r, U(FIRST_X) + j] = group[(U(X0) + j) * U(LANES) + i]
             pairs[r, U(0)], pairs[r, U(1)] = first_pair + before, first_pair + n_pairs
             depth_keys[r] = float_bits(group[U(Z * LANES) + i])
             order[r] = n_records

@@ -17,6 +17,17 @@ ALIGNMENT = 64
 _free: dict[str, list[np.ndarray]] = defaultdict(list)
 
 
+def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    """An uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    return _aligned_part(np.empty(size + ALIGNMENT, np.uint8), size).view(dtype).reshape(shape)
+
+
+def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
+    start = -buffer.ctypes.data % ALIGNMENT
+    return buffer[start : start + size]
+
+
 class Lease:
     """Arrays by role, uninitialised, 64-byte aligned."""
 
@@ -31,8 +42,7 @@ class Lease:
         if buffer is None or len(buffer) < size + ALIGNMENT:
             buffer = np.empty(int(size * HEADROOM) + ALIGNMENT, np.uint8)
         self._taken.append((role, buffer))
-        start = -buffer.ctypes.data % ALIGNMENT
-        return buffer[start : start + size].view(dtype).reshape(shape)
+        return _aligned_part(buffer, size).view(dtype).reshape(shape)
 
     def __del__(self) -> None:
         for role, buffer in self._taken:

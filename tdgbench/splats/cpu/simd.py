@@ -244,18 +244,24 @@ def log2(typing_context, x):
     return vec(vec), generate
 
 
-@intrinsic
-def square_root(typing_context, x):
-    """√x, correctly rounded."""
+def _elementwise(name: str, documentation: str):
+    @intrinsic
+    def operation(typing_context, x):
+        def generate(context, builder, signature, args):
+            full = f"llvm.{name}.v{LANES}f32"
+            module = builder.module
+            function = module.globals.get(full) or ir.Function(module, ir.FunctionType(FLOATS, [FLOATS]), full)
+            return builder.call(function, [args[0]])
 
-    def generate(context, builder, signature, args):
-        name = f"llvm.sqrt.v{LANES}f32"
-        function = builder.module.globals.get(name) or ir.Function(
-            builder.module, ir.FunctionType(FLOATS, [FLOATS]), name
-        )
-        return builder.call(function, [args[0]])
+        return vec(vec), generate
 
-    return vec(vec), generate
+    operation.__doc__ = documentation
+    return operation
+
+
+square_root = _elementwise("sqrt", "√x, correctly rounded.")
+round_up = _elementwise("ceil", "The least whole number ≥ x.")
+round_down = _elementwise("floor", "The greatest whole number ≤ x.")
 
 
 @intrinsic

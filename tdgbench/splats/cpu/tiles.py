@@ -12,6 +12,7 @@ from numba import int64
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.memory import prefetch, prefetch_row
 
 F, U = np.float32, np.uint64
 TILE = 16
@@ -19,6 +20,7 @@ ZERO, HALF, FOUR = F(0), F(0.5), F(4)
 LOG2_E = F(math.log2(math.e))
 SLACK = F(0.01)  # px by which boxes are widened against rounding; the blend decides on alpha itself
 DIGIT_BITS = 11
+AHEAD, FAR_AHEAD = 8, 16  # records for which memory is asked before they are listed
 ALONE_BELOW = 20_000  # Gaussians that one thread sorts faster than several
 
 
@@ -120,7 +122,10 @@ def sort_by_key(pieces, keys, values, spare):
 @kernel()
 def fill_lists(first_tile, last_tile, order, cursor, pairs, tile_of_pair, gaussian_of, slot_of):
     """Fill the lists of tiles [first_tile, last_tile) in the given order of records; slot_of: each pair's own slot."""
+    last = U(order.shape[0] - 1)
     for k in range(U(order.shape[0])):
+        prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
+        prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
         i = U(order[k])
         for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
             tile = tile_of_pair[U(pair)]

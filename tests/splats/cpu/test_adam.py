@@ -1,21 +1,13 @@
 import numpy as np
 
-from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import adam_step
+from tdgbench.splats.cpu.adam import write_drift
 
 
-def test_one_step_by_hand_and_on_any_number_of_threads():
-    rng = np.random.default_rng(0)
-    parameter, grad = rng.normal(size=(101, 3)).astype(np.float32), rng.normal(size=(101, 3)).astype(np.float32)
-    rates = np.array([0.1, 0.2, 0.0], np.float32)
-    results = []
-    try:
-        for threads in (1, 2, 5):
-            pool.set_threads(threads)
-            p, m, v = parameter.copy(), np.zeros_like(grad), np.zeros_like(grad)
-            adam_step([p, grad, m, v], rates / (1 - 0.9), 0.9, 0.999, (1 - 0.999) ** 0.5, 1e-15)
-            results.append(p)
-    finally:
-        pool.set_threads(None)
-    assert all(np.array_equal(results[0], other) for other in results)
-    assert np.allclose(results[0], parameter - rates * np.sign(grad), atol=1e-5)  # the first step is a sign step
+def test_drift_is_the_sum_over_the_steps_missed():
+    period, stride, now, rho = 8, 16, 21, np.float32(0.9)
+    coefficients = np.random.default_rng(0).random((period, stride)).astype(np.float32)
+    drift = np.zeros(7 * stride, np.float32)
+    write_drift(6, now, stride, coefficients, rho, drift)
+    for missed in range(7):
+        want = sum(coefficients[(now - missed + j) % period] * 0.9**j for j in range(1, missed + 1))
+        assert np.allclose(drift[missed * stride : (missed + 1) * stride], want, rtol=1e-6)

@@ -2,20 +2,38 @@ import numpy as np
 import torch
 
 from tdgbench.splats import reference
-from tdgbench.splats.cpu.projection_backward import conic_to_covariance, quaternion_gradient
+from tdgbench.splats.cpu.projection_backward import axis_gradient, quaternion_gradient, whitened
 
 
-def test_inverse_of_a_covariance():
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(2, 2))
-    covariance = root @ root.T + 0.3 * np.eye(2)
-    abc = torch.tensor([covariance[0, 0], covariance[0, 1], covariance[1, 1]], requires_grad=True)
-    det = abc[0] * abc[2] - abc[1] ** 2
-    conic = torch.stack([abc[2], -abc[1], abc[0]]) / det
-    g = torch.tensor([0.3, -0.7, 1.1], dtype=torch.float64)
-    (conic * g).sum().backward()
-    got = conic_to_covariance(*g.numpy().astype(np.float32), *conic.detach().numpy().astype(np.float32))
-    assert np.allclose(got, abc.grad.numpy(), rtol=1e-4)
+def axes_and_gradient(seed: int, longest: float = 1.0):
+    """Scaled axes p, q of an image covariance, its blur, and a gradient (xx, xy, yy) of the inverse's entries."""
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(2, 3))
+    axes[:, 0] *= longest
+    return axes, 0.3, rng.normal(size=3)
+
+
+def test_axes_of_an_inverse_covariance():
+    for longest in (1.0, 1e3):
+        axes, eps, g = axes_and_gradient(0, longest)
+        scale = np.array([2.0, 0.5, 1.5])
+        unit = axes / scale
+        w = torch.tensor(unit, requires_grad=True)
+        s = torch.tensor(scale, requires_grad=True)
+        a = w * s
+        inverse = torch.linalg.inv(a @ a.T + eps * torch.eye(2, dtype=torch.float64))
+        (inverse[0, 0] * g[0] + 2 * inverse[0, 1] * g[1] + inverse[1, 1] * g[2]).backward()
+        M = inverse.detach().numpy()
+        p, q = (tuple(np.float32(x) for x in row) for row in axes)
+        det = np.float32(1 / np.linalg.det(axes @ axes.T + eps * np.eye(2)))
+        for j in range(3):
+            y = whitened(np.float32(unit[0, j]), np.float32(unit[1, j]), p, q, (j + 1) % 3, (j + 2) % 3, np.float32(eps), det)
+            assert np.allclose(y, M @ unit[:, j], rtol=1e-4)  # also along a needle
+            moments = tuple(np.float32(x) for x in g)
+            entries = (np.float32(M[0, 0]), np.float32(M[0, 1]), np.float32(M[1, 1]))
+            by_u, by_v, by_s = axis_gradient(y, np.float32(scale[j]), moments, *entries)
+            assert np.allclose(by_s, s.grad[j].item(), rtol=1e-3)
+            assert np.allclose([by_u * scale[j], by_v * scale[j]], w.grad[:, j].numpy(), rtol=2e-3, atol=1e-6)
 
 
 def test_quaternion_through_its_normalisation():

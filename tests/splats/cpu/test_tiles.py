@@ -1,29 +1,40 @@
 import numpy as np
+import pytest
 import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import backend as cpu
-from tdgbench.splats.cpu.binning import TILE, sort_by_depth
+from tdgbench.splats.cpu import passes, pool
+from tdgbench.splats.cpu.tiles import ALONE_BELOW, TILE, sort_by_key
 from tests.conftest import random_gaussians, turned_camera
 
 
-def test_sort_is_stable_and_right():
+@pytest.mark.parametrize("count", [0, 1, 5000, ALONE_BELOW + 1001])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_sort_is_stable_and_right(count, threads):
     rng = np.random.default_rng(0)
-    depths = np.round(rng.uniform(0.2, 50, 5000), 1).astype(np.float32)
-    keys, values = depths.view(np.uint32).copy(), np.arange(5000, dtype=np.int32)
-    spare_keys, spare_values = np.empty_like(keys), np.empty_like(values)
-    sort_by_depth(keys, values, spare_keys, spare_values, 5000)
-    assert np.array_equal(spare_values, np.argsort(depths, kind="stable"))
+    depths = np.round(rng.uniform(0.2, 50, count + 100), 1).astype(np.float32)
+    keys, values = depths.view(np.uint32).copy(), np.arange(count + 100, dtype=np.int32)
+    spare = [(np.empty_like(keys), np.empty_like(values)) for _ in range(2)]
+    half = count // 2
+    pieces = [(0, half), (half + 100, count + 100)]  # with a gap
+    try:
+        pool.set_threads(threads)
+        sorted_keys, order = sort_by_key(pieces, keys, values, spare)
+    finally:
+        pool.set_threads(None)
+    given = np.concatenate([values[a:b] for a, b in pieces])
+    assert np.array_equal(order, given[np.argsort(depths[given], kind="stable")])
+    assert np.array_equal(sorted_keys, depths.view(np.uint32)[order])
 
 
 def lists(parameters, camera, width, height):
-    means, quats, scales, opacities, colors = (p.numpy() for p in parameters)
-    settings = cpu.Settings(
+    means, quats, scales, opacities, colors = parameters
+    settings = passes.Settings(
         camera=cpu.pack_camera(camera[0][0], camera[1][0], width, height, 0.2, 1e10, 0.3), width=width, height=height,
-        sh_degree=-1, depth_channel=False, background=np.zeros(1, np.float32), absgrad=False,
+        degree=-1, depth_channel=False, background=np.zeros(1, np.float32),
     )  # fmt: skip
-    radii, means2d = np.zeros(len(means), np.int32), np.zeros((len(means), 2), np.float32)
-    return cpu._build_lists((means, scales, quats, opacities, colors[:, None]), settings, radii, means2d)
+    return passes.forward(cpu._arrays_of((means, scales, quats, opacities, colors[:, None])), settings)
 
 
 def test_every_touched_tile_is_listed_from_near_to_far():
@@ -36,7 +47,7 @@ def test_every_touched_tile_is_listed_from_near_to_far():
     depths = parameters[0].numpy() @ camera[0][0, 2, :3].numpy() + camera[0][0, 2, 3].numpy()
     listed = set()
     for tile in range(len(found.tile_start) - 1):
-        own = found.gaussian_of[found.tile_start[tile] : found.tile_start[tile + 1]]
+        own = found.owners[found.gaussian_of[found.tile_start[tile] : found.tile_start[tile + 1]]]
         assert np.all(np.diff(depths[own]) >= 0)
         listed |= {(tile, int(i)) for i in own}
     needed = set()
@@ -50,8 +61,9 @@ def test_every_touched_tile_is_listed_from_near_to_far():
     assert len(listed) < 1.25 * len(needed)  # and the lists are tight
 
 
-def test_slots_are_a_permutation():
+def test_every_pair_has_its_own_slot():
     found = lists(random_gaussians(300, 5, None, 1), turned_camera(50, 50), 50, 50)
-    assert np.array_equal(np.sort(found.slot_of), np.arange(len(found.slot_of)))
-    owner = np.searchsorted(found.offsets, found.slot_of, side="right") - 1
-    assert np.array_equal(owner, found.gaussian_of)
+    assert len(np.unique(found.slot_of)) == found.count_pairs()
+    first, last = found.pairs[found.gaussian_of].T
+    assert (first <= found.slot_of).all() and (found.slot_of < last).all()
+    assert sum(int(np.diff(found.pairs[a : a + n]).sum()) for a, n in found.kept) == found.count_pairs()

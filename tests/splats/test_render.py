@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+import torch
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.render import render_state
+from tdgbench.splats.state import TrainingState
+from tests.conftest import random_gaussians, turned_camera
+from tests.splats.test_optimizer import RATES
+
+
+def cloud(channels: int, degree: int, dtype=torch.float32) -> Gaussians:
+    means, quats, scales, opacities, sh = random_gaussians(120, 4, degree, channels)
+    return Gaussians(means, scales.log(), quats, opacities.logit(), sh).map(lambda t: t.to(dtype))
+
+
+def gradients_of(given: Gaussians, backend: str, used_degree: int):
+    """Image, depth, transmittance, and the gradients by Gaussian (N, columns), (N, 2), radii (N,)."""
+    state = TrainingState(given)
+    view, K = (t[0].numpy() for t in turned_camera(50, 40))
+    collected = []
+    outputs = render_state(
+        state, Adam(state, RATES, 1.0), view, K, 50, 40, degree=used_degree, depth=True, iteration=1, backend=backend,
+        collect=collected.append,
+    )  # fmt: skip
+    g = torch.Generator().manual_seed(0)
+    loss = sum((o * torch.randn(o.shape, generator=g, dtype=torch.float64).to(o)).sum() for o in outputs)
+    loss.backward()
+    (found,) = collected
+    values, image = np.zeros((120, 64)), np.zeros((120, 2))
+    index, rows, on_image = (t.double().numpy() for t in found.rows())
+    values[index.astype(int), : rows.shape[1]], image[index.astype(int)] = rows, on_image[:, :2]
+    radii = torch.zeros(120, dtype=torch.int32)
+    seen, own = found.visible()
+    radii[seen] = own
+    return [o.detach().double() for o in outputs], values, image, radii, state
+
+
+@pytest.mark.parametrize(("channels", "degree", "used"), [(1, 3, 3), (1, 3, 1), (3, 2, 2), (3, 3, 0)])
+def test_past_autograd_is_the_reference(channels, degree, used):
+    """Activations and their gradients inside the kernels against torch's, in float64."""
+    fast = gradients_of(cloud(channels, degree), "cpu", used)
+    exact = gradients_of(cloud(channels, degree, torch.float64), "reference", used)
+    for a, b in zip(fast[0], exact[0], strict=True):
+        assert (a - b).abs().max() < 1e-4
+    for a, b in zip(fast[1:3], exact[1:3], strict=True):
+        assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b)
+    for column in (0, 3, 6, 10, 11):  # every kind of parameter by itself
+        assert np.linalg.norm((fast[1] - exact[1])[:, column]) < 1e-3 * np.linalg.norm(exact[1][:, column])
+    assert torch.equal(fast[3], exact[3])
+
+
+def test_no_gradients_without_grad():
+    state = TrainingState(cloud(1, 0))
+    view, K = (t[0].numpy() for t in turned_camera(20, 20))
+    with torch.no_grad():
+        image, depth, _ = render_state(
+            state, Adam(state, RATES, 1.0), view, K, 20, 20, degree=0, depth=False, iteration=1, backend="auto",
+            collect=lambda _: pytest.fail("nobody asked"),
+        )  # fmt: skip
+    assert not image.requires_grad and depth is None
