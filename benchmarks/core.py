@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from benchmarks.clouds import Cloud, random_cloud
 from benchmarks.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.records import FIRST_Y, LAST_Y
 from tdgbench.splats.cpu.tiles import TILE
 from tdgbench.splats.rasterization import render_view
 
@@ -89,8 +90,8 @@ def looked_at(cloud: Cloud) -> int:
     place = np.arange(len(tile)) - lists.tile_start[tile]
     seen = place < reached[tile]
     top = (tile[seen] // tiles_x) * TILE
-    boxes = lists.boxes[lists.gaussian_of[seen]].astype(int)
-    rows = np.minimum(boxes[:, 3] - top, TILE - 1) - np.maximum(boxes[:, 2] - top, 0) + 1
+    own = lists.records[lists.gaussian_of[seen]]
+    rows = np.minimum(own[:, LAST_Y] - top, TILE - 1) - np.maximum(own[:, FIRST_Y] - top, 0) + 1
     return int(rows.sum() * TILE)
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.dense import dense_gradients, dense_projected
 from tdgbench.splats.cpu.passes import ForwardPass, GradientRows, Settings, Source, backward, forward
 from tdgbench.splats.cpu.projection import CAMERA_SIZE
-from tdgbench.splats.cpu.projection_backward import scatter_gradients, scatter_projected
 from tdgbench.splats.view import RenderedView
 
 MAX_CHANNELS = 4
@@ -49,21 +48,19 @@ def _arrays_of(tensors) -> Source:
 class Rasterize(torch.autograd.Function):
     """image (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
-    `probe` (N, 2) is filled with the image means; its gradient is d loss / d image mean, in pixels.
+    `probe` (N, 2) is given the image means; its gradient is d loss / d image mean, in pixels.
     """
 
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
         source = _arrays_of((means, scales, quats, opacities, colors))
         done = forward(source, settings)
-        radii = np.zeros(source.count, np.int32)
-        projected = done.projected
-        lists = (projected.index, projected.radii, projected.means2d, radii, probe.detach().numpy())
-        pool.run(scatter_projected, [(*piece, *lists) for piece in projected.seen])
+        radii, means2d = (torch.from_numpy(a) for a in dense_projected(done.projected, source.count))
+        probe.data = means2d
         ctx.saved = (source, settings, done, probe, colors.shape)
         ctx.set_materialize_grads(False)
-        outputs = tuple(torch.from_numpy(a) for a in (done.image, done.depth, done.transmittance, radii))
-        ctx.mark_non_differentiable(outputs[3])
+        outputs = (*(torch.from_numpy(a) for a in (done.image, done.depth, done.transmittance)), radii)
+        ctx.mark_non_differentiable(radii)
         return outputs
 
     @staticmethod
@@ -71,21 +68,12 @@ class Rasterize(torch.autograd.Function):
         source, settings, done, probe, color_shape = ctx.saved
         grads = (None if g is None else g.numpy() for g in (grad_image, grad_depth, grad_transmittance))
         rows = backward(source, settings, done, *grads)
-        n, per_color = source.count, int(np.prod(color_shape[1:]))
-        means, scales, quats, opacities, colors = (
-            torch.zeros(shape) for shape in ((n, 3), (n, 3), (n, 4), (n,), (n, per_color))
-        )
-        used = colors[:, : rows.values.shape[1]] if settings.degree < 0 else colors
-        bases = (settings.degree + 1) ** 2 if settings.degree >= 0 else 1
-        used = used[:, : bases * len(settings.background)]
-        dense = tuple(t.numpy() for t in (means, scales, quats, opacities, used))
-        pool.run(scatter_gradients, [(*piece, rows.index, rows.values, *dense) for piece in rows.pieces])
-        on_image = np.zeros((n, 5), np.float32)
-        for first, count in rows.pieces:
-            on_image[rows.index[first : first + count]] = rows.image[first : first + count]
+        per_color = int(np.prod(color_shape[1:]))
+        dense = (torch.from_numpy(a) for a in dense_gradients(rows, source.count, per_color, settings.absgrad))
+        means, scales, quats, opacities, colors, means2d, abs_means2d = dense
         if settings.absgrad:
-            probe.absgrad = torch.from_numpy(on_image[:, 2:4].copy())
-        return means, quats, scales, opacities, colors.view(color_shape), torch.from_numpy(on_image[:, :2].copy()), None
+            probe.absgrad = abs_means2d
+        return means, quats, scales, opacities, colors.view(color_shape), means2d, None
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
@@ -105,7 +93,7 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         background=black if background is None else background.detach().contiguous().numpy(),
         absgrad=absgrad,
     )
-    probe = torch.zeros(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
+    probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
     image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
     depths = means.detach() @ viewmat[2, :3].to(means) + viewmat[2, 3].to(means)
     return RenderedView(image, depth if depth_channel else None, transmittance, probe, depths, radii)

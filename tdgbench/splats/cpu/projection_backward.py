@@ -230,29 +230,3 @@ def projection_backward(
         done += filled
         filled = 0
     return done - first
-
-
-@kernel()
-def scatter_gradients(first, count, touched, gradients, means, scales, quats, opacities, colors):
-    """Spread rows over dense arrays (N, 3), (N, 3), (N, 4), (N,), (N, colours), which come in as zeros."""
-    for r in range(U(first), U(first + count)):
-        i = U(touched[r])
-        row = gradients[r]
-        for j in range(U(3)):
-            means[i, j] = row[U(MEANS_AT) + j]
-            scales[i, j] = row[U(SCALES_AT) + j]
-        for j in range(U(4)):
-            quats[i, j] = row[U(QUATS_AT) + j]
-        opacities[i] = row[U(OPACITY_AT)]
-        for j in range(U(colors.shape[1])):
-            colors[i, j] = row[U(COLORS_AT) + j]
-
-
-@kernel()
-def scatter_projected(first, count, seen, radii, means2d, all_radii, all_means2d):
-    """Spread what was projected over dense arrays (N,) and (N, 2)."""
-    for r in range(U(first), U(first + count)):
-        i = U(seen[r])
-        all_radii[i] = radii[r]
-        all_means2d[i, U(0)] = means2d[r, U(0)]
-        all_means2d[i, U(1)] = means2d[r, U(1)]
