@@ -29,7 +29,7 @@ from tdgbench.splats.cpu.blend import (
     row_alive,
 )
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch, prefetch_row, store, take_next
+from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch, prefetch_row, store, store_anywhere, take_next
 from tdgbench.splats.cpu.records import (
     A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LAST_X, LAST_Y, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_,
 )  # fmt: skip
@@ -41,7 +41,7 @@ from tdgbench.splats.cpu.simd import (
     greater,
     greater_equal,
     lane_index,
-    lane_sum,
+    lane_sums_of_4,
     lane_sums_of_8,
     less_equal,
     maximum,
@@ -197,17 +197,23 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                     mxy = mxy + column_y * dx
                     myy = myy + column_yy
                 slot = U(slot_of[U(k)])
-                store(row_b, 0, lane_sums_of_8(m0, mx, my, mxx, mxy, myy, k0, k1))
                 o = slot * U(size)
-                for j in range(U(min(6 + channels, 8))):
-                    slots[o + j] = row_b[j]
-                if channels > 2:
-                    slots[o + U(8)] = lane_sum(k2)
-                if channels > 3:
-                    slots[o + U(9)] = lane_sum(k3)
-                if absgrad:
-                    slots[o + U(size - 2)] = lane_sum(abs_u)
-                    slots[o + U(size - 1)] = lane_sum(abs_v)
+                first_sums = lane_sums_of_8(m0, mx, my, mxx, mxy, myy, k0, k1)
+                if LANES == 8 and size >= 8:
+                    store_anywhere(slots, o, first_sums)
+                else:
+                    store(row_b, 0, first_sums)
+                    for j in range(U(min(size, 8))):
+                        slots[o + j] = row_b[j]
+                if channels > 2 or absgrad:
+                    store(row_c, 0, lane_sums_of_4(k2, k3, abs_u, abs_v))
+                    if channels > 2:
+                        slots[o + U(8)] = row_c[0]
+                    if channels > 3:
+                        slots[o + U(9)] = row_c[1]
+                    if absgrad:
+                        slots[o + U(size - 2)] = row_c[2]
+                        slots[o + U(size - 1)] = row_c[3]
                 if (k - begin) % CHECK_EVERY == CHECK_EVERY - 1:
                     while first_row <= last_row and not row_alive(pixels, first_row * row, block):
                         first_row += 1

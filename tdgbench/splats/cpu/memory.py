@@ -67,6 +67,18 @@ def _call_prefetch(builder, pointer):
     builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
 
 
+@intrinsic
+def store_anywhere(typing_context, array, index, value):
+    """LANES floats into a 1-D float32 array, at any offset."""
+
+    def generate(context, builder, signature, args):
+        target = _address(context, builder, signature.args[0], args[0], args[1])
+        builder.store(args[2], target, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, index, vec), generate
+
+
 def _element(builder, data, row, stride, column):
     """The address of data[row · stride + column]."""
     return builder.gep(data, [builder.add(builder.mul(row, stride), column)])

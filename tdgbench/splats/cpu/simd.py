@@ -335,6 +335,17 @@ def _sum_tree(builder, vectors):
 
 
 @intrinsic
+def lane_sums_of_4(typing_context, v0, v1, v2, v3):
+    """The lane sums of four vectors, in lanes 0 to 3 of the result."""
+
+    def generate(context, builder, signature, args):
+        total, places = _sum_tree(builder, list(args))
+        return _shuffle(builder, total, total, places + [0] * (LANES - 4))
+
+    return vec(*[vec] * 4), generate
+
+
+@intrinsic
 def lane_sums_of_8(typing_context, v0, v1, v2, v3, v4, v5, v6, v7):
     """The lane sums of eight vectors, in lanes 0 to 7 of the result: one shuffle tree instead of eight."""
 
