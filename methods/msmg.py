@@ -36,7 +36,9 @@ class MSMG:
 
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
-        loss_rgb = photometric(self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view, self.device), self.lambda_ssim)
+        loss_rgb = photometric(
+            self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view, self.device), self.lambda_ssim
+        )
         render = self.thermal.render(thermal_view.camera)
         target = thermal_tensor(thermal_view, self.device)
         loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)

@@ -28,7 +28,9 @@ def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> st
         return device.type if device.type in ("cpu", "cuda") and dtype == torch.float32 else "reference"
     if backend in ("cpu", "cuda") and (device.type != backend or dtype != torch.float32):
         where = "the CPU" if backend == "cpu" else "a CUDA GPU"
-        raise ValueError(f"backend {backend} takes float32 tensors on {where}, not {dtype} on {device}; use 'reference'")
+        raise ValueError(
+            f"backend {backend} takes float32 tensors on {where}, not {dtype} on {device}; use 'reference'"
+        )
     if backend == "cuda" and (reason := cuda.why_not()) is not None:
         raise RuntimeError(f"backend cuda cannot run: {reason}")
     return backend

@@ -43,7 +43,9 @@ def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: fl
         loss = photometric(image, target, lambda_ssim)
         return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
     wrap, value_scale, gradient_scale = _smoothness_scales(image, reading)
-    return _fused(image, target, 1 - lambda_ssim, lambda_ssim, wrap, lambda_smooth * value_scale, lambda_smooth * gradient_scale)
+    return _fused(
+        image, target, 1 - lambda_ssim, lambda_ssim, wrap, lambda_smooth * value_scale, lambda_smooth * gradient_scale
+    )
 
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:

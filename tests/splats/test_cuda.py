@@ -57,7 +57,9 @@ def test_hands_over_and_takes_back(stand_in, degree, depth, background):
         g = torch.Generator().manual_seed(0)
         parts = [out.image, out.transmittance, *([out.depth] if depth else [])]
         sum((p * torch.randn(p.shape, generator=g, dtype=torch.float64)).sum() for p in parts).backward()
-        results.append([*parts, out.radii.double(), out.depths, out.means2d, out.means2d.grad, *(p.grad for p in leaves)])
+        results.append(
+            [*parts, out.radii.double(), out.depths, out.means2d, out.means2d.grad, *(p.grad for p in leaves)]
+        )
         assert (out.depth is not None) == depth
     for ours, theirs in zip(*results, strict=True):
         assert torch.allclose(ours, theirs, atol=1e-12)

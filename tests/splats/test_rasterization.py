@@ -15,7 +15,10 @@ from tdgbench.splats import cuda, rasterization, reference
 from tdgbench.splats.cpu import pool
 from tests.conftest import ROOT, random_gaussians, turned_camera
 
-FAST_BACKENDS = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(cuda.why_not() is not None, reason=str(cuda.why_not())))]
+FAST_BACKENDS = [
+    "cpu",
+    pytest.param("cuda", marks=pytest.mark.skipif(cuda.why_not() is not None, reason=str(cuda.why_not()))),
+]
 IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 1e-4, 1e-3
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 

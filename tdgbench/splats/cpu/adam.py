@@ -7,14 +7,12 @@ looked at. What differs from torch.optim.Adam is rounding, and eps = 1e-15 besid
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import load, prefetch, store
-from tdgbench.splats.cpu.simd import LANES, divide, splat, square_root
+from tdgbench.splats.cpu.simd import LANES, divide, square_root
 
 F, U = np.float32, np.uint64
 AHEAD = 6  # rows for which memory is asked before they are worked on

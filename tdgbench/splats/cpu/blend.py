@@ -16,7 +16,18 @@ from numba import int64
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
 from tdgbench.splats.cpu.records import (
-    A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LAST_X, LAST_Y, LOG2_MIN_ALPHA, LOG2_OPACITY, U_, V_,
+    A_,
+    B_,
+    C_,
+    CHANNELS,
+    FIRST_X,
+    FIRST_Y,
+    LAST_X,
+    LAST_Y,
+    LOG2_MIN_ALPHA,
+    LOG2_OPACITY,
+    U_,
+    V_,
 )  # fmt: skip
 from tdgbench.splats.cpu.simd import (
     LANES,

@@ -12,7 +12,17 @@ import numpy as np
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import aligned_floats, gather, store
 from tdgbench.splats.cpu.projection import camera_point, exponential, ray_limits
-from tdgbench.splats.cpu.simd import LANES, any_positive, divide, greater, less_equal, maximum, select, splat, square_root
+from tdgbench.splats.cpu.simd import (
+    LANES,
+    any_positive,
+    divide,
+    greater,
+    less_equal,
+    maximum,
+    select,
+    splat,
+    square_root,
+)
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)

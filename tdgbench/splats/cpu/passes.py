@@ -21,7 +21,7 @@ from tdgbench.splats.cpu.projection_forward import project_and_list
 from tdgbench.splats.cpu.records import RECORD
 from tdgbench.splats.cpu.scratch import Lease
 from tdgbench.splats.cpu.simd import LANES
-from tdgbench.splats.cpu.tiles import TILE, fill_lists, sort_by_key
+from tdgbench.splats.cpu.tiles import TILE, list_by_tile, sort_by_key
 
 F = np.float32
 
@@ -104,7 +104,9 @@ def forward(source: Source, settings: Settings) -> ForwardPass:
     threads = pool.get_threads()
     lease, passing = Lease(), Lease()  # what the backward pass needs again, and what it does not
     n_groups = -(-source.count // LANES)
-    pieces = [(a * LANES, min(b * LANES, source.count)) for a, b in pool.chunks(n_groups, min(threads, max(n_groups, 1)))]
+    pieces = [
+        (a * LANES, min(b * LANES, source.count)) for a, b in pool.chunks(n_groups, min(threads, max(n_groups, 1)))
+    ]
     candidates = passing.take("candidates", max(n_groups, 1) * LANES, np.int32)
     growing = F(source.slack), F(source.growth)
     found = pool.run(
@@ -146,7 +148,6 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     pair_room = max(4096, 6 * room // len(spans))
     while True:
         tile_of_pair = passing.take("tiles", (len(spans), pair_room), np.int32)
-        pairs_per_tile = np.zeros((len(spans), n_tiles), np.int64)
         counts = np.zeros((len(spans), 3), np.int64)
         pool.run(
             project_and_list,
@@ -154,7 +155,7 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
                 (
                     *span, candidates, *source.arrays, source.layout, source.raw, channels, settings.degree,
                     settings.camera, settings.depth_channel, t * pair_room, records, owners, pairs, keys, order,
-                    index, radii, means2d, tile_of_pair[t], pairs_per_tile[t], counts[t],
+                    index, radii, means2d, tile_of_pair[t], counts[t],
                 )
                 for t, span in enumerate(spans)
             ],
@@ -163,23 +164,13 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
             break
         pair_room = int(counts[:, 1].max())
     firsts = [first for first, _ in spans]
-    kept, n_pairs = list(zip(firsts, counts[:, 0].tolist())), int(counts[:, 1].sum())
+    kept = list(zip(firsts, counts[:, 0].tolist()))
     spare = [
         (passing.take("keys", room, np.uint32), passing.take("order", room, np.int32)) for _ in range(2)
     ]  # fmt: skip
     _, sorted_records = sort_by_key([(a, a + n) for a, n in kept], keys, order, spare)
-    tile_start = np.zeros(n_tiles + 1, np.int64)
-    np.cumsum(pairs_per_tile.sum(axis=0), out=tile_start[1:])
-    cursor = tile_start.copy()
-    gaussian_of, slot_of = (lease.take(role, n_pairs, np.int32) for role in ("gaussian of", "slot of"))
-    targets = [n_pairs * t // len(spans) for t in range(1, len(spans))]
-    cuts = [0, *np.searchsorted(tile_start, targets).tolist(), n_tiles]
-    pool.run(
-        fill_lists,
-        [
-            (cuts[t], cuts[t + 1], sorted_records, cursor, pairs, tile_of_pair.reshape(-1), gaussian_of, slot_of)
-            for t in range(len(spans))
-        ],
+    tile_start, gaussian_of, slot_of = list_by_tile(
+        sorted_records, pairs, tile_of_pair.reshape(-1), n_tiles, lease.take
     )
     size = (settings.height, settings.width)
     image = np.empty((*size, channels), np.float32)

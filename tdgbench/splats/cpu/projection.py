@@ -89,7 +89,12 @@ def ray_limits(camera):
     """Where viewing rays are clamped: 1.3 × the field of view, where the linearisation would explode (3DGS)."""
     fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
     margin_x, margin_y = F(0.15) * camera[22] / fx, F(0.15) * camera[23] / fy
-    return -cx / fx - margin_x, (camera[22] - cx) / fx + margin_x, -cy / fy - margin_y, (camera[23] - cy) / fy + margin_y
+    return (
+        -cx / fx - margin_x,
+        (camera[22] - cx) / fx + margin_x,
+        -cy / fy - margin_y,
+        (camera[23] - cy) / fy + margin_y,
+    )
 
 
 @kernel(inline=True)

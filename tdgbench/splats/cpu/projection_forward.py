@@ -25,7 +25,18 @@ from tdgbench.splats.cpu.projection import (
     screen_radius,
 )
 from tdgbench.splats.cpu.records import (
-    A_, B_, C_, CHANNELS, FIRST_X, LOG2_MIN_ALPHA, LOG2_OPACITY, MIN_ALPHA, OPACITY, RADIUS, U_, V_,
+    A_,
+    B_,
+    C_,
+    CHANNELS,
+    FIRST_X,
+    LOG2_MIN_ALPHA,
+    LOG2_OPACITY,
+    MIN_ALPHA,
+    OPACITY,
+    RADIUS,
+    U_,
+    V_,
 )  # fmt: skip
 from tdgbench.splats.cpu.simd import (
     LANES,
@@ -70,8 +81,7 @@ def write_colors(group, colors, rows, k, stride, column, channels, degree, mx, m
 @kernel()
 def project_and_list(
     first, count, candidates, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
-    depth_channel, first_pair, records, owners, pairs, depth_keys, order, seen, radii, means2d, tile_of_pair,
-    pairs_per_tile, counts,
+    depth_channel, first_pair, records, owners, pairs, depth_keys, order, seen, radii, means2d, tile_of_pair, counts,
 ):  # fmt: skip
     """Project candidates [first, first + count); kept ones become records from `first` on.
 
@@ -160,7 +170,7 @@ def project_and_list(
             before = n_pairs
             n_pairs = list_tiles(
                 n_pairs, u, v, A, B, C, group[U(DET * LANES) + i], group[U(CUT * LANES) + i], hw, hh,
-                group[U(SLOPE * LANES) + i], x0_, x1_, y0_, y1_, tiles_x, tile_of_pair, pairs_per_tile,
+                group[U(SLOPE * LANES) + i], x0_, x1_, y0_, y1_, tiles_x, tile_of_pair,
             )  # fmt: skip
             if n_pairs == before:
                 continue

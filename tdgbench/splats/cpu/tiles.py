@@ -25,7 +25,7 @@ ALONE_BELOW = 20_000  # Gaussians that one thread sorts faster than several
 
 
 @kernel()
-def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, tiles_x, tile_of_pair, pairs_per_tile):
+def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, tiles_x, tile_of_pair):
     """Write the tiles that a Gaussian reaches behind the first n_pairs; returns how many there are then.
 
     Pairs beyond the room in `tile_of_pair` are counted but not written. The box's half sides are hw, hh; cut is by how
@@ -35,7 +35,7 @@ def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, 
     # Where the box spans 2×2 tiles or more it has corners that the ellipse does not reach: cut each row of tiles
     # to the ellipse's own extent there. Roots of A dx² + B dy dx + C dy² = −cut; B² − 4AC = −log2(e)²/det.
     has_corners = (x1 >> 4) > (x0 >> 4) and (y1 >> 4) > (y0 >> 4)
-    discriminant = -LOG2_E * LOG2_E / det
+    discriminant, per_2a = -LOG2_E * LOG2_E / det, HALF / A
     for tile_y in range(y0 >> 4, (y1 >> 4) + 1):
         first, last = x0, x1
         if has_corners:
@@ -46,11 +46,11 @@ def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, 
             if slope >= upper and slope <= lower:
                 reach_right = hw
             else:
-                reach_right = max((-B * upper - root_u) * HALF / A, (-B * lower - root_l) * HALF / A)
+                reach_right = max((-B * upper - root_u) * per_2a, (-B * lower - root_l) * per_2a)
             if -slope >= upper and -slope <= lower:
                 reach_left = -hw
             else:
-                reach_left = min((-B * upper + root_u) * HALF / A, (-B * lower + root_l) * HALF / A)
+                reach_left = min((-B * upper + root_u) * per_2a, (-B * lower + root_l) * per_2a)
             begin = max(u + reach_left - HALF - SLACK, F(x0))
             end = min(u + reach_right - HALF + SLACK, F(x1))
             if not (end >= begin):
@@ -60,7 +60,6 @@ def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, 
                 continue
         for tile_x in range(first >> 4, (last >> 4) + 1):
             tile = tile_y * tiles_x + tile_x
-            pairs_per_tile[U(tile)] += 1
             if n_pairs < room:
                 tile_of_pair[U(n_pairs)] = tile
             n_pairs += 1
@@ -110,9 +109,7 @@ def sort_by_key(pieces, keys, values, spare):
         histograms = np.empty((len(pieces), 1 << width), np.int64)
         shift = np.uint32(width * digit)
         pool.run(count_digits, [(*p, source[0], lowest, shift, h) for p, h in zip(pieces, histograms)])
-        # A piece's digits go behind smaller digits of all pieces, and behind the same digit of pieces before it.
-        ends = np.cumsum(histograms.T).reshape(1 << width, len(pieces)).T
-        cursors = np.ascontiguousarray(ends - histograms)
+        _, cursors = _cursors(histograms)
         target = targets[digit % 2]
         pool.run(move_by_digit, [(*p, *source, lowest, shift, c, *target) for p, c in zip(pieces, cursors)])
         source = target
@@ -120,18 +117,52 @@ def sort_by_key(pieces, keys, values, spare):
 
 
 @kernel()
-def fill_lists(first_tile, last_tile, order, cursor, pairs, tile_of_pair, gaussian_of, slot_of):
-    """Fill the lists of tiles [first_tile, last_tile) in the given order of records; slot_of: each pair's own slot."""
+def count_pairs(start, stop, order, pairs, tile_of_pair, counts):
+    """counts[tile] = pairs of the records order[start:stop]."""
+    counts[:] = 0
     last = U(order.shape[0] - 1)
-    for k in range(U(order.shape[0])):
+    for k in range(U(start), U(stop)):
         prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
         prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
         i = U(order[k])
         for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
-            tile = tile_of_pair[U(pair)]
-            if tile < first_tile or tile >= last_tile:
-                continue
-            place = U(cursor[U(tile)])
-            cursor[U(tile)] = int64(place) + 1
+            counts[U(tile_of_pair[U(pair)])] += 1
+
+
+@kernel()
+def fill_lists(start, stop, order, pairs, tile_of_pair, cursor, gaussian_of, slot_of):
+    """List the records order[start:stop] where the cursor of each tile points; slot_of: each pair's own slot."""
+    last = U(order.shape[0] - 1)
+    for k in range(U(start), U(stop)):
+        prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
+        prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
+        i = U(order[k])
+        for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
+            tile = U(tile_of_pair[U(pair)])
+            place = U(cursor[tile])
+            cursor[tile] = int64(place) + 1
             gaussian_of[place] = i
             slot_of[place] = pair
+
+
+def list_by_tile(order, pairs, tile_of_pair, n_tiles: int, take):
+    """tile_start (tiles + 1,), and for every tile its records and their slots, in the given order of records.
+
+    take(role, size, dtype) gives memory.
+    """
+    pieces = pool.chunks(len(order), max(1, min(pool.get_threads(), len(order))))
+    counts = np.empty((len(pieces), n_tiles), np.int64)
+    pool.run(count_pairs, [(*p, order, pairs, tile_of_pair, c) for p, c in zip(pieces, counts)])
+    starts, cursors = _cursors(counts)
+    tile_start = np.append(starts, cursors[-1, -1] + counts[-1, -1])
+    gaussian_of, slot_of = (take(role, int(tile_start[-1]), np.int32) for role in ("gaussian of", "slot of"))
+    lists = (gaussian_of, slot_of)
+    pool.run(fill_lists, [(*p, order, pairs, tile_of_pair, c, *lists) for p, c in zip(pieces, cursors)])
+    return tile_start, *lists
+
+
+def _cursors(counts):
+    """Where each bin begins, and where each piece's share of it does: pieces follow each other inside a bin."""
+    ends = np.cumsum(counts.T).reshape(counts.shape[::-1]).T
+    cursors = np.ascontiguousarray(ends - counts)
+    return cursors[0].copy(), cursors

@@ -35,7 +35,9 @@ def test_only_candidates_are_updated_and_only_pulled_ones_get_rows():
         base.count, base.arrays, base.layout, False, base.sizes, base.centres,
         update=lambda spans, candidates: asked.extend(candidates[a : a + n].copy() for a, n in spans),
     )  # fmt: skip
-    settings = passes.Settings(cpu.pack_camera(view, K, 40, 30, 0.2, 1e10, 0.3), 40, 30, -1, False, np.zeros(1, np.float32))
+    settings = passes.Settings(
+        cpu.pack_camera(view, K, 40, 30, 0.2, 1e10, 0.3), 40, 30, -1, False, np.zeros(1, np.float32)
+    )
     done = passes.forward(source, settings)
     asked = np.concatenate(asked)
     assert (asked % 2 == 1).all() and (np.diff(asked) > 0).all()

@@ -27,7 +27,9 @@ def test_axes_of_an_inverse_covariance():
         p, q = (tuple(np.float32(x) for x in row) for row in axes)
         det = np.float32(1 / np.linalg.det(axes @ axes.T + eps * np.eye(2)))
         for j in range(3):
-            y = whitened(np.float32(unit[0, j]), np.float32(unit[1, j]), p, q, (j + 1) % 3, (j + 2) % 3, np.float32(eps), det)
+            y = whitened(
+                np.float32(unit[0, j]), np.float32(unit[1, j]), p, q, (j + 1) % 3, (j + 2) % 3, np.float32(eps), det
+            )
             assert np.allclose(y, M @ unit[:, j], rtol=1e-4)  # also along a needle
             moments = tuple(np.float32(x) for x in g)
             entries = (np.float32(M[0, 0]), np.float32(M[0, 1]), np.float32(M[1, 1]))
