@@ -2,8 +2,8 @@
 
 What differs from the other backends, by gsplat's own constants (1.5.3): alpha is capped at 0.999 rather than 0.99, and
 a Gaussian's radius ends where its opacity falls below 1/255, not at 3 σ, so that density control may count a faint one
-as unseen at the border. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance 1e-4, eps2d is
-added to the image covariance, depth is the accumulated z before nothing.
+as unseen at the border. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance 1e-4, eps2d
+is added to the image covariance, depth is the accumulated z.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ def render_view(
         options["absgrad"] = absgrad
     elif absgrad:
         raise ValueError("backend reference does not compute absgrad; use 'cpu'")
-    rasterize = {"cpu": cpu.rasterize, "cuda": cuda.rasterize, "reference": reference.rasterize}[chosen]
+    rasterize: Any = {"cpu": cpu.rasterize, "cuda": cuda.rasterize, "reference": reference.rasterize}[chosen]
     return rasterize(
         means, quats, scales, opacities, colors, viewmat, K, width, height,
         background=background, depth_channel=depth, **options,

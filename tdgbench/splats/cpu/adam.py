@@ -57,9 +57,9 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
                  now, drift, rho_powers, powers1, powers2, step_sizes, per_bias2, rest1, rest2, eps):  # fmt: skip
     """One step, the `now`-th, for the rows named by index[first : first + count]; drift is that of the step before.
 
-    gradients (rows, g) with g ≤ stride, columns beyond being zero; the others flat with `stride` floats a row; powers[k]
-    = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when the
-    moments and the parameters of a row were last brought up to date.
+    gradients (rows, g) with g ≤ stride, columns beyond being zero; parameters and moments flat, `stride` floats a row;
+    powers[k] = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when
+    the moments and the parameters of a row were last brought up to date.
     """
     columns = gradients.shape[1]
     flat = gradients.reshape(-1)

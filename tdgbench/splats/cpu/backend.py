@@ -118,7 +118,7 @@ class _RenderRows(torch.autograd.Function):
 
 
 def render_rows(source: Source, settings: Settings, deliver) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """image, depth (empty if not asked for) and transmittance; the backward pass calls deliver(GradientRows, ForwardPass)."""
+    """image, depth (empty if not asked for) and transmittance; backward calls deliver(GradientRows, ForwardPass)."""
     check(len(settings.background), settings.depth_channel, settings.width, settings.height)
     trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
     return _RenderRows.apply(trigger, source, settings, deliver)

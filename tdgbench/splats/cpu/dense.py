@@ -1,7 +1,7 @@
 """From rows of some Gaussians to arrays of all, as torch's autograd wants them: what has no row becomes zero.
 
-Rows are in ascending order of their Gaussians; a piece of rows fills the arrays from its first Gaussian, the first piece
-from 0, up to where the next piece begins.
+Rows are in ascending order of their Gaussians. A piece of rows fills the arrays from its first Gaussian (the first
+piece: from 0) up to where the next piece begins.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """L1 and mean SSIM of two images and their gradient, fused (SSIM: 11×11 Gaussian window, sigma 1.5, zero padding).
 
 Images are (rows, columns × channels), channels interleaved: neighbours in a row lie `channels` floats apart, so one
-kernel serves every channel count. A band of rows is streamed: the last eleven rows of everything stay in the cache. With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
+kernel serves every channel count. A band of rows is streamed: the last eleven rows of everything stay in the cache.
+With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
 first image is  G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
 """
 

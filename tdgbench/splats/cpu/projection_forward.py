@@ -86,8 +86,8 @@ def project_and_list(
     """Project candidates [first, first + count); kept ones become records from `first` on.
 
     layout: stride and first column of the five arrays (means, scales, quats, opacities, colours) as flat memory.
-    owners[r] is a record's Gaussian; pairs[r] = first and last + 1 of its pairs, counted from first_pair. seen, radii, means2d: what was projected,
-    from `first` on. counts = [records, pairs, projected].
+    owners[r] is a record's Gaussian; pairs[r] = first and last + 1 of its pairs, counted from first_pair. seen, radii,
+    means2d: what was projected, from `first` on. counts = [records, pairs, projected].
     """
     width, height = camera[22], camera[23]
     tiles_x = (int64(width) + TILE - 1) // TILE

@@ -25,7 +25,7 @@ def test_no_candidates():
 
 
 def test_only_candidates_are_updated_and_only_pulled_ones_get_rows():
-    """A view touches what it sees: the hook gets candidates, the backward pass gives rows to those that any pixel pulls."""
+    """A view touches what it sees: the hook gets candidates, backward gives rows to what pixels pull."""
     means, quats, scales, opacities, colors = random_gaussians(500, 3, None, 1)
     means[::2, 2] = -5  # behind the camera
     (view,), (K,) = turned_camera(40, 30)

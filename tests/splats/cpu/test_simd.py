@@ -47,7 +47,8 @@ def test_lane_by_lane():
     arithmetic(a, b, s, out)
     expected = [
         a + b, a - s, s * b, np.minimum(a, b), np.maximum(a, s), np.where(a > b, a, s),
-        np.where((a >= b) & (a <= s), a, b), -np.abs(a), np.abs(a), 1 / b, np.arange(LANES) + s, a / b, np.sqrt(np.abs(a)), np.ceil(a * s), np.floor(a * s),
+        np.where((a >= b) & (a <= s), a, b), -np.abs(a), np.abs(a), 1 / b, np.arange(LANES) + s, a / b, np.sqrt(np.abs(a)), np.ceil(a * s),
+        np.floor(a * s),
         -a, np.where(a == b, b, s),
     ]  # fmt: skip
     for row, want in zip(out.reshape(17, LANES), expected, strict=True):
