@@ -1,11 +1,16 @@
-"""The random clouds that the benchmarks render."""
+"""What the benchmarks render: random clouds, and a trained model seen from a camera of its scene."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
+
+from tdgbench.scenes import FolderDataset, ReadOptions
+from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.ply import load_ply
 
 
 @dataclass(frozen=True)
@@ -39,4 +44,26 @@ def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
         K=torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]),
         width=width,
         height=height,
+    )
+
+
+def trained_cloud(ply: Path, scene_folder: Path, view: int = 0) -> Cloud:
+    """A cell's `model.ply` from a test camera of the capture that it was trained on; one channel becomes three."""
+    gaussians = load_ply(ply)
+    scene = FolderDataset(str(scene_folder), ReadOptions()).load(None)
+    camera = scene.test[view].camera
+    viewmat = torch.tensor(camera.world_to_camera, dtype=torch.float32)
+    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    directions = torch.nn.functional.normalize(gaussians.means - centre, dim=1)
+    colors = colors_from_sh(gaussians.sh, directions, gaussians.sh_degree)
+    return Cloud(
+        means=gaussians.means,
+        quats=gaussians.quats,
+        scales=gaussians.scales,
+        opacities=gaussians.opacities,
+        colors=colors.expand(-1, 3).contiguous(),
+        viewmat=viewmat,
+        K=torch.tensor(camera.K, dtype=torch.float32),
+        width=camera.width,
+        height=camera.height,
     )

@@ -1,7 +1,9 @@
 """`python -m benchmarks.core`: forward + backward of the splat core, in ms, ratios, and share of the FMA peak.
 
---peer DIR      also run a prototype `nb_core.py` (class Core) found in DIR
---reference     also run the plain-torch reference (minutes per call beyond small clouds)
+--peer DIR               also run a prototype `nb_core.py` (class Core) found in DIR
+--torch                  also run plain torch, tile by tile (many seconds per call)
+--model PLY --data DIR   also render a trained model from a test camera of the capture in DIR
+Where a CUDA GPU and gsplat are, gsplat runs as well.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from benchmarks.clouds import Cloud, random_cloud
+from benchmarks import torch_tiles
+from benchmarks.clouds import Cloud, random_cloud, trained_cloud
 from benchmarks.timing import fma_peak_gflops, interleave, median_ms
+from tdgbench.splats import cuda
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.records import FIRST_Y, LAST_Y
 from tdgbench.splats.cpu.tiles import TILE
@@ -31,24 +35,40 @@ VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (
 
 def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
     """Seconds of one forward pass, backward pass, or both, through autograd as training uses it."""
-    dtype = torch.float64 if backend == "reference" else torch.float32
+    device = torch.device("cuda" if backend == "cuda" else "cpu")
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :channels])
-    leaves = [t.to(dtype).clone().requires_grad_() for t in given]
+    leaves = [t.to(device).clone().requires_grad_() for t in given]
     size = (cloud.height, cloud.width)
-    grads = [torch.ones(*size, channels, dtype=dtype), *([torch.ones(size, dtype=dtype)] if depth else [])]
+    grads = [torch.ones(*size, channels, device=device), *([torch.ones(size, device=device)] if depth else [])]
+    view, K = cloud.viewmat.to(device), cloud.K.to(device)
+
+    def now() -> float:
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter()
 
     def run() -> float:
-        start = time.perf_counter()
-        view = render_view(
-            *leaves, cloud.viewmat.to(dtype), cloud.K.to(dtype), cloud.width, cloud.height, depth=depth, backend=backend
-        )
-        middle = time.perf_counter()
-        outputs = [view.image, *([view.depth] if view.depth is not None else [])]
+        start = now()
+        rendered = render_view(*leaves, view, K, cloud.width, cloud.height, depth=depth, backend=backend)
+        middle = now()
+        outputs = [rendered.image, *([rendered.depth] if rendered.depth is not None else [])]
         torch.autograd.backward(outputs, grads)
-        end = time.perf_counter()
+        end = now()
         for leaf in leaves:
             leaf.grad = None
         return {"forward": middle - start, "backward": end - middle, "both": end - start}[part]
+
+    return run
+
+
+def plain_torch(cloud: Cloud) -> Callable[[], float]:
+    """Seconds of forward + backward in plain torch, float32, tile by tile. Its channels are always 3 + depth."""
+    weights = torch.ones(cloud.height, cloud.width, 5)
+
+    def run() -> float:
+        start = time.perf_counter()
+        torch_tiles.render(cloud, torch.float32, weights)
+        return time.perf_counter() - start
 
     return run
 
@@ -95,36 +115,36 @@ def looked_at(cloud: Cloud) -> int:
     return int(rows.sum() * TILE)
 
 
-def measure(counts: list[int], sizes: list[tuple[int, int]], variants: list[str], repetitions: int,
-            peer: Path | None, reference: bool) -> pd.DataFrame:  # fmt: skip
-    """One row per case and candidate."""
+def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, peer: Path | None,
+            with_torch: bool) -> pd.DataFrame:  # fmt: skip
+    """One row per cloud, channels and candidate."""
     peak = fma_peak_gflops()
     rows = []
-    for width, height in sizes:
-        for count in counts:
-            cloud = random_cloud(count, width, height)
-            flops = looked_at(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
-            for variant in variants:
-                channels, depth = VARIANTS[variant]
-                candidates = {
-                    "cpu": ours(cloud, channels, depth, "cpu", "both"),
-                    "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
-                    "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
-                }
-                if peer is not None:
-                    candidates["prototype"] = prototype(cloud, channels, depth, peer)
-                if reference:
-                    candidates["reference"] = ours(cloud, channels, depth, "reference", "both")
-                times = {name: median_ms(s) for name, s in interleave(candidates, repetitions).items()}
-                for name, ms in times.items():
-                    rows.append(
-                        {
-                            "size": f"{width}x{height}", "gaussians": count, "channels": variant, "candidate": name,
-                            "ms": ms, "cpu_ratio": times["cpu"] / ms,
-                            "peak_share": flops / (ms * 1e6) / peak if name in ("cpu", "prototype") else np.nan,
-                        }
-                    )  # fmt: skip
-                    print(_line(rows[-1]), flush=True)
+    for name, cloud in clouds.items():
+        flops = looked_at(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
+        for variant in variants:
+            channels, depth = VARIANTS[variant]
+            candidates = {
+                "cpu": ours(cloud, channels, depth, "cpu", "both"),
+                "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
+                "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
+            }
+            if cuda.why_not() is None:
+                candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
+            if peer is not None:
+                candidates["prototype"] = prototype(cloud, channels, depth, peer)
+            if with_torch and variant == "3+depth":
+                candidates["torch"] = plain_torch(cloud)
+            times = {key: median_ms(s) for key, s in interleave(candidates, repetitions).items()}
+            for key, ms in times.items():
+                rows.append(
+                    {
+                        "cloud": name, "size": f"{cloud.width}x{cloud.height}", "gaussians": len(cloud.means),
+                        "channels": variant, "candidate": key, "ms": ms, "cpu_ratio": times["cpu"] / ms,
+                        "peak_share": flops / (ms * 1e6) / peak if key in ("cpu", "prototype") else np.nan,
+                    }
+                )  # fmt: skip
+                print(_line(rows[-1]), flush=True)
     table = pd.DataFrame(rows)
     table.attrs["peak"] = peak
     return table
@@ -133,7 +153,8 @@ def measure(counts: list[int], sizes: list[tuple[int, int]], variants: list[str]
 def _line(row: dict) -> str:
     share = "" if np.isnan(row["peak_share"]) else f"  {100 * row['peak_share']:4.1f} % of FMA peak"
     return (
-        f"{row['size']:>8} {row['gaussians']:>7} {row['channels']:>8}  {row['candidate']:<13}"
+        f"{row['cloud'].split()[0]:<8} {row['size']:>8} {row['gaussians']:>8} {row['channels']:>8}"
+        f"  {row['candidate']:<13}"
         f"{row['ms']:9.2f} ms   cpu/this {row['cpu_ratio']:5.2f}{share}"
     )
 
@@ -143,7 +164,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axis = figure.subplots()
     for (size, channels, name), own in table.groupby(["size", "channels", "candidate"], sort=False):
-        if name in ("cpu", "prototype", "reference"):
+        if name not in ("cpu forward", "cpu backward"):
             axis.loglog(own["gaussians"], own["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
     axis.set_xlabel("Gaussians")
     axis.set_ylabel("forward + backward, ms (median)")
@@ -160,13 +181,24 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=11)
     parser.add_argument("--threads", type=int)
     parser.add_argument("--peer", type=Path)
-    parser.add_argument("--reference", action="store_true")
+    parser.add_argument("--torch", action="store_true")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
     args = parser.parse_args()
+    if (args.model is None) != (args.data is None):
+        parser.error("--model and --data go together")
     pool.set_threads(args.threads)
     torch.set_num_threads(1)
-    sizes = [tuple(int(n) for n in size.split("x")) for size in args.sizes]
-    table = measure(args.counts, sizes, args.channels, args.repetitions, args.peer, args.reference)
+    clouds = {}
+    for size in args.sizes:
+        width, height = (int(n) for n in size.split("x"))
+        for count in args.counts:
+            clouds[f"random {size} {count}"] = random_cloud(count, width, height)
+    if args.model is not None:
+        clouds["trained"] = trained_cloud(args.model, args.data)
+    table = measure(clouds, args.channels, args.repetitions, args.peer, args.torch)
+    table["cloud"] = table["cloud"].str.split().str[0]
     args.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(args.out / "core.csv", index=False)
     draw(table, args.out / "core.png")

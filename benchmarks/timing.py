@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from tdgbench.splats.cpu import pool, simd
+from tdgbench.splats.cpu import pool, reductions, simd
 from tdgbench.splats.cpu.jit import kernel
 
 FMA_CHAINS, FMA_STEPS = 16, 1_000_000
@@ -54,7 +54,7 @@ def _fma_chains(steps, out):
         b6 = b6 * x + c
         b7 = b7 * x + c
     total = a0 + a1 + a2 + a3 + (a4 + a5 + a6 + a7) + (b0 + b1 + b2 + b3) + (b4 + b5 + b6 + b7)
-    out[0] = simd.lane_sum(total)
+    out[0] = reductions.lane_sum(total)
 
 
 def fma_peak_gflops() -> float:

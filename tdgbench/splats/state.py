@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.cpu.rows import permute_rows
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.gaussians import Gaussians
 
-GROWTH = 1.5  # of the room, when it is used up; memory that was never written costs nothing
+GROWTH = 3.0  # of the room, when it is used up; memory that was never written costs nothing
 ORDER_AGAIN = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 
@@ -126,7 +127,10 @@ class TrainingState:
         """
         order = _z_order(self.values[:, MEANS_AT:SCALES_AT])
         for own in (self._values, self._bounds, self._first, self._second):
-            own[: self.count] = own[: self.count][order]
+            if own.device.type == "cpu" and own.dtype == torch.float32:
+                permute_rows(own.numpy(), order.numpy())
+            else:
+                own[: self.count] = own[: self.count][order]
         self._ordered_at = self.count
 
     def _make_room(self, count: int) -> None:

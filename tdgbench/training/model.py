@@ -80,6 +80,10 @@ class SplatModel:
         self._iteration = iteration
         self.degree = self.budget.active_degree(iteration)
 
+    def forget_views(self) -> None:
+        """Drop the gradients that were gathered since the last step."""
+        self._gradients = []
+
     def finish(self, iteration: int) -> None:
         """After the backward pass: density control, then Adam, which rests where parameters were just replaced."""
         parts, self._gradients = self._gradients, []

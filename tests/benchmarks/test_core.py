@@ -7,12 +7,12 @@ from tests.conftest import ROOT
 
 
 def test_runs_small(tmp_path):
-    small = ["--counts", "300", "--sizes", "64x48", "--channels", "1+depth", "--repetitions", "2", "--reference"]
+    small = ["--counts", "300", "--sizes", "64x48", "--channels", "3+depth", "--repetitions", "2", "--torch"]
     run = subprocess.run(
         [sys.executable, "-m", "benchmarks.core", *small, "--out", str(tmp_path)],
         cwd=ROOT, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "core.csv")
-    assert set(table["candidate"]) == {"cpu", "cpu forward", "cpu backward", "reference"}
+    assert set(table["candidate"]) == {"cpu", "cpu forward", "cpu backward", "torch"}
     assert (table["ms"] > 0).all() and (tmp_path / "core.png").exists()

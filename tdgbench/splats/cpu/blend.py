@@ -29,9 +29,9 @@ from tdgbench.splats.cpu.records import (
     U_,
     V_,
 )  # fmt: skip
+from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,
-    any_positive,
     exp2,
     greater_equal,
     lane_index,

@@ -44,6 +44,7 @@ from tdgbench.splats.cpu.records import (
     U_,
     V_,
 )  # fmt: skip
+from tdgbench.splats.cpu.reductions import lane_sums_of_4, lane_sums_of_8
 from tdgbench.splats.cpu.simd import (
     LANES,
     absolute,
@@ -52,8 +53,6 @@ from tdgbench.splats.cpu.simd import (
     greater,
     greater_equal,
     lane_index,
-    lane_sums_of_4,
-    lane_sums_of_8,
     less_equal,
     maximum,
     minimum,

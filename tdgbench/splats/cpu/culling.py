@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, gather, store
+from tdgbench.splats.cpu.memory import aligned_floats, gather, gather_3, store
 from tdgbench.splats.cpu.projection import camera_point, exponential, ray_limits
+from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,
-    any_positive,
     divide,
     greater,
     less_equal,
@@ -50,12 +50,7 @@ def find_candidates(start, stop, means, mean_stride, mean_column, sizes, size_st
     for base in range(start, stop, LANES):
         for lane in range(LANES):
             rows[lane] = min(base + lane, stop - 1)
-        x, y, z = camera_point(
-            gather(means, rows, 0, mean_stride, mean_column),
-            gather(means, rows, 0, mean_stride, mean_column + 1),
-            gather(means, rows, 0, mean_stride, mean_column + 2),
-            camera,
-        )
+        x, y, z = camera_point(gather_3(means, rows, 0, mean_stride, mean_column), camera)
         size = gather(sizes, rows, 0, size_stride, size_column)
         if size_count == 3:
             size = maximum(size, gather(sizes, rows, 0, size_stride, size_column + 1))

@@ -17,11 +17,11 @@ _1, _2, _3, _4, _6, _8 = F(1), F(2), F(3), F(4), F(6), F(8)
 
 
 @kernel(inline=True)
-def view_direction(mx, my, mz, camera):
+def view_direction(mean, camera):
     """Unit vectors from the camera centre to the Gaussians, and the inverse of the distance."""
-    x = mx - camera[16]
-    y = my - camera[17]
-    z = mz - camera[18]
+    x = mean[0] - camera[16]
+    y = mean[1] - camera[17]
+    z = mean[2] - camera[18]
     inverse = divide(_1, square_root(x * x + y * y + z * z))
     return x * inverse, y * inverse, z * inverse, inverse
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import gather
+from tdgbench.splats.cpu.memory import gather, gather_3
 from tdgbench.splats.cpu.simd import (
     divide,
     exp2,
@@ -43,9 +43,7 @@ def exponential(x):
 @kernel(inline=True)
 def deviations(scales, rows, k, stride, column, raw):
     """Standard deviations along the three axes; `raw` stores their natural logarithms."""
-    s0 = gather(scales, rows, k, stride, column)
-    s1 = gather(scales, rows, k, stride, column + 1)
-    s2 = gather(scales, rows, k, stride, column + 2)
+    s0, s1, s2 = gather_3(scales, rows, k, stride, column)
     if raw:
         s0, s1, s2 = exponential(s0), exponential(s1), exponential(s2)
     return s0, s1, s2
@@ -65,8 +63,9 @@ def opacity_and_log2(opacities, rows, k, stride, column, raw):
 
 
 @kernel(inline=True)
-def camera_point(mx, my, mz, camera):
+def camera_point(mean, camera):
     """The mean in camera coordinates."""
+    mx, my, mz = mean
     x = mx * camera[0] + my * camera[1] + mz * camera[2] + camera[3]
     y = mx * camera[4] + my * camera[5] + mz * camera[6] + camera[7]
     z = mx * camera[8] + my * camera[9] + mz * camera[10] + camera[11]
@@ -74,8 +73,10 @@ def camera_point(mx, my, mz, camera):
 
 
 @kernel(inline=True)
-def rotation(w, x, y, z):
-    """Rows of the rotation matrix of a quaternion, its normalised parts, and 1 / |quaternion|."""
+def rotation(quats, rows, k, stride, column):
+    """Rows of the rotation matrix of a quaternion (wxyz), its normalised parts, and 1 / |quaternion|."""
+    w = gather(quats, rows, k, stride, column)
+    x, y, z = gather_3(quats, rows, k, stride, column + 1)
     n = divide(ONE, square_root(w * w + x * x + y * y + z * z))
     w, x, y, z = w * n, x * n, y * n, z * n
     r0 = (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y))

@@ -13,7 +13,7 @@ import numpy as np
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.harmonics import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, gather, load, put_column, store
+from tdgbench.splats.cpu.memory import aligned_floats, gather, gather_3, load, put_column, store
 from tdgbench.splats.cpu.projection import (
     along_axes,
     camera_point,
@@ -113,16 +113,9 @@ def projection_backward(
             place[lane] = place[0]
             touched[U(done + lane)] = touched[U(done)]
 
-        mx = gather(means, touched, done, layout[0], layout[1])
-        my = gather(means, touched, done, layout[0], layout[1] + 1)
-        mz = gather(means, touched, done, layout[0], layout[1] + 2)
+        mean = gather_3(means, touched, done, layout[0], layout[1])
         s0, s1, s2 = deviations(scales, touched, done, layout[2], layout[3], raw)
-        r0, r1, r2, unit, n = rotation(
-            gather(quats, touched, done, layout[4], layout[5]),
-            gather(quats, touched, done, layout[4], layout[5] + 1),
-            gather(quats, touched, done, layout[4], layout[5] + 2),
-            gather(quats, touched, done, layout[4], layout[5] + 3),
-        )
+        r0, r1, r2, unit, n = rotation(quats, touched, done, layout[4], layout[5])
         opacity = gather(records, place, 0, RECORD, OPACITY)
         t0 = load(total, 0)
         t1, t2 = load(total, LANES), load(total, 2 * LANES)
@@ -132,7 +125,7 @@ def projection_backward(
         else:
             put_column(gradients, done, stride, OPACITY_AT, divide(t0, opacity))
 
-        x, y, z = camera_point(mx, my, mz, camera)
+        x, y, z = camera_point(mean, camera)
         rz = divide(ONE, z)
         tx, ty = clamped_ray(x, y, rz, camera)
         ja, jb = jacobian_rows(tx, ty, rz, camera)
@@ -205,7 +198,7 @@ def projection_backward(
             for ch in range(channels):
                 put_column(gradients, done, stride, COLORS_AT + ch, load(total, (6 + ch) * LANES))
         else:
-            vx, vy, vz, per_distance = view_direction(mx, my, mz, camera)
+            vx, vy, vz, per_distance = view_direction(mean, camera)
             write_basis(vx, vy, vz, degree, basis)
             for k in range(n_bases):
                 store(pull, k * LANES, zero)

@@ -11,7 +11,7 @@ from numba import int64
 
 from tdgbench.splats.cpu.harmonics import view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, float_bits, gather, load, store
+from tdgbench.splats.cpu.memory import aligned_floats, float_bits, gather, gather_3, load, store
 from tdgbench.splats.cpu.projection import (
     LOG2_E,
     along_axes,
@@ -62,13 +62,13 @@ COLOR, GROUP = 20, 24
 
 
 @kernel(inline=True)
-def write_colors(group, colors, rows, k, stride, column, channels, degree, mx, my, mz, camera, basis):
+def write_colors(group, colors, rows, k, stride, column, channels, degree, mean, camera, basis):
     """Registers COLOR, COLOR + 1, … of the group: colours as given (degree −1) or from spherical harmonics."""
     if degree < 0:
         for c in range(channels):
             store(group, (COLOR + c) * LANES, gather(colors, rows, k, stride, column + c))
     else:
-        x, y, z, _ = view_direction(mx, my, mz, camera)
+        x, y, z, _ = view_direction(mean, camera)
         write_basis(x, y, z, degree, basis)
         for c in range(channels):
             total = splat(HALF)
@@ -96,19 +96,13 @@ def project_and_list(
     n_records, n_seen = first, first
     n_pairs = 0
     for k in range(first, first + count, LANES):
-        mx = gather(means, candidates, k, layout[0], layout[1])
-        my = gather(means, candidates, k, layout[0], layout[1] + 1)
-        mz = gather(means, candidates, k, layout[0], layout[1] + 2)
+        mean = gather_3(means, candidates, k, layout[0], layout[1])
         s0, s1, s2 = deviations(scales, candidates, k, layout[2], layout[3], raw)
-        qw = gather(quats, candidates, k, layout[4], layout[5])
-        qx = gather(quats, candidates, k, layout[4], layout[5] + 1)
-        qy = gather(quats, candidates, k, layout[4], layout[5] + 2)
-        qz = gather(quats, candidates, k, layout[4], layout[5] + 3)
+        r0, r1, r2, _, _ = rotation(quats, candidates, k, layout[4], layout[5])
         opacity, log2_opacity = opacity_and_log2(opacities, candidates, k, layout[6], layout[7], raw)
-        x, y, z = camera_point(mx, my, mz, camera)
+        x, y, z = camera_point(mean, camera)
         rz = divide(ONE, z)
         tx, ty = clamped_ray(x, y, rz, camera)
-        r0, r1, r2, _, _ = rotation(qw, qx, qy, qz)
         ja, jb = jacobian_rows(tx, ty, rz, camera)
         p, q = along_axes(ja, r0, r1, r2), along_axes(jb, r0, r1, r2)
         p, q = (p[0] * s0, p[1] * s1, p[2] * s2), (q[0] * s0, q[1] * s1, q[2] * s2)
@@ -149,7 +143,7 @@ def project_and_list(
         store(group, CUT * LANES, cut)
         store(group, DET * LANES, det)
         write_colors(
-            group, colors, candidates, k, layout[8], layout[9], channels, degree, mx, my, mz, camera, basis
+            group, colors, candidates, k, layout[8], layout[9], channels, degree, mean, camera, basis
         )  # fmt: skip
         for lane in range(min(LANES, first + count - k)):
             i = U(lane)

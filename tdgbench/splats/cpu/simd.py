@@ -22,7 +22,6 @@ FLOATS = ir.VectorType(ir.FloatType(), LANES)
 _INTS = ir.VectorType(ir.IntType(32), LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
 _FAST = ("contract", "nsz", "nnan", "arcp")
-_INDEX = ir.IntType(32)
 
 
 class _VectorType(types.Type):
@@ -49,7 +48,7 @@ def _is_operand(t: types.Type) -> bool:
 
 def _broadcast(builder, scalar):
     empty = ir.Constant(FLOATS, ir.Undefined)
-    first = builder.insert_element(empty, scalar, _INDEX(0))
+    first = builder.insert_element(empty, scalar, ir.IntType(32)(0))
     return builder.shuffle_vector(first, empty, ir.Constant(_INTS, [0] * LANES))
 
 
@@ -57,12 +56,8 @@ def _as_vector(builder, value, value_type):
     return value if value_type == vec else _broadcast(builder, value)
 
 
-def _constant(value: float) -> ir.Constant:
+def constant(value: float) -> ir.Constant:
     return ir.Constant(FLOATS, [ir.FloatType()(float(np.float32(value)))] * LANES)
-
-
-def _shuffle(builder, a, b, index):
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(index)), index))
 
 
 def _arithmetic(instruction: str):
@@ -203,14 +198,14 @@ def exp2(typing_context, x):
 
     def generate(context, builder, signature, args):
         exact = ("contract",)
-        magic = _constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+        magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
         shifted = builder.fadd(args[0], magic)
         exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
         rest = builder.fsub(args[0], builder.fsub(shifted, magic))
-        result = _constant(0.00132764718)
+        result = constant(0.00132764718)
         for coefficient in (0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007):
             product = builder.fmul(result, rest, flags=exact)
-            result = builder.fadd(product, _constant(coefficient), flags=exact)
+            result = builder.fadd(product, constant(coefficient), flags=exact)
         return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
 
     return vec(vec), generate
@@ -230,13 +225,13 @@ def log2(typing_context, x):
         exponent = builder.ashr(bits, ir.Constant(_INTS, [23] * LANES))
         shift = builder.shl(exponent, ir.Constant(_INTS, [23] * LANES))
         m = builder.bitcast(builder.sub(builder.bitcast(args[0], _INTS), shift), FLOATS)
-        one = _constant(1.0)
+        one = constant(1.0)
         s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
         square = builder.fmul(s, s)
-        series = _constant(1 / 9)
+        series = constant(1 / 9)
         for k in (7, 5, 3):
-            series = builder.fadd(builder.fmul(series, square, flags=exact), _constant(1 / k), flags=exact)
-        scaled = builder.fmul(s, _constant(2.8853900817779268))
+            series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
+        scaled = builder.fmul(s, constant(2.8853900817779268))
         tail = builder.fmul(builder.fmul(series, square), scaled)
         whole = builder.sitofp(exponent, FLOATS)
         return builder.fadd(whole, builder.fadd(scaled, tail))
@@ -279,78 +274,4 @@ def divide(typing_context, x, y):
 def reciprocal(typing_context, x):
     """1 / x, to a rounding error or two."""
     flags = ("arcp", "afn", "contract", "nnan", "nsz", "ninf", "reassoc")
-    return vec(vec), lambda context, builder, signature, args: builder.fdiv(_constant(1.0), args[0], flags=flags)
-
-
-@intrinsic
-def any_positive(typing_context, x):
-    """True if any lane is above zero."""
-
-    def generate(context, builder, signature, args):
-        bits = builder.bitcast(builder.fcmp_ordered(">", args[0], _constant(0.0)), ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0))
-
-    return types.boolean(vec), generate
-
-
-@intrinsic
-def lane_sum(typing_context, x):
-    """The sum over the lanes, always in the same order."""
-
-    def generate(context, builder, signature, args):
-        value, width = args[0], LANES // 2
-        while width >= 1:
-            low, high = list(range(width)), list(range(width, 2 * width))
-            value = builder.fadd(_shuffle(builder, value, value, low), _shuffle(builder, value, value, high))
-            width //= 2
-        return builder.extract_element(value, _INDEX(0))
-
-    return types.float32(vec), generate
-
-
-def _sum_tree(builder, vectors):
-    """Lane sums of a power of two of vectors in one vector, and the lane where each ends up."""
-    width, labels = LANES // 2, [[i] * LANES for i in range(len(vectors))]
-    while len(vectors) > 1:
-        low, high = [], []
-        for start in range(0, LANES, 2 * width):
-            for base in (start, LANES + start):
-                low += range(base, base + width)
-                high += range(base + width, base + 2 * width)
-        halves = range(0, len(vectors), 2)
-        labels = [[(labels[i] + labels[i + 1])[k] for k in low] for i in halves]
-        vectors = [
-            builder.fadd(
-                _shuffle(builder, vectors[i], vectors[i + 1], low),
-                _shuffle(builder, vectors[i], vectors[i + 1], high),
-            )
-            for i in halves
-        ]
-        width //= 2
-    total = vectors[0]
-    while width >= 1:
-        total = builder.fadd(total, _shuffle(builder, total, total, [i ^ width for i in range(LANES)]))
-        width //= 2
-    return total, [labels[0].index(i) for i in range(max(labels[0]) + 1)]
-
-
-@intrinsic
-def lane_sums_of_4(typing_context, v0, v1, v2, v3):
-    """The lane sums of four vectors, in lanes 0 to 3 of the result."""
-
-    def generate(context, builder, signature, args):
-        total, places = _sum_tree(builder, list(args))
-        return _shuffle(builder, total, total, places + [0] * (LANES - 4))
-
-    return vec(*[vec] * 4), generate
-
-
-@intrinsic
-def lane_sums_of_8(typing_context, v0, v1, v2, v3, v4, v5, v6, v7):
-    """The lane sums of eight vectors, in lanes 0 to 7 of the result: one shuffle tree instead of eight."""
-
-    def generate(context, builder, signature, args):
-        total, places = _sum_tree(builder, list(args))
-        return _shuffle(builder, total, total, places + [0] * (LANES - 8))
-
-    return vec(*[vec] * 8), generate
+    return vec(vec), lambda context, builder, signature, args: builder.fdiv(constant(1.0), args[0], flags=flags)

@@ -116,14 +116,20 @@ def sort_by_key(pieces, keys, values, spare):
     return source[0][:count], source[1][:count]
 
 
+@kernel(inline=True)
+def look_ahead(order, k, last, pairs, tile_of_pair):
+    """Ask for the memory of the records that come after the k-th."""
+    prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
+    prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
+
+
 @kernel()
 def count_pairs(start, stop, order, pairs, tile_of_pair, counts):
     """counts[tile] = pairs of the records order[start:stop]."""
     counts[:] = 0
     last = U(order.shape[0] - 1)
     for k in range(U(start), U(stop)):
-        prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
-        prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
+        look_ahead(order, k, last, pairs, tile_of_pair)
         i = U(order[k])
         for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
             counts[U(tile_of_pair[U(pair)])] += 1
@@ -134,8 +140,7 @@ def fill_lists(start, stop, order, pairs, tile_of_pair, cursor, gaussian_of, slo
     """List the records order[start:stop] where the cursor of each tile points; slot_of: each pair's own slot."""
     last = U(order.shape[0] - 1)
     for k in range(U(start), U(stop)):
-        prefetch_row(pairs, U(order[min(k + U(FAR_AHEAD), last)]))
-        prefetch(tile_of_pair, U(pairs[U(order[min(k + U(AHEAD), last)]), U(0)]))
+        look_ahead(order, k, last, pairs, tile_of_pair)
         i = U(order[k])
         for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
             tile = U(tile_of_pair[U(pair)])

@@ -50,7 +50,7 @@ def test_basis_and_gradient_are_torch_s(degree):
 
 @kernel()
 def directions_from(means, camera, out):
-    x, y, z, inverse = view_direction(load(means, 0), load(means, LANES), load(means, 2 * LANES), camera)
+    x, y, z, inverse = view_direction((load(means, 0), load(means, LANES), load(means, 2 * LANES)), camera)
     store(out, 0, x)
     store(out, LANES, y)
     store(out, 2 * LANES, z)

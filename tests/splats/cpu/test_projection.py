@@ -5,7 +5,7 @@ import torch
 from tdgbench.splats import reference
 from tdgbench.splats.cpu.backend import pack_camera
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import gather, put_column
+from tdgbench.splats.cpu.memory import gather_3, put_column
 from tdgbench.splats.cpu.projection import (
     along_axes,
     camera_point,
@@ -26,14 +26,10 @@ COUNT = 25 * LANES
 @kernel()
 def project_all(rows, means, quats, scales, camera, out):
     for k in range(0, rows.shape[0], LANES):
-        mean = gather(means, rows, k, 3, 0), gather(means, rows, k, 3, 1), gather(means, rows, k, 3, 2)
-        x, y, z = camera_point(mean[0], mean[1], mean[2], camera)
+        x, y, z = camera_point(gather_3(means, rows, k, 3, 0), camera)
         rz = divide(np.float32(1), z)
         tx, ty = clamped_ray(x, y, rz, camera)
-        r0, r1, r2, _, _ = rotation(
-            gather(quats, rows, k, 4, 0), gather(quats, rows, k, 4, 1), gather(quats, rows, k, 4, 2),
-            gather(quats, rows, k, 4, 3),
-        )  # fmt: skip
+        r0, r1, r2, _, _ = rotation(quats, rows, k, 4, 0)
         s0, s1, s2 = deviations(scales, rows, k, 3, 0, False)
         ja, jb = jacobian_rows(tx, ty, rz, camera)
         p, q = along_axes(ja, r0, r1, r2), along_axes(jb, r0, r1, r2)

@@ -1,7 +1,6 @@
 """The SIMD type, operation by operation, against numpy."""
 
 import numpy as np
-import pytest
 
 from tdgbench.splats.cpu import memory, simd
 from tdgbench.splats.cpu.jit import kernel
@@ -47,9 +46,8 @@ def test_lane_by_lane():
     arithmetic(a, b, s, out)
     expected = [
         a + b, a - s, s * b, np.minimum(a, b), np.maximum(a, s), np.where(a > b, a, s),
-        np.where((a >= b) & (a <= s), a, b), -np.abs(a), np.abs(a), 1 / b, np.arange(LANES) + s, a / b, np.sqrt(np.abs(a)), np.ceil(a * s),
-        np.floor(a * s),
-        -a, np.where(a == b, b, s),
+        np.where((a >= b) & (a <= s), a, b), -np.abs(a), np.abs(a), 1 / b, np.arange(LANES) + s, a / b,
+        np.sqrt(np.abs(a)), np.ceil(a * s), np.floor(a * s), -a, np.where(a == b, b, s),
     ]  # fmt: skip
     for row, want in zip(out.reshape(17, LANES), expected, strict=True):
         assert np.allclose(row, want, rtol=1e-6, atol=0)
@@ -93,35 +91,3 @@ def test_log2():
         out = aligned(np.zeros(len(values), F))
         logarithm(values, out)
         assert np.allclose(out, np.log2(values.astype(np.float64)), rtol=relative, atol=absolute)
-
-
-@kernel()
-def sums(values, one, eight):
-    v = memory.load(values, 0)
-    one[0] = simd.lane_sum(v)
-    k = F(2)
-    memory.store(eight, 0, simd.lane_sums_of_8(v, v * k, v - k, v * v, k * k * v, v, v + v, simd.splat(k)))
-
-
-def test_sums_over_lanes():
-    v = aligned(np.random.default_rng(1).normal(size=LANES).astype(F))
-    one, eight = np.zeros(1, F), aligned(np.zeros(max(LANES, 8), F))
-    sums(v, one, eight)
-    want = [x.sum() for x in (v, 2 * v, v - 2, v * v, 4 * v, v, 2 * v, np.full(LANES, 2.0))]
-    assert one[0] == pytest.approx(want[0], rel=1e-5, abs=1e-5)
-    assert np.allclose(eight[:8], want, rtol=1e-5, atol=1e-5)
-
-
-@kernel()
-def questions(values, out):
-    out[0] = simd.any_positive(memory.load(values, 0))
-
-
-def test_any_positive():
-    out = np.zeros(1, np.int64)
-    values = aligned(np.full(LANES, -1, F))
-    questions(values, out)
-    assert out[0] == 0
-    values[LANES - 1] = 1e-30
-    questions(values, out)
-    assert out[0] == 1

@@ -1,0 +1,29 @@
+"""Moving rows of a matrix about where they are, without a second matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.splats.cpu.jit import kernel
+
+U = np.uint64
+
+
+@kernel()
+def permute_rows(matrix, order):
+    """matrix[i] = matrix[order[i]] for i < len(order), a permutation, cycle by cycle; other rows stay."""
+    done = np.zeros(order.shape[0], np.uint8)
+    held = np.empty(matrix.shape[1], matrix.dtype)
+    for start in range(U(order.shape[0])):
+        if done[start] != 0:
+            continue
+        held[:] = matrix[start]
+        here = start
+        while True:
+            done[here] = 1
+            source = U(order[here])
+            if source == start:
+                matrix[here, :] = held
+                break
+            matrix[here, :] = matrix[source]
+            here = source

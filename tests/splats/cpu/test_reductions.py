@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from tdgbench.splats.cpu import memory, reductions, simd
+from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.simd import LANES
+from tests.splats.cpu.test_simd import aligned
+
+F = np.float32
+
+
+@kernel()
+def sums(values, one, four, eight):
+    v = memory.load(values, 0)
+    one[0] = reductions.lane_sum(v)
+    k = F(2)
+    memory.store(four, 0, reductions.lane_sums_of_4(v, v * k, v - k, v * v))
+    memory.store(eight, 0, reductions.lane_sums_of_8(v, v * k, v - k, v * v, k * k * v, v, v + v, simd.splat(k)))
+
+
+def test_sums_over_lanes():
+    v = aligned(np.random.default_rng(1).normal(size=LANES).astype(F))
+    one, four, eight = np.zeros(1, F), aligned(np.zeros(LANES, F)), aligned(np.zeros(LANES, F))
+    sums(v, one, four, eight)
+    want = [x.sum() for x in (v, 2 * v, v - 2, v * v, 4 * v, v, 2 * v, np.full(LANES, 2.0))]
+    assert one[0] == pytest.approx(want[0], rel=1e-5, abs=1e-5)
+    assert np.allclose(four[:4], want[:4], rtol=1e-5, atol=1e-5)
+    assert np.allclose(eight[:8], want, rtol=1e-5, atol=1e-5)
+
+
+@kernel()
+def questions(values, out):
+    out[0] = reductions.any_positive(memory.load(values, 0))
+
+
+def test_any_positive():
+    out = np.zeros(1, np.int64)
+    values = aligned(np.full(LANES, -1, F))
+    questions(values, out)
+    assert out[0] == 0
+    values[LANES - 1] = 1e-30
+    questions(values, out)
+    assert out[0] == 1
