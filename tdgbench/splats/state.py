@@ -90,10 +90,6 @@ class TrainingState:
         }[name]
         return slice(*ends)
 
-    def used_columns(self, degree: int) -> int:
-        """How many columns, in whole cache lines, have ever had a gradient while harmonics up to `degree` were used."""
-        return min(padded(COLORS_AT + (degree + 1) ** 2 * self.channels), self._values.shape[1])
-
     def exchange(self, removed: Tensor, added: Tensor) -> None:
         """Take away the rows at `removed` (ascending) and put in new ones (n, columns), whose moments are zero.
 
