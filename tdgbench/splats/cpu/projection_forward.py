@@ -1,7 +1,8 @@
 """From Gaussians to records, LANES at a time: project, cull, colour, and list the tiles of each that can be seen.
 
-Each kept Gaussian becomes one record of 16 floats (a cache line): u, v, then A, B, C and log2(opacity), so that
-log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; the channels; and the box in which alpha ≥ 1/255.
+Each kept Gaussian becomes one record of 16 floats (a cache line): u, v from its box's corner, then A, B, C and
+log2(opacity), so that log2(alpha) = log2(opacity) + A dx² + B dx dy + C dy²; the opacity; the channels; and the box in
+which alpha ≥ 1/255.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from tdgbench.splats.cpu.projection import (
     clamped_ray,
     covariance_2d,
     deviations,
+    exact_image_point,
     jacobian_rows,
     opacity_and_log2,
     rotation,
@@ -169,8 +171,11 @@ def project_and_list(
             if n_pairs == before:
                 continue
             r = U(n_records)
-            for j in range(U(7)):
+            for j in range(U(A_), U(7)):
                 records[r, j] = group[j * U(LANES) + i]
+            at_mean = U(candidates[U(k) + i]) * U(layout[0]) + U(layout[1])
+            exact_u, exact_v = exact_image_point(means[at_mean], means[at_mean + U(1)], means[at_mean + U(2)], camera)
+            records[r, U(U_)], records[r, U(V_)] = F(exact_u - x0_), F(exact_v - y0_)
             for c in range(U(channels)):
                 records[r, U(CHANNELS) + c] = group[(U(COLOR) + c) * U(LANES) + i]
             if depth_channel:
