@@ -102,6 +102,7 @@ def make_blend(colors: int, depth: bool):
                     prefetch_row(records, U(gaussian_of[U(k + LOOK_AHEAD)]))
                 y0 = max(int64(records[i, FIRST_Y]) - top, first_row)
                 y1 = min(int64(records[i, LAST_Y]) - top, last_row)
+                dx0 = (F(left) - records[i, FIRST_X]) - records[i, U_]
                 dy0 = (F(top) - records[i, FIRST_Y]) - records[i, V_]
                 for h in range(0, TILE, LANES):
                     dy = centre + (dy0 + F(h))
@@ -115,7 +116,7 @@ def make_blend(colors: int, depth: bool):
                     x = left + part * LANES
                     if BLOCKS == 2 and (records[i, LAST_X] < F(x) or records[i, FIRST_X] >= F(x + LANES)):
                         continue
-                    dx = centre + ((F(x) - records[i, FIRST_X]) - records[i, U_])
+                    dx = centre + (dx0 + F(part * LANES))
                     along_x = dx * dx * records[i, A_] + records[i, LOG2_OPACITY]
                     for y in range(y0, y1 + 1):
                         o = y * row + part * block

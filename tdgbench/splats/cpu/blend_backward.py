@@ -129,6 +129,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                     prefetch(slots, U(slot_of[U(k + LOOK_AHEAD)]) * U(size))
                 y0 = max(int64(records[i, FIRST_Y]) - top, first_row)
                 y1 = min(int64(records[i, LAST_Y]) - top, last_row)
+                dx0 = (F(left) - records[i, FIRST_X]) - records[i, U_]
                 dy0 = (F(top) - records[i, FIRST_Y]) - records[i, V_]
                 A, B, C = records[i, A_], records[i, B_], records[i, C_]
                 for h in range(0, TILE, LANES):
@@ -154,7 +155,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                     x0 = left + part * LANES
                     if BLOCKS == 2 and (records[i, LAST_X] < F(x0) or records[i, FIRST_X] >= F(x0 + LANES)):
                         continue
-                    dx = centre + ((F(x0) - records[i, FIRST_X]) - records[i, U_])
+                    dx = centre + (dx0 + F(part * LANES))
                     along_x = dx * dx * A + records[i, LOG2_OPACITY]
                     column_0 = zero
                     column_y = zero
