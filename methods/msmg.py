@@ -32,15 +32,13 @@ class MSMG:
         self.thermal = context.make_model(context.scene.channels)
         self.rgb_views = context.view_order()
         self.thermal_views = context.view_order()
-        self.device = context.device
 
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
-        loss_rgb = photometric(
-            self.rgb.render(rgb_view.camera).image, rgb_tensor(rgb_view, self.device), self.lambda_ssim
-        )
+        image = self.rgb.render(rgb_view.camera).image
+        loss_rgb = photometric(image, rgb_tensor(rgb_view, image.device), self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
-        target = thermal_tensor(thermal_view, self.device)
+        target = thermal_tensor(thermal_view, render.image.device)
         loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal

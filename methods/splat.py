@@ -23,12 +23,11 @@ class Splat:
     def setup(self, context: Context) -> None:
         self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
-        self.device = context.device
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.model.render(view.camera)
-        target = thermal_tensor(view, self.device)
+        target = thermal_tensor(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim)
         return Step(loss, {"thermal": loss.item()}, render, target)
 

@@ -82,15 +82,14 @@ class TDg:
     def setup(self, context: Context) -> None:
         self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
-        self.device = context.device
-        self.targets = {name: DepthTarget.of(prior, self.device) for name, prior in context.priors.items()}
+        self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
         self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         weight = self.lambda_depth * decay_weight(iteration, 1, self.last_depth_iteration)
         render = self.model.render(view.camera, depth=weight > 0)
-        target = thermal_tensor(view, self.device)
+        target = thermal_tensor(view, render.image.device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
         terms = {"thermal": loss.item()}
         if weight > 0:

@@ -47,7 +47,7 @@ def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple
     for view in views:
         render = method.render(view.camera).cpu()
         assert render.depth is not None
-        image = to_8bit(render.image.cpu().numpy())
+        image = to_8bit(render.image.numpy())
         for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
             Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
         depth = render.depth / render.alpha.clamp_min(1e-6)

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu import backend as cpu
+from tdgbench.splats.cpu.backend import pack_camera, render_rows
+from tdgbench.splats.cpu.passes import Settings, Source
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_backend, render_view
@@ -66,11 +67,11 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
     layout = np.array([n for column in columns for n in (stride, column)], np.int64)
     bounds = state.bounds.numpy().reshape(-1)
     slack, growth = optimizer.slack(iteration)
-    source = cpu.Source(
+    source = Source(
         len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.catch_up
     )
-    settings = cpu.Settings(
-        camera=cpu.pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),
+    settings = Settings(
+        camera=pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),
         width=width,
         height=height,
         degree=degree,
@@ -84,5 +85,5 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
         owner = (rows.lease, done.lease)
         collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, owner))
 
-    image, depth_map, transmittance = cpu.render_rows(source, settings, deliver)
+    image, depth_map, transmittance = render_rows(source, settings, deliver)
     return image, depth_map if depth else None, transmittance

@@ -50,9 +50,8 @@ def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: fl
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
     """l1_weight · L1 + dssim_weight · (1 − SSIM) of two images. Raises ValueError if their shapes differ."""
-    if image.shape != target.shape:
-        raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
     if not _is_fused(image):
+        _check_shapes(image, target)
         target = target.detach()
         error = (image - target).abs().mean()
         return l1_weight * error + dssim_weight * (1 - ssim_map(image, target).mean())
@@ -69,8 +68,7 @@ def _fused(
     smooth_gradient: float = 0.0,
 ) -> Tensor:
     """One pass for L1, SSIM and smoothness; raises ValueError if the shapes differ."""
-    if image.shape != target.shape:
-        raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
+    _check_shapes(image, target)
     other = _array(target)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
@@ -80,6 +78,11 @@ def _fused(
         return l1_weight * error + dssim_weight * (1 - similarity) + smooth_value * differences, gradient
 
     return _ValueAndGradient.apply(image, compute)
+
+
+def _check_shapes(image: Tensor, target: Tensor) -> None:
+    if image.shape != target.shape:
+        raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:

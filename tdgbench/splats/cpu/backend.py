@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from tdgbench.splats.cpu.dense import dense_gradients, dense_projected
-from tdgbench.splats.cpu.passes import ForwardPass, GradientRows, Settings, Source, backward, forward
+from tdgbench.splats.cpu.passes import Settings, Source, backward, forward
 from tdgbench.splats.cpu.projection import CAMERA_SIZE
 from tdgbench.splats.view import RenderedView
 
@@ -122,6 +122,3 @@ def render_rows(source: Source, settings: Settings, deliver) -> tuple[torch.Tens
     check(len(settings.background), settings.depth_channel, settings.width, settings.height)
     trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
     return _RenderRows.apply(trigger, source, settings, deliver)
-
-
-__all__ = ["ForwardPass", "GradientRows", "Settings", "Source", "pack_camera", "rasterize", "render_rows"]

@@ -28,7 +28,7 @@ from tdgbench.splats.cpu.records import (
     LOG2_OPACITY,
     U_,
     V_,
-)  # fmt: skip
+)
 from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,

@@ -43,7 +43,7 @@ from tdgbench.splats.cpu.records import (
     LOG2_OPACITY,
     U_,
     V_,
-)  # fmt: skip
+)
 from tdgbench.splats.cpu.reductions import lane_sums_of_4, lane_sums_of_8
 from tdgbench.splats.cpu.simd import (
     LANES,

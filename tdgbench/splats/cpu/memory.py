@@ -36,16 +36,22 @@ def load(typing_context, array, index):
     return vec(array, index), generate
 
 
-@intrinsic
-def store(typing_context, array, index, value):
-    """LANES floats into a 1-D float32 array, at an offset aligned to the register."""
+def _storing(alignment: int, documentation: str):
+    @intrinsic
+    def operation(typing_context, array, index, value):
+        def generate(context, builder, signature, args):
+            target = _address(context, builder, signature.args[0], args[0], args[1])
+            builder.store(args[2], target, align=alignment)
+            return context.get_dummy_value()
 
-    def generate(context, builder, signature, args):
-        target = _address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], target, align=4 * LANES)
-        return context.get_dummy_value()
+        return types.void(array, index, vec), generate
 
-    return types.void(array, index, vec), generate
+    operation.__doc__ = documentation
+    return operation
+
+
+store = _storing(4 * LANES, "LANES floats into a 1-D float32 array, at an offset aligned to the register.")
+store_anywhere = _storing(4, "LANES floats into a 1-D float32 array, at any offset.")
 
 
 @intrinsic
@@ -65,18 +71,6 @@ def _call_prefetch(builder, pointer):
     signature = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
     function = builder.module.globals.get(name) or ir.Function(builder.module, signature, name)
     builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
-
-
-@intrinsic
-def store_anywhere(typing_context, array, index, value):
-    """LANES floats into a 1-D float32 array, at any offset."""
-
-    def generate(context, builder, signature, args):
-        target = _address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], target, align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, index, vec), generate
 
 
 def _element(builder, data, row, stride, column):

@@ -58,7 +58,6 @@ class Source:
 class Projected:
     """What a camera may see, piece by piece: (first, count) into shared arrays."""
 
-    candidates: list[tuple[int, int]]
     seen: list[tuple[int, int]]
     index: np.ndarray  # (room,) int32: the Gaussian
     radii: np.ndarray  # (room,) int32 px
@@ -181,7 +180,7 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
         settings.background, image, depth, transmittance, reached,
     )  # fmt: skip
     pool.run(make_blend(channels, settings.depth_channel), [arguments] * pool.get_threads())
-    projected = Projected(spans, list(zip(firsts, counts[:, 2].tolist())), index, radii, means2d)
+    projected = Projected(list(zip(firsts, counts[:, 2].tolist())), index, radii, means2d)
     return ForwardPass(
         image, depth, transmittance, projected, records, owners, pairs, kept, len(spans) * pair_room,
         tile_start, gaussian_of, slot_of, reached, lease,

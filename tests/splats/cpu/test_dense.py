@@ -31,7 +31,7 @@ def test_no_rows_at_all():
 def test_what_was_not_projected_has_no_radius():
     index, radii = np.array([2, 3, 7], np.int32), np.array([5, 0, 9], np.int32)
     means2d = np.arange(6, dtype=F).reshape(3, 2) + 1
-    projected = Projected([], [(0, 2), (2, 1)], index, radii, means2d)
+    projected = Projected([(0, 2), (2, 1)], index, radii, means2d)
     all_radii, all_means2d = dense_projected(projected, 9)
     assert all_radii.tolist() == [0, 0, 5, 0, 0, 0, 0, 9, 0]
     assert all_means2d[[2, 3, 7]].tolist() == means2d.tolist() and not all_means2d[[0, 1, 4, 5, 6, 8]].any()
