@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from unittest import mock
 
 import pandas as pd
 import torch
 from torch import Tensor
 
-from benchmarks.clouds import Cloud, random_cloud
-from benchmarks.torch_tiles import NAMES, Result, leaves_of, render
-from tdgbench.splats import reference
+from tdgbench.bench.clouds import Cloud, random_cloud
+from tdgbench.bench.oracle import NAMES, Result, leaves_of, render
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.rasterization import render_view
 
@@ -40,11 +39,7 @@ def undecided(cloud: Cloud) -> Tensor:
     """Pixels (H, W) that move when the blend's thresholds do, by 1e-5 of themselves."""
     images = []
     for factor in (1 - 1e-5, 1 + 1e-5):
-        with (
-            mock.patch.object(reference, "MIN_ALPHA", reference.MIN_ALPHA * factor),
-            mock.patch.object(reference, "MIN_TRANSMITTANCE", reference.MIN_TRANSMITTANCE / factor),
-        ):
-            images.append(render(cloud, torch.float64, None).image)
+        images.append(render(cloud, torch.float64, None, AS_3DGS.moved(factor)).image)
     return (images[0] - images[1]).abs().amax(dim=-1) > 1e-9
 
 

@@ -20,9 +20,9 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from benchmarks import torch_tiles
-from benchmarks.clouds import Cloud, random_cloud, trained_cloud
 from benchmarks.timing import fma_peak_gflops, interleave, median_ms
+from tdgbench.bench import oracle
+from tdgbench.bench.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.splats import cuda
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.records import FIRST_Y, LAST_Y
@@ -67,7 +67,7 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
 
     def run() -> float:
         start = time.perf_counter()
-        torch_tiles.render(cloud, torch.float32, weights)
+        oracle.render(cloud, torch.float32, weights)
         return time.perf_counter() - start
 
     return run

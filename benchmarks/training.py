@@ -86,7 +86,7 @@ def measure(overrides: list[str], steps: int) -> pd.DataFrame:
     method, budget = instantiate(cfg.method.method), instantiate(cfg.budget)
     for view in scene.train:
         _ = view.thermal, view.rgb if method.needs_rgb else None
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None) if method.needs_prior else {}
+    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
     points = instantiate(cfg.init.points).points(scene)
     method.setup(Context(scene, points, priors, budget, cfg.backend.name, int(cfg.seed)))
     compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)

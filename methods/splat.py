@@ -21,7 +21,7 @@ class Splat:
         self.lambda_ssim = lambda_ssim
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels)
+        self.model = context.make_model(context.scene.channels, thermal_tensor)
         self.views = context.view_order()
 
     def step(self, iteration: int) -> Step:

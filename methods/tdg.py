@@ -80,19 +80,28 @@ class TDg:
         self.lambda_depth, self.decay_end = lambda_depth, decay_end
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels)
+        self.model = context.make_model(context.scene.channels, thermal_tensor)
         self.views = context.view_order()
         self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
         self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
+        without = max(0, context.budget.iterations - self.last_depth_iteration + 1)
+        if self.lambda_depth == 0:
+            without = context.budget.iterations
+        self.skips_depth = context.skips.depth.decide(
+            without > 0,
+            f"the depth loss weighs nothing from iteration {context.budget.iterations - without + 1} on",
+            f"depth and its loss in {without} of {context.budget.iterations} iterations",
+        )
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         weight = self.lambda_depth * decay_weight(iteration, 1, self.last_depth_iteration)
-        render = self.model.render(view.camera, depth=weight > 0)
+        needs_depth = weight > 0 or not self.skips_depth
+        render = self.model.render(view.camera, depth=needs_depth)
         target = thermal_tensor(view, render.image.device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
         terms = {"thermal": loss.item()}
-        if weight > 0:
+        if needs_depth:
             prior = self.targets[view.name]
             depth = depth_loss(comparable_depth(render, prior.kind), prior)
             terms["depth"] = depth.item()

@@ -1,18 +1,17 @@
-"""`python -m tdgbench [overrides]`: compose a configuration with Hydra and hand it to bench; alone, the demo."""
+"""`python -m tdgbench [overrides]`: compose a configuration with Hydra and hand it to its job; alone, the demo."""
 
 from __future__ import annotations
 
 import sys
 
 import hydra
+from hydra.utils import get_method
 from omegaconf import DictConfig
-
-from tdgbench.bench.job import run_job
 
 
 @hydra.main(config_path="../conf", config_name="config", version_base="1.3")
 def main(cfg: DictConfig) -> None:
-    run_job(cfg)
+    get_method(cfg.job._target_)(cfg)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,18 +23,21 @@ from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
-from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError
+from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError, View
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
-from tdgbench.training.loop import NonFiniteError, TrainingLog, train
+from tdgbench.training.errors import TrainingError
+from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Context, Method, training_device
+from tdgbench.training.skips import Skips
+from tdgbench.training.skips.account import note_training
 from tdgbench.training.warmup import compile_kernels
 
 OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing"]
-FAILURES_OF_THE_INPUT = (SceneError, PriorError, NonFiniteError)
+FAILURES_OF_THE_INPUT = (SceneError, PriorError, TrainingError)
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     progress.begin(record.title)
     try:
         with stages("load"):
-            dataset: Dataset = instantiate(cfg.dataset.loader)
+            skips: Skips = instantiate(cfg.skip)
+            dataset: Dataset = instantiate(_loader(cfg, skips))
             what = dataset.describe(cfg.scene)
             record.scene, record.dataset, record.group = what.scene, what.dataset, what.group
             progress.rename(record.title)
@@ -83,7 +87,7 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
             if cfg.overwrite == "never":
                 return Outcome("kept", record.title, "made with other settings; overwrite=never keeps it")
         with PeakMemory() as memory:
-            scorer, log = _train(cfg, record, scene, method, stages)
+            scorer, log = _train(cfg, record, scene, method, skips, stages)
         record.peak_rss_mb = memory.mb
         _write_results(record, scene, method, scorer, log, folder, stages)
         return Outcome("ok", record.title)
@@ -96,8 +100,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
             stage=stages.current,
             error=f"{type(error).__name__}: {error}",
             traceback=traceback.format_exc(),
-            iteration=getattr(error, "iteration", None) if isinstance(error, NonFiniteError) else None,
-            tensor=getattr(error, "tensor", None) if isinstance(error, NonFiniteError) else None,
+            iteration=getattr(error, "iteration", None) if isinstance(error, TrainingError) else None,
+            tensor=getattr(error, "tensor", None) if isinstance(error, TrainingError) else None,
         )
         _write_failure(cell_folder_of(experiment, record), record)
         return Outcome("failed", record.title, f"{stages.current}: {message}")
@@ -119,6 +123,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "backend": plain["backend"],
         "budget": plain["budget"],
         "metrics": metrics,
+        "skip": plain["skip"],
         "seed": plain["seed"],
     }
 
@@ -137,6 +142,24 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
     return experiment / "cells" / Path(*safe)
 
 
+def _loader(cfg: DictConfig, skips: Skips) -> DictConfig:
+    """The loader's configuration; without the skip `gray` every thermal image gets three channels."""
+    loader = cfg.dataset.loader.copy()
+    if not skips.gray.allowed and loader.options.channels == "auto":
+        loader.options.channels = 3
+    return loader
+
+
+def _skip_rgb(skips: Skips, method: Method, with_rgb: list[View]) -> bool:
+    return skips.rgb.decide(bool(with_rgb), f"{method.name} trains on thermal images alone", f"{len(with_rgb)} images")
+
+
+def _note_prior(skips: Skips, scene: Scene, made: int) -> None:
+    there = len(scene.train) - made
+    reason = f"{there} of {len(scene.train)} training views were estimated before; test views need no prior"
+    skips.prior.decide(there > 0, reason, f"{there} estimates")
+
+
 class _Stages:
     """Times the stages of a cell into its record."""
 
@@ -153,7 +176,7 @@ class _Stages:
 
 
 def _train(
-    cfg: DictConfig, record: Record, scene: Scene, method: Method, stages: _Stages
+    cfg: DictConfig, record: Record, scene: Scene, method: Method, skips: Skips, stages: _Stages
 ) -> tuple[Scorer, TrainingLog]:
     """Everything up to the trained method; what it is scored with, and how training went."""
     budget = instantiate(cfg.budget)
@@ -165,25 +188,30 @@ def _train(
     with stages("images"):  # all of them, so that training does not pay for it and a broken one stops the cell now
         for view in scene.views:
             _ = view.thermal
-        for view in scene.train if method.needs_rgb else []:
+        with_rgb = [view for view in scene.train if view.load_rgb is not None]
+        for view in scene.train if method.needs_rgb else with_rgb if not _skip_rgb(skips, method, with_rgb) else []:
             _ = view.rgb
     priors: dict[str, DepthPrior] = {}
     if method.needs_prior:
         with stages("prior"):
             estimator = instantiate(cfg.prior.estimator)
-            cache = Path(cfg.results) / "cache" / "priors"
-            priors = estimate_all(estimator, scene, cache, stages.progress.count)
+            cache = Path(cfg.results) / "cache" / "priors" if skips.prior.allowed else None
+            priors, made = estimate_all(estimator, scene, cache, stages.progress.count)
+            _note_prior(skips, scene, made)
             record.prior = {**estimator.identity(), "kind": next(iter(priors.values())).kind}
     with stages("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed))
+        context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed), skips)
         record.init_points = init.describe(scene)
         method.setup(context)
     with stages("compile"):
         compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     with stages("train"):
-        log = train(method, budget.iterations, stages.progress.line)
-    record.seconds["train"] = round(log.seconds, 3)
+        plateau = budget.plateau if skips.plateau.allowed else None
+        log = train(method, budget.iterations, stages.progress.line, plateau)
+    record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
+    note_training(skips, scene, method, budget, log)
+    record.skips = [asdict(skip) for skip in skips.all()]
     record.gaussians = {name: len(model) for name, model in method.models().items()}
     return scorer, log
 

@@ -23,7 +23,7 @@ class ColmapPoints:
     """The sparse points of the COLMAP model."""
 
     def points(self, scene: Scene) -> PointCloud:
-        if scene.points is None:
+        if scene.points is None or not len(scene.points.points):
             raise SceneError(f"{scene.name}: its COLMAP model has no points; use init=random")
         return scene.points
 

@@ -52,6 +52,7 @@ class Record:
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
     backend: str = ""
+    skips: list[dict[str, Any]] = field(default_factory=list)  # see tdgbench.training.skips.Skip
     notes: list[str] = field(default_factory=list)
     hashes: dict[str, str] = field(default_factory=dict)
     environment: dict[str, Any] = field(default_factory=dict)

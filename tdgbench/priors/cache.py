@@ -16,28 +16,30 @@ from tdgbench.scenes import Scene, View
 
 def estimate_all(
     estimator: DepthEstimator, scene: Scene, cache: Path | None, report: Callable[[int, int], None] | None = None
-) -> dict[str, DepthPrior]:
-    """The priors of the training views by name; `report` is told (done, of) after each."""
-    priors = {}
+) -> tuple[dict[str, DepthPrior], int]:
+    """The priors of the training views by name, and how many were estimated now; `report` is told (done, of)."""
+    priors, made = {}, 0
     for index, view in enumerate(scene.train, start=1):
-        priors[view.name] = _cached(estimator, scene, view, cache).check(view)
+        prior, is_new = _cached(estimator, scene, view, cache)
+        priors[view.name], made = prior.check(view), made + is_new
         if report is not None:
             report(index, len(scene.train))
-    return priors
+    return priors, made
 
 
-def _cached(estimator: DepthEstimator, scene: Scene, view: View, cache: Path | None) -> DepthPrior:
+def _cached(estimator: DepthEstimator, scene: Scene, view: View, cache: Path | None) -> tuple[DepthPrior, bool]:
+    """A view's prior, and whether it was estimated now."""
     if cache is None:
-        return estimator.estimate(scene, view)
+        return estimator.estimate(scene, view), True
     digest = hashlib.sha256(json.dumps(estimator.identity(), sort_keys=True).encode())
     digest.update(f"{scene.fingerprint}/{view.name}/{view.camera.width}x{view.camera.height}".encode())
     digest.update(np.ascontiguousarray(view.thermal).tobytes())
     path = cache / f"{digest.hexdigest()[:32]}.npz"
     if path.exists():
         with np.load(path, allow_pickle=False) as stored:
-            return DepthPrior(stored["values"], str(stored["kind"]))  # type: ignore[arg-type]
+            return DepthPrior(stored["values"], str(stored["kind"])), False  # type: ignore[arg-type]
     prior = estimator.estimate(scene, view)
     cache.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:
         np.savez_compressed(part, values=prior.values, kind=prior.kind)
-    return prior
+    return prior, True

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+COARSEST = 1e-3  # step of float32 coordinates, as a share of the extent
+
 
 class SceneError(Exception):
     """A scene that cannot be used: says which file or view, and what to do."""
@@ -117,6 +119,21 @@ class Scene:
 
     @cached_property
     def extent(self) -> float:
-        """3DGS's scene extent: 1.1 × the largest distance of a training camera from their mean."""
+        """3DGS's scene extent: 1.1 × the largest distance of a training camera from their mean.
+
+        Raises SceneError where there is none, or where float32 cannot tell places apart that finely.
+        """
         centers = np.stack([view.camera.center for view in self.train])
-        return float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+        extent = float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+        farthest = float(np.abs(centers).max())
+        if extent <= 1e-9 * max(farthest, 1.0):
+            raise SceneError(
+                f"{self.name}: its {len(centers)} training cameras stand in one place; a scene needs views from several"
+            )
+        step = float(np.spacing(np.float32(farthest)))
+        if step > COARSEST * extent:
+            raise SceneError(
+                f"{self.name}: its cameras lie up to {farthest:.3g} from the origin, where float32 counts in steps of "
+                f"{step:.1g}, but the scene's extent is {extent:.3g}; subtract an offset from cameras and points"
+            )
+        return extent

@@ -138,7 +138,7 @@ class DensityControl:
         scales = many.scales
         offsets = torch.randn(len(children), 3, generator=generator).to(scales) * scales
         children[:, MEANS_AT:SCALES_AT] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
-        children[:, SCALES_AT:QUATS_AT] = (scales / (self.rules.split_shrink * n)).log()
+        children[:, SCALES_AT:QUATS_AT] -= math.log(self.rules.split_shrink * n)  # no exp: it may underflow
         return children
 
 

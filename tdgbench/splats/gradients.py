@@ -19,6 +19,8 @@ class Gradients:
     seen_pieces: list[tuple[int, int]]
     seen: Tensor  # (room,) int32: Gaussians that were projected
     radii: Tensor  # (room,) int32 px: their radii; 0 is out of sight
+    pairs: int = 0  # (tile, Gaussian) pairs that the view listed; 0 where a backend does not tell
+    blended: int = 0  # of them, those looked at before their tile had ended
     owner: object = field(default=None, repr=False)  # of memory that is used again once this is gone
 
     @classmethod

@@ -61,8 +61,11 @@ class Adam:
         self._powers = tuple((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2))
         self._rho_powers = (RHO**exponents).astype(np.float32)
 
-    def step(self, gradients: Gradients, iteration: int, without: str | None = None) -> None:
-        """Take one step at an iteration (1-based); the parameter named `without` rests, as torch's without gradient."""
+    def step(self, gradients: Gradients, iteration: int, without: str | None = None) -> str | None:
+        """Take one step at an iteration (1-based); the parameter named `without` rests, as torch's without gradient.
+
+        Returns the name of a parameter whose gradient is not finite, None if all are.
+        """
         state = self.state
         if without is not None:
             gradients.values[:, state.column_of(without)] = 0
@@ -72,7 +75,8 @@ class Adam:
         state.now += 1
         if not self.is_sparse:
             self._step_all(gradients.values, rates / bias1, np.sqrt(bias2))
-            return
+            finite = bool(torch.isfinite(gradients.values.sum()))
+            return None if finite else self._name_of_bad(gradients.values)
         self._used = max(self._used, gradients.values.shape[1])
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
@@ -80,12 +84,18 @@ class Adam:
         constants = (self._drift, self._rho_powers, *self._powers, step_sizes.numpy(), per_bias2.numpy())
         small = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
         arrays = (gradients.index.numpy(), gradients.values.numpy(), *self._arrays())
-        pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])
+        fine = pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])
         behind = state.now - self._settled
         rho = np.float32(RHO)
         write_drift(behind, state.now, len(rates), self._coefficients, rho, self._drift)
         if behind >= SETTLE_EVERY - 1:
             self.settle()
+        return None if all(fine) else self._name_of_bad(gradients.rows()[1])
+
+    def _name_of_bad(self, rows: torch.Tensor) -> str | None:
+        """The first parameter with a gradient that is not finite."""
+        bad = (~torch.isfinite(rows)).any(dim=0)
+        return next((name for name in self.steps if bool(bad[self.state.column_of(name)].any())), None)
 
     def catch_up(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
         """Bring the parameters of candidates[first : first + count] up to date, for every span."""

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats import cuda, reference
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.harmonics import num_bases
 from tdgbench.splats.view import RenderedView
@@ -55,6 +56,7 @@ def rasterization(
     render_mode: str = "RGB",
     absgrad: bool = False,
     backend: str = "auto",
+    blending: Blending = AS_3DGS,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Splat N Gaussians into C cameras.
 
@@ -74,13 +76,15 @@ def rasterization(
             "RGB+D", "RGB+ED" (depth is the last channel).
         absgrad: also sum the absolute image gradients per Gaussian (AbsGS), left in `meta["means2d"].absgrad`.
         backend: "auto", "reference", "cpu" or "cuda".
+        blending: the constants below, and shortcuts of the `cpu` backend; gsplat has its own.
 
     Returns:
         renders (C, H, W, D [+ 1]), alphas (C, H, W, 1) and meta: `means2d` (list of C tensors (N, 2), px; after
         backward each has `.grad`), `radii` (C, N) in px (0: unseen), `depths` (C, N), `backend`, `width`, `height`.
 
-    Blending constants are 3DGS's: alpha ≤ 0.99, skipped below 1/255, stop at transmittance 1e-4. Results do not
-    depend on tiles. Raises ValueError for shapes or options that do not fit.
+    3DGS's blending constants: alpha ≤ 0.99, skipped below 1/255, stop at transmittance 1e-4. Results do not
+    depend on tiles. A NaN in any Gaussian makes the whole image NaN. Raises ValueError for shapes or options that do
+    not fit.
     """
     _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds)
     if render_mode not in RENDER_MODES:
@@ -92,7 +96,7 @@ def rasterization(
             means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height, near_plane=near_plane,
             far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree,
             background=None if backgrounds is None else backgrounds[c], depth="D" in render_mode, absgrad=absgrad,
-            backend=backend,
+            backend=backend, blending=blending,
         )
         for c in range(len(viewmats))
     ]  # fmt: skip
@@ -133,6 +137,7 @@ def render_view(
     depth: bool = False,
     absgrad: bool = False,
     backend: str = "auto",
+    blending: Blending = AS_3DGS,
 ) -> RenderedView:
     """One camera's view, its parts in tensors of their own: what training uses, without joining and cutting them.
 
@@ -142,6 +147,10 @@ def render_view(
         raise ValueError(f"near_plane is {near_plane}; it must be above 0")
     options: dict[str, Any] = {"near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d, "sh_degree": sh_degree}
     chosen = choose_backend(backend, means.device, means.dtype)
+    if chosen != "cuda":
+        options["blending"] = blending
+    elif blending != AS_3DGS:
+        raise ValueError("backend cuda blends with gsplat's own constants; leave `blending` as it is")
     if chosen != "reference":
         options["absgrad"] = absgrad
     elif absgrad:

@@ -11,9 +11,6 @@ from torch import Tensor
 from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.view import RenderedView
 
-MAX_ALPHA = 0.99
-MIN_ALPHA = 1.0 / 255.0
-MIN_TRANSMITTANCE = 1e-4
 TILE = 16
 PAIRS_AT_ONCE = 4_000_000  # pixel-Gaussian pairs held at once, to bound the memory
 
@@ -29,7 +26,7 @@ def rotation_matrices(quats: Tensor) -> Tensor:
     return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
 
 
-def _project(means, quats, scales, viewmat, K, width, height, eps2d):
+def project(means, quats, scales, viewmat, K, width, height, eps2d) -> tuple[Tensor, ...]:
     """Image means (N, 2), conics (N, 3), 2-D covariances (N, 2, 2) and depths (N,) of all Gaussians (EWA)."""
     points = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     x, y, z = points.unbind(-1)
@@ -63,22 +60,23 @@ def _screen_radii(means2d, covariance, width, height) -> Tensor:
     return torch.where(seen, radii, 0.0).clamp_max(1e9).to(torch.int32)
 
 
-def _blend(pixels, means2d, conics, opacities, channels):
+def blend(pixels, means2d, conics, opacities, channels, blending) -> tuple[Tensor, Tensor]:
     """Light (P, D) and remaining transmittance (P,) of pixel centres (P, 2); Gaussians sorted from near to far."""
     d = pixels[:, None, :] - means2d[None]
     quadratic = conics[:, 0] * d[..., 0] ** 2 + conics[:, 2] * d[..., 1] ** 2
     power = -0.5 * quadratic - conics[:, 1] * d[..., 0] * d[..., 1]
-    alpha = (opacities * power.exp()).clamp_max(MAX_ALPHA)
-    alpha = torch.where(alpha >= MIN_ALPHA, alpha, 0.0)
+    alpha = (opacities * power.exp()).clamp_max(blending.max_alpha)
+    alpha = torch.where(alpha >= blending.min_alpha, alpha, 0.0)
     after = (1 - alpha).cumprod(dim=1)
-    alpha = torch.where(after >= MIN_TRANSMITTANCE, alpha, 0.0)  # `after` only falls: past the stop all are zero
+    # `after` only falls: past the stop all are zero
+    alpha = torch.where(after >= blending.min_transmittance, alpha, 0.0)
     after = (1 - alpha).cumprod(dim=1)
     before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
     return (alpha * before) @ channels, after[:, -1]
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel) -> RenderedView:  # fmt: skip
+              eps2d, sh_degree, background, depth_channel, blending) -> RenderedView:  # fmt: skip
     """Render one camera. The image means are an ordinary member of the graph."""
     dtype = means.dtype
     viewmat, K = viewmat.to(dtype), K.to(dtype)
@@ -86,7 +84,7 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
     in_front = ((depths > near_plane) & (depths < far_plane)).nonzero().squeeze(1)
     centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
     front_means = means[in_front]
-    means2d, conics, covariance, z = _project(
+    means2d, conics, covariance, z = project(
         front_means, quats[in_front], scales[in_front], viewmat, K, width, height, eps2d
     )
     radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
@@ -109,13 +107,15 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
     ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means.device, dtype) + 0.5
     if len(in_front) == 0:
-        light = torch.zeros(len(pixels), channels.shape[1], dtype=dtype, device=means.device)
+        light = channels.new_zeros(len(pixels), 1) + channels.sum(dim=0) * 0.0  # keeps the graph
         transmittance = torch.ones(len(pixels), dtype=dtype, device=means.device)
     else:
         pieces = pixels.split(max(1, PAIRS_AT_ONCE // len(in_front)))
-        parts = [_blend(piece, *sorted_args) for piece in pieces]
+        parts = [blend(piece, *sorted_args, blending) for piece in pieces]
         light = torch.cat([part[0] for part in parts])
         transmittance = torch.cat([part[1] for part in parts])
+    if bool(torch.stack([t.isnan().any() for t in (means, quats, scales, opacities)]).any()):
+        light, transmittance = light * torch.nan, transmittance * torch.nan  # nobody can say where it would have been
     light = light.reshape(height, width, -1)
     transmittance = transmittance.reshape(height, width)
     image, depth = (light[..., :-1], light[..., -1]) if depth_channel else (light, None)

@@ -8,8 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.backend import pack_camera, render_rows
+from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.passes import Settings, Source
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
@@ -17,6 +19,7 @@ from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_b
 from tdgbench.splats.state import TrainingState
 
 Collect = Callable[[Gradients], None]
+EVERYWHERE = 1e30  # a slack that nothing is out of sight with
 
 
 def render_state(
@@ -32,14 +35,18 @@ def render_state(
     iteration: int,
     backend: str,
     collect: Collect,
+    blending: Blending = AS_3DGS,
+    skip_unseen: bool = True,
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """Image (H, W, C), depth (H, W) or None, transmittance (H, W), before black, as `render_view` gives them.
 
-    The backward pass calls collect(Gradients) once it is through. viewmat (4, 4), K (3, 3).
+    The backward pass calls collect(Gradients) once it is through. viewmat (4, 4), K (3, 3). skip_unseen: Gaussians
+    that four numbers show to be out of sight are not projected.
     """
     like = state.values
     if choose_backend(backend, like.device, like.dtype) == "cpu":
-        return _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect)
+        return _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
+                              skip_unseen)  # fmt: skip
     optimizer.settle()
     rows = like.detach()
     if torch.is_grad_enabled():
@@ -48,7 +55,7 @@ def render_state(
     view = render_view(
         gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
         torch.as_tensor(viewmat).to(like), torch.as_tensor(K).to(like), width, height,
-        sh_degree=degree, depth=depth, backend=backend,
+        sh_degree=degree, depth=depth, backend=backend, blending=blending,
     )  # fmt: skip
     if rows.requires_grad:
         rows.register_hook(lambda grad: collect(_dense(grad, view)))
@@ -60,13 +67,14 @@ def _dense(grad, view) -> Gradients:
     return Gradients.dense(grad, view.means2d.grad, view.radii)
 
 
-def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect):
+def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
+                   skip_unseen):  # fmt: skip
     values = state.values.numpy().reshape(-1)
     stride = state.values.shape[1]
     columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
     layout = np.array([n for column in columns for n in (stride, column)], np.int64)
     bounds = state.bounds.numpy().reshape(-1)
-    slack, growth = optimizer.slack(iteration)
+    slack, growth = optimizer.slack(iteration) if skip_unseen else (EVERYWHERE, 0.0)
     source = Source(
         len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.catch_up
     )
@@ -77,13 +85,16 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
         degree=degree,
         depth_channel=depth,
         background=np.zeros(state.channels, np.float32),
+        limits=pack_limits(blending),
+        rough_exp=blending.rough_exp,
     )
 
     def deliver(rows, done) -> None:
         index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
         seen, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
         owner = (rows.lease, done.lease)
-        collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, owner))
+        work = done.count_pairs(), int(done.reached.sum())
+        collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, *work, owner))
 
     image, depth_map, transmittance = render_rows(source, settings, deliver)
     return image, depth_map if depth else None, transmittance

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tdgbench.splats.density import DensityRules
 from tdgbench.splats.optimizer import LearningRates
+from tdgbench.training.skips.plateau import PlateauRule
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class Budget:
     sh_every: int  # the degree in use rises by one every so many iterations
     rates: LearningRates
     density: DensityRules
+    plateau: PlateauRule | None = None  # when training may stop early; None: never
 
     def __post_init__(self) -> None:
         if self.iterations < 1:

@@ -9,18 +9,12 @@ from dataclasses import dataclass, field
 
 import torch
 
+from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.method import Method, Step
 from tdgbench.training.model import SplatModel
+from tdgbench.training.skips.plateau import Plateau, PlateauRule
 
 LOG_LINES = 200
-
-
-class NonFiniteError(Exception):
-    """Training met a number that is not finite; says where it was first seen."""
-
-    def __init__(self, iteration: int, tensor: str) -> None:
-        super().__init__(f"{tensor} is not finite at iteration {iteration}")
-        self.iteration, self.tensor = iteration, tensor
 
 
 @dataclass
@@ -41,12 +35,27 @@ class TrainingLog:
 
     lines: list[LogLine] = field(default_factory=list)
     seconds: float = 0.0
+    iterations: int = 0
 
 
-def train(method: Method, iterations: int, on_line: Callable[[LogLine], None] | None = None) -> TrainingLog:
-    """Train a method that is set up. Raises NonFiniteError at the first loss or parameter that is not finite."""
+def train(
+    method: Method,
+    iterations: int,
+    on_line: Callable[[LogLine], None] | None = None,
+    plateau: PlateauRule | None = None,
+    on_step: Callable[[int, float], None] | None = None,
+) -> TrainingLog:
+    """Train a method that is set up, for so many iterations, or until its thermal loss is on a plateau.
+
+    on_step is told iteration and seconds so far after each step; the clock stands still meanwhile.
+
+    Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when no
+    Gaussian is left.
+    """
     log = TrainingLog()
     every = max(1, iterations // LOG_LINES)
+    watch = None if plateau is None else Plateau(plateau)
+    paused = 0.0
     smoothed: float | None = None
     start = time.perf_counter()
     for iteration in range(1, iterations + 1):
@@ -56,18 +65,25 @@ def train(method: Method, iterations: int, on_line: Callable[[LogLine], None] | 
         step = method.step(iteration)
         loss = step.loss.item()
         if not math.isfinite(loss):
+            for name, model in models.items():
+                _check_parameters(name, model, iteration)
             raise NonFiniteError(iteration, _first_bad(step))
         step.loss.backward()
-        for model in models.values():
-            model.finish(iteration)
-        if iteration % every == 0 or iteration in (1, iterations):
+        for name, model in models.items():
+            bad = model.finish(iteration)
+            if bad is not None:
+                raise NonFiniteError(iteration, f"gradient of {name} {bad}")
+            if len(model) == 0:
+                raise EmptyModelError(iteration, name)
+        ends = watch is not None and watch.reached(iteration, step.terms.get("thermal", loss))
+        if iteration % every == 0 or iteration in (1, iterations) or ends:
             for name, model in models.items():
                 _check_parameters(name, model, iteration)
             psnr = _psnr(step)
             smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
             line = LogLine(
                 iteration=iteration,
-                seconds=time.perf_counter() - start,
+                seconds=time.perf_counter() - start - paused,
                 loss=loss,
                 psnr=smoothed,
                 gaussians=sum(len(model) for model in models.values()),
@@ -76,7 +92,14 @@ def train(method: Method, iterations: int, on_line: Callable[[LogLine], None] | 
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
-    log.seconds = time.perf_counter() - start
+        if on_step is not None:
+            stopped = time.perf_counter()
+            on_step(iteration, stopped - start - paused)
+            paused += time.perf_counter() - stopped
+        if ends:
+            break
+    log.iterations = iteration
+    log.seconds = time.perf_counter() - start - paused
     return log
 
 
@@ -87,7 +110,9 @@ def _psnr(step: Step) -> float:
 
 
 def _first_bad(step: Step) -> str:
-    """The render or loss term that is not finite."""
+    """The image, render or loss term that is not finite."""
+    if not torch.isfinite(step.target).all():
+        return "target image"
     for name, tensor in (("thermal render", step.thermal.image), ("depth render", step.thermal.depth)):
         if tensor is not None and not torch.isfinite(tensor).all():
             return name

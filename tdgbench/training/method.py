@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -11,10 +12,15 @@ from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
+from tdgbench.splats import Gaussians
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget
 from tdgbench.training.model import Render, SplatModel
+from tdgbench.training.skips import Skips
+from tdgbench.training.skips.view_dependence import explained_by_direction
+
+ImageOf = Callable[[View, torch.device], Tensor]
 
 
 class ViewOrder:
@@ -41,6 +47,7 @@ class Context:
     budget: Budget
     backend: str
     seed: int
+    skips: Skips = field(default_factory=Skips)
     _streams: int = field(default=0, repr=False)
 
     def generator(self) -> torch.Generator:
@@ -54,11 +61,18 @@ class Context:
         """Where this cell trains: a GPU if the backend is `cuda`, else the CPU."""
         return training_device(self.backend)
 
-    def make_model(self, channels: int) -> SplatModel:
-        """Gaussians at the first points, ready to train."""
+    def make_model(self, channels: int, images: ImageOf) -> SplatModel:
+        """Gaussians at the first points, ready to train on `images` (thermal_tensor or rgb_tensor) of the views."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
-        return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator())
+
+        def view_dependence(gaussians: Gaussians) -> float:
+            targets = [images(view, self.device) for view in self.scene.train]
+            return explained_by_direction(gaussians, self.scene.train, targets, self.backend)
+
+        return SplatModel(
+            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, view_dependence
+        )
 
     def view_order(self) -> ViewOrder:
         return ViewOrder(self.scene.train, self.generator())

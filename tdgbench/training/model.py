@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.training.budget import Budget
+from tdgbench.training.skips import Skips
+
+MIN_VIEW_DEPENDENCE = 0.02  # R² below which the harmonics do not grow
+
+
+@dataclass
+class Work:
+    """What the steps so far were about: sums over all backward passes."""
+
+    rows: int = 0  # Gaussians
+    touched: int = 0  # of them, with a gradient
+    pairs: int = 0  # (tile, Gaussian) pairs listed
+    blended: int = 0  # of them, looked at before their tile had ended
+
+    def add(self, gradients: Gradients, count: int) -> None:
+        self.rows += count
+        self.touched += sum(n for _, n in gradients.pieces)
+        self.pairs += gradients.pairs
+        self.blended += gradients.blended
 
 
 @dataclass
@@ -39,14 +60,27 @@ class SplatModel:
     """Gaussians with their optimiser and density control."""
 
     def __init__(
-        self, gaussians: Gaussians, budget: Budget, extent: float, backend: str, generator: torch.Generator
+        self,
+        gaussians: Gaussians,
+        budget: Budget,
+        extent: float,
+        backend: str,
+        generator: torch.Generator,
+        skips: Skips | None = None,
+        view_dependence: Callable[[Gaussians], float] | None = None,
     ) -> None:
+        """view_dependence: how much of what is left unexplained direction explains (R²); None: the degree grows."""
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
         self.degree = 0
         self.optimizer = Adam(self.state, budget.rates, extent)
         self.density = DensityControl(budget.density, extent, self.state)
+        self.skips = skips or Skips()
+        self.work = Work()
+        self.view_dependence: float | None = None  # as it was last measured
+        self._view_dependence = view_dependence
+        self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
         self._gradients: list[Gradients] = []
@@ -66,28 +100,46 @@ class SplatModel:
 
         def collect(gradients: Gradients) -> None:
             self._gradients.append(gradients)
+            self.work.add(gradients, len(self.state))
             if self.density.is_active(self._iteration):
                 self.density.observe(gradients, *size)
 
         image, depth_map, transmittance = render_state(
             self.state, self.optimizer, camera.world_to_camera, camera.K, *size, degree=self.degree, depth=depth,
-            iteration=self._iteration, backend=self.backend, collect=collect,
+            iteration=self._iteration, backend=self.backend, collect=collect, blending=self._blending,
+            skip_unseen=self.skips.unseen.allowed,
         )  # fmt: skip
         return Render(image, transmittance, depth_map)
 
     def begin(self, iteration: int) -> None:
         """Before an iteration (1-based): raise the SH degree if it is time."""
         self._iteration = iteration
-        self.degree = self.budget.active_degree(iteration)
+        if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
+            self._grow_degree()
+
+    def _grow_degree(self) -> None:
+        """Take in the next band of harmonics, unless training views show that direction explains nothing."""
+        if self.skips.sh.allowed and self._view_dependence is not None:
+            self.view_dependence = self._view_dependence(self.gaussians.detach())
+            if self.view_dependence < MIN_VIEW_DEPENDENCE:
+                return
+        self.degree += 1
 
     def forget_views(self) -> None:
         """Drop the gradients that were gathered since the last step."""
         self._gradients = []
 
-    def finish(self, iteration: int) -> None:
-        """After the backward pass: density control, then Adam, which rests where parameters were just replaced."""
+    def finish(self, iteration: int) -> str | None:
+        """After the backward pass: density control, then Adam, which rests where parameters were just replaced.
+
+        Returns the name of a parameter whose gradient is not finite, if there is one; Adam has then taken it in.
+        """
         parts, self._gradients = self._gradients, []
         change = self.density.update(self.optimizer, iteration, self._generator)
         if parts and not change.densified:
             gradients = Gradients.total(parts, len(self.state))
-            self.optimizer.step(gradients, iteration, without="opacity_logits" if change.opacity_reset else None)
+            bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None)
+            if not self.skips.unseen.allowed:
+                self.optimizer.settle()
+            return bad
+        return None

@@ -1,28 +1,40 @@
-import time
+import json
+import subprocess
+import sys
 
 import pytest
 
 from tdgbench.bench import memory
-from tdgbench.bench.memory import SAMPLE_SECONDS, PeakMemory
+from tdgbench.bench.memory import PeakMemory
+from tests.conftest import ROOT
 
 MEGABYTES = 200
+IN_A_PROCESS_OF_ITS_OWN = f"""
+import json, time
+from tdgbench.bench.memory import SAMPLE_SECONDS, PeakMemory
 
-
-def grow_and_shrink() -> None:
-    block = bytearray(MEGABYTES * 1024 * 1024)
+def grow_and_shrink():
+    block = bytearray({MEGABYTES} * 1024 * 1024)
     block[::4096] = b"x" * len(block[::4096])
     time.sleep(5 * SAMPLE_SECONDS)
 
+grow_and_shrink()
+with PeakMemory() as quiet:
+    pass
+with PeakMemory() as busy:
+    grow_and_shrink()
+print(json.dumps([quiet.mb, busy.mb]))
+"""
+
 
 def test_sees_a_peak_and_not_the_one_before():
-    grow_and_shrink()
-    with PeakMemory() as quiet:
-        pass
-    if quiet.mb is None:
+    run = subprocess.run(
+        [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    quiet, busy = json.loads(run.stdout)
+    if quiet is None:
         pytest.skip("this platform does not tell the memory of a process")
-    with PeakMemory() as busy:
-        grow_and_shrink()
-    assert busy.mb > quiet.mb + 0.8 * MEGABYTES
+    assert busy > quiet + 0.8 * MEGABYTES
 
 
 def test_says_nothing_where_the_platform_does_not(monkeypatch, tmp_path):

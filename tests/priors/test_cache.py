@@ -18,8 +18,9 @@ class Counting:
 def test_cache(small_scene, tmp_path):
     first, again, other = Counting(), Counting(), Counting("b")
     told = []
-    a = estimate_all(first, small_scene, tmp_path, lambda done, total: told.append((done, total)))
-    b = estimate_all(again, small_scene, tmp_path)
+    a, made = estimate_all(first, small_scene, tmp_path, lambda done, total: told.append((done, total)))
+    b, made_again = estimate_all(again, small_scene, tmp_path)
+    assert (made, made_again) == (8, 0)
     estimate_all(other, small_scene, tmp_path)
     assert (first.calls, again.calls, other.calls) == (8, 0, 8)
     assert told == [(i, 8) for i in range(1, 9)]

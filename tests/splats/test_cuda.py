@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from tdgbench.splats import cuda, reference
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.rasterization import choose_backend
 from tests.conftest import random_gaussians, turned_camera
 
@@ -22,6 +23,7 @@ def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, 
     view = reference.rasterize(
         means, quats, scales, opacities, colors, viewmats[0], Ks[0], width, height, near_plane=near_plane,
         far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree, background=None, depth_channel=render_mode == "RGB+D",
+        blending=AS_3DGS,
     )  # fmt: skip
     image = view.image if view.depth is None else torch.cat([view.image, view.depth[..., None]], dim=-1)
     means2d = view.means2d.detach()[None].requires_grad_()
@@ -51,7 +53,7 @@ def test_hands_over_and_takes_back(stand_in, degree, depth, background):
         "depth_channel": depth,
     }  # fmt: skip
     results = []
-    for rasterize, extra in ((cuda.rasterize, {"absgrad": False}), (reference.rasterize, {})):
+    for rasterize, extra in ((cuda.rasterize, {"absgrad": False}), (reference.rasterize, {"blending": AS_3DGS})):
         leaves = [p.clone().requires_grad_() for p in given]
         out = rasterize(*leaves, view, K, 20, 15, **options, **extra)
         g = torch.Generator().manual_seed(0)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tdgbench.splats import cuda, rasterization, reference
+from tdgbench.splats import cuda, rasterization
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 from tests.conftest import ROOT, random_gaussians, turned_camera
 
@@ -50,35 +52,27 @@ def render(parameters, camera, size, backend, weights=None, **options):
 def undecided_pixels(parameters, camera, size, **options) -> torch.Tensor:
     """Pixels (C, H, W) where a rounding error may flip one of the blend's thresholds."""
     images = []
+    blending = options.pop("blending", AS_3DGS)
     for factor in (1 - 1e-4, 1.0, 1 + 1e-4):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(reference, "MIN_ALPHA", reference.MIN_ALPHA * factor)
-            patch.setattr(reference, "MIN_TRANSMITTANCE", reference.MIN_TRANSMITTANCE / factor)
-            image, alpha, _, _ = render(parameters, camera, size, "reference", **options)
-            images.append(torch.cat([image, alpha], dim=-1))
+        image, alpha, _, _ = render(parameters, camera, size, "reference", blending=blending.moved(factor), **options)
+        images.append(torch.cat([image, alpha], dim=-1))
     moved = (images[0] - images[1]).abs() + (images[2] - images[1]).abs()
     return moved.amax(dim=-1) > 1e-6
 
 
 def compare(parameters, camera, size, backend, seed=0, **options):
     """Assert that a backend agrees with the reference in image, alpha, radii and all gradients."""
-    with pytest.MonkeyPatch.context() as patch:
-        if backend == "cuda":
-            patch.setattr(reference, "MAX_ALPHA", 0.999)  # gsplat's own
-        _compare(parameters, camera, size, backend, seed, **options)
-
-
-def _compare(parameters, camera, size, backend, seed, **options):
-    unsure = undecided_pixels(parameters, camera, size, **options)
+    own = {"blending": replace(AS_3DGS, max_alpha=0.999)} if backend == "cuda" else {}  # gsplat's own
+    unsure = undecided_pixels(parameters, camera, size, **options, **own)
     assert unsure.float().mean() < 0.05
     sure = (~unsure)[..., None].double()
-    shape = render(parameters, camera, size, "reference", **options)[0].shape
+    shape = render(parameters, camera, size, "reference", **options, **own)[0].shape
     g = torch.Generator().manual_seed(seed)
     weights = (
         torch.randn(shape, generator=g, dtype=torch.float64) * sure,
         torch.randn((*shape[:3], 1), generator=g, dtype=torch.float64) * sure,
     )
-    expected = render(parameters, camera, size, "reference", weights, **options)
+    expected = render(parameters, camera, size, "reference", weights, **options, **own)
     got = render(parameters, camera, size, backend, weights, **options)
     scale = max(1.0, expected[0].abs().max().item() if expected[0].numel() else 1.0)
     assert ((got[0] - expected[0]) * sure).abs().max() < IMAGE_TOLERANCE * scale
@@ -229,12 +223,13 @@ def test_reference_gradients_are_finite_differences():
     camera = turned_camera(6, 5)
 
     def image(*leaves):
-        out, alpha, _ = rasterization(*leaves, *camera, 6, 5, sh_degree=2, render_mode="RGB+D", backend="reference")
+        out, alpha, _ = rasterization(
+            *leaves, *camera, 6, 5, sh_degree=2, render_mode="RGB+D", backend="reference",
+            blending=Blending(min_alpha=0.0),  # thresholds have no derivative
+        )  # fmt: skip
         return out, alpha
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reference, "MIN_ALPHA", 0.0)  # thresholds have no derivative
-        assert torch.autograd.gradcheck(image, parameters, eps=1e-6, atol=1e-6)
+    assert torch.autograd.gradcheck(image, parameters, eps=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("backend", ["reference", *FAST_BACKENDS])
@@ -270,3 +265,41 @@ def test_wrong_arguments_are_named():
         rasterization(*(p.double() for p in good), *camera, 8, 8, backend="cpu")
     with pytest.raises(ValueError, match="1 to 4 channels"):
         rasterization(*good[:4], torch.zeros(4, 9), *camera, 8, 8, backend="cpu")
+
+
+@pytest.mark.parametrize(
+    "blending",
+    [Blending(min_alpha=1e-3), Blending(min_alpha=0.05, min_transmittance=0.01), Blending(max_alpha=0.5)],
+    ids=["fainter", "coarser", "capped"],
+)
+def test_other_constants_agree_with_reference(blending):
+    compare(
+        random_gaussians(150, 4, None, 3), turned_camera(53, 37), (53, 37), "cpu", render_mode="RGB+D",
+        blending=blending,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("option", [{"tight": False}, {"end_early": False}, {"rough_exp": True}], ids=str)
+def test_shortcuts_change_the_way_and_not_the_result(option):
+    parameters, camera, size = random_gaussians(300, 5, None, 1), turned_camera(70, 40), (70, 40)
+    parameters[3][:] = 0.9  # tiles fill up
+    weights = torch.randn(1, 40, 70, 1), torch.randn(1, 40, 70, 1)
+    plain = render(parameters, camera, size, "cpu", weights)
+    other = render(parameters, camera, size, "cpu", weights, blending=replace(AS_3DGS, **option))
+    tolerance = 1e-3 if "rough_exp" in option else 1e-5
+    assert (other[0] - plain[0]).abs().max() < tolerance
+    for name, want in plain[2].items():
+        assert (other[2][name] - want).norm() / want.norm().clamp_min(1e-8) < 10 * tolerance, name
+    if "end_early" in option:
+        assert torch.equal(other[0], plain[0])
+    else:
+        assert not torch.equal(other[0], plain[0])
+
+
+def test_constants_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="must be 0 ≤ min < max < 1"):
+        Blending(min_alpha=1.0)
+    with pytest.raises(ValueError, match="min_alpha above 0"):
+        rasterization(
+            *random_gaussians(3, 0, None, 1), *turned_camera(8, 8), 8, 8, backend="cpu", blending=Blending(min_alpha=0)
+        )

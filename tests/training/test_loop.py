@@ -1,4 +1,5 @@
 import hashlib
+import time
 
 import numpy as np
 import pytest
@@ -7,14 +8,18 @@ from hydra.utils import instantiate
 
 from tdgbench.priors import estimate_all
 from tdgbench.splats.cpu import pool
-from tdgbench.training.loop import NonFiniteError, train
+from tdgbench.training import method as method_module
+from tdgbench.training.errors import EmptyModelError, NonFiniteError
+from tdgbench.training.loop import train
 from tdgbench.training.method import Context
+from tdgbench.training.skips import Skips
+from tdgbench.training.skips.plateau import PlateauRule
 from tests.conftest import config
 
 METHODS = ["tdg", "msmg", "splat"]
 
 
-def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, **overrides):
+def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides):
     """A method trained for a while, with its log."""
     extra = [f"{k}={v}" for k, v in overrides.items()]
     cfg = config(
@@ -22,9 +27,9 @@ def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, **over
         "budget.density.start=20", "budget.density.every=20", "budget.sh_every=25", *extra,
     )  # fmt: skip
     method = instantiate(cfg.method.method)
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None) if method.needs_prior else {}
+    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
     points = instantiate(cfg.init.points).points(scene)
-    method.setup(Context(scene, points, priors, instantiate(cfg.budget), "auto", seed))
+    method.setup(Context(scene, points, priors, instantiate(cfg.budget), "auto", seed, skips or Skips()))
     return method, train(method, iterations)
 
 
@@ -66,16 +71,72 @@ def test_gray_scenes_train_one_channel(small_gray_scene):
 
 
 def test_sh_degree_rises(small_scene):
-    method, _ = trained(small_scene, "splat", 24)
-    assert method.model.degree == 0
-    method, _ = trained(small_scene, "splat", 26)
-    assert method.model.degree == 1
+    degrees = [trained(small_scene, "splat", n, skips=Skips(sh=False))[0].model.degree for n in (24, 26)]
+    assert degrees == [0, 1]
+
+
+def test_sh_degree_rises_only_where_direction_explains_something(small_scene, monkeypatch):
+    for explained, degree in ((0.0, 0), (0.5, 1)):
+        monkeypatch.setattr(method_module, "explained_by_direction", lambda *_, e=explained: e)
+        model = trained(small_scene, "splat", 26)[0].model
+        assert (model.degree, model.view_dependence) == (degree, explained)
+
+
+def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
+    """Off and on differ by rounding alone, after few enough steps that rounding has not grown."""
+    images = []
+    for skips in (Skips(), Skips(unseen=False), Skips(saturated=False), Skips(depth=False), Skips(plateau=False)):
+        method, _ = trained(small_gray_scene, "tdg", 15, skips=skips)
+        images.append(method.render(small_gray_scene.test[0].camera).image)
+    for other in images[1:]:
+        assert (other - images[0]).abs().max() < 2e-4
+    assert torch.equal(images[2], images[0]) and torch.equal(images[4], images[0])
+
+
+def test_training_ends_on_a_plateau(small_scene):
+    method, _ = trained(small_scene, "splat", 1)
+    log = train(method, 60, plateau=PlateauRule(window=5, patience=1, gain=0.9, after=10))
+    assert log.iterations == 20 == log.lines[-1].iteration  # one window to compare with, one that is not 90 % better
+
+
+def test_the_clock_stands_still_while_someone_looks(small_scene):
+    method, _ = trained(small_scene, "splat", 1)
+    told = []
+
+    def look(iteration, seconds):
+        told.append((iteration, seconds))
+        time.sleep(0.05)
+
+    log = train(method, 5, on_step=look)
+    assert [iteration for iteration, _ in told] == [1, 2, 3, 4, 5]
+    assert told[-1][1] <= log.seconds < told[-1][1] + 0.05
+
+
+def test_a_model_without_gaussians_stops(small_scene):
+    method, _ = trained(small_scene, "splat", 1, **{"budget.density.min_opacity": 0.9999})
+    with pytest.raises(EmptyModelError, match="no Gaussian is left after density control at iteration 40"):
+        train(method, 60)
+
+
+def test_a_gradient_that_is_not_finite_is_named(small_scene):
+    method, _ = trained(small_scene, "splat", 1)
+    step = method.step
+
+    def spoiled(iteration):
+        made = step(iteration)
+        if iteration == 3:
+            made.thermal.image.register_hook(lambda grad: grad * torch.inf)
+        return made
+
+    method.step = spoiled
+    with pytest.raises(NonFiniteError, match=r"gradient of thermal .* is not finite at iteration 3"):
+        train(method, 5)
 
 
 def test_a_nan_is_found_where_it_first_appears(small_scene):
     method, _ = trained(small_scene, "splat", 2)
     method.model.gaussians.sh[:, 0, 0] = torch.nan
-    with pytest.raises(NonFiniteError, match="thermal render is not finite at iteration 1") as error:
+    with pytest.raises(NonFiniteError, match="thermal sh is not finite at iteration 1") as error:
         train(method, 5)
     assert error.value.iteration == 1
 

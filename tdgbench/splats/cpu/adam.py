@@ -12,7 +12,8 @@ import numpy as np
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import load, prefetch, store
-from tdgbench.splats.cpu.simd import LANES, divide, square_root
+from tdgbench.splats.cpu.reductions import any_positive
+from tdgbench.splats.cpu.simd import LANES, divide, is_finite, maximum, select, splat, square_root
 
 F, U = np.float32, np.uint64
 AHEAD = 6  # rows for which memory is asked before they are worked on
@@ -59,8 +60,10 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
 
     gradients (rows, g) with g ≤ stride, columns beyond being zero; parameters and moments flat, `stride` floats a row;
     powers[k] = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when
-    the moments and the parameters of a row were last brought up to date.
+    the moments and the parameters of a row were last brought up to date. Returns whether all gradients are finite.
     """
+    zero, one = splat(F(0)), splat(F(1))
+    bad = zero
     columns = gradients.shape[1]
     flat = gradients.reshape(-1)
     last = U(first + count - 1)
@@ -77,6 +80,7 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
             )  # fmt: skip
         for j in range(0, columns, LANES):
             g = load(flat, source + U(j))
+            bad = maximum(bad, select(is_finite(g), zero, one))
             o = row + U(j)
             m = load(first_moments, o) * fade1 + g * rest1
             v = load(second_moments, o) * fade2 + g * g * rest2
@@ -87,6 +91,7 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
         clocks[i, U(0)] = now
         clocks[i, U(1)] = now
         note_bounds(bounds, i, row, parameters)
+    return not any_positive(bad)
 
 
 @kernel()

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from tdgbench.splats.cpu.dense import dense_gradients, dense_projected
+from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.passes import Settings, Source, backward, forward
 from tdgbench.splats.cpu.projection import CAMERA_SIZE
 from tdgbench.splats.view import RenderedView
@@ -21,7 +22,9 @@ def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.n
     packed = np.zeros(CAMERA_SIZE, np.float32)
     packed[0:12] = view[:3].reshape(-1)
     packed[12:16] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    packed[16:19] = -view[:3, :3].T @ view[:3, 3]
+    centre = np.linalg.solve(view[:3, :3], -view[:3, 3])
+    packed[16:19] = centre
+    packed[24:27] = centre - packed[16:19]
     packed[19:24] = near_plane, far_plane, eps2d, width, height
     return packed
 
@@ -77,7 +80,7 @@ class Rasterize(torch.autograd.Function):
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel, absgrad) -> RenderedView:  # fmt: skip
+              eps2d, sh_degree, background, depth_channel, blending, absgrad) -> RenderedView:  # fmt: skip
     """Render one camera; what `tdgbench.splats.reference.rasterize` does, fast."""
     if colors.dim() == 2:
         colors = colors[:, None, :]
@@ -91,6 +94,8 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         degree=-1 if sh_degree is None else sh_degree,
         depth_channel=depth_channel,
         background=black if background is None else background.detach().contiguous().numpy(),
+        limits=pack_limits(blending),
+        rough_exp=blending.rough_exp,
         absgrad=absgrad,
     )
     probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)

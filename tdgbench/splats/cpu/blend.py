@@ -2,7 +2,8 @@
 
     image_c = Σ_k c_k w_k + T background_c,  w_k = alpha_k T_k,  T_{k+1} = T_k (1 − alpha_k)
 
-alpha is capped at 0.99 and skipped below 1/255; a pixel stops before the Gaussian that would take T below 1e-4.
+alpha is capped at max_alpha (0.99) and skipped below min_alpha (1/255); a pixel stops before the Gaussian that would
+take T below min_transmittance (1e-4).
 There is no branch for stopped pixels: their T is kept with its sign bit set, which makes every further weight zero.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 from numba import int64
 
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.limits import END_EARLY, LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE
 from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
 from tdgbench.splats.cpu.records import (
     A_,
@@ -24,7 +26,6 @@ from tdgbench.splats.cpu.records import (
     FIRST_Y,
     LAST_X,
     LAST_Y,
-    LOG2_MIN_ALPHA,
     LOG2_OPACITY,
     U_,
     V_,
@@ -33,6 +34,7 @@ from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,
     exp2,
+    exp2_rough,
     greater_equal,
     lane_index,
     maximum,
@@ -45,7 +47,6 @@ from tdgbench.splats.cpu.tiles import TILE
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, DEAD = F(0), F(0.5), F(1), F(-0.0)
-MAX_ALPHA, MIN_TRANSMITTANCE = F(0.99), F(1e-4)
 BLOCKS = TILE // LANES  # registers per row of a tile
 LOOK_AHEAD = 4
 CHECK_EVERY = 16
@@ -61,18 +62,20 @@ def row_alive(pixels, offset, stride):
 
 
 @functools.cache
-def make_blend(colors: int, depth: bool):
+def make_blend(colors: int, depth: bool, rough_exp: bool):
     """The forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
     channels = colors + depth
     block = (1 + channels) * LANES  # per register: T, then the channels
     row = BLOCKS * block
 
     @kernel()
-    def blend(counter, width, height, records, tile_start, gaussian_of, background,
+    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits,
               image, depth_map, transmittance, reached):  # fmt: skip
         """Blend tiles until none is left. reached[tile]: how many of its Gaussians were looked at."""
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
+        max_alpha, log2_min_alpha = limits[MAX_ALPHA], limits[LOG2_MIN_ALPHA]
+        min_transmittance, end_early = limits[MIN_TRANSMITTANCE], limits[END_EARLY] > ZERO
         pixels = aligned_floats(TILE * row + 2 * TILE)
         row_b = pixels[TILE * row :]
         row_c = row_b[TILE:]
@@ -121,12 +124,12 @@ def make_blend(colors: int, depth: bool):
                     for y in range(y0, y1 + 1):
                         o = y * row + part * block
                         log2_alpha = dx * row_b[U(y)] + (along_x + row_c[U(y)])
-                        alpha = minimum(exp2(log2_alpha), MAX_ALPHA)
+                        alpha = minimum(exp2_rough(log2_alpha) if rough_exp else exp2(log2_alpha), max_alpha)
                         t = load(pixels, o)
                         t_alive = maximum(t, zero)
-                        weight = select(greater_equal(log2_alpha, LOG2_MIN_ALPHA), alpha * t_alive, zero)
+                        weight = select(greater_equal(log2_alpha, log2_min_alpha), alpha * t_alive, zero)
                         t_next = t_alive - weight
-                        goes_on = greater_equal(t_next, MIN_TRANSMITTANCE)
+                        goes_on = greater_equal(t_next, min_transmittance)
                         store(pixels, o, select(goes_on, t_next, negative_abs(t)))
                         weight = select(goes_on, weight, zero)
                         store(pixels, o + LANES, load(pixels, o + LANES) + weight * c0)
@@ -137,7 +140,7 @@ def make_blend(colors: int, depth: bool):
                         if channels > 3:
                             store(pixels, o + 4 * LANES, load(pixels, o + 4 * LANES) + weight * c3)
                 k += 1
-                if (k - begin) % CHECK_EVERY == 0:
+                if end_early and (k - begin) % CHECK_EVERY == 0:
                     while first_row <= last_row and not row_alive(pixels, first_row * row, block):
                         first_row += 1
                     while last_row >= first_row and not row_alive(pixels, last_row * row, block):

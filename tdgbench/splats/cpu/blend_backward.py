@@ -22,13 +22,12 @@ from tdgbench.splats.cpu.blend import (
     DEAD,
     HALF,
     LOOK_AHEAD,
-    MAX_ALPHA,
-    MIN_TRANSMITTANCE,
     ONE,
     ZERO,
     row_alive,
 )
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.limits import END_EARLY, LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE
 from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch, prefetch_row, store, store_anywhere, take_next
 from tdgbench.splats.cpu.records import (
     A_,
@@ -39,7 +38,6 @@ from tdgbench.splats.cpu.records import (
     FIRST_Y,
     LAST_X,
     LAST_Y,
-    LOG2_MIN_ALPHA,
     LOG2_OPACITY,
     U_,
     V_,
@@ -50,6 +48,7 @@ from tdgbench.splats.cpu.simd import (
     absolute,
     both,
     exp2,
+    exp2_rough,
     greater,
     greater_equal,
     lane_index,
@@ -73,7 +72,7 @@ def slot_size(channels: int, absgrad: bool) -> int:
 
 
 @functools.cache
-def make_blend_backward(colors: int, depth: bool, absgrad: bool):
+def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool):
     """The backward kernel of `make_blend`; with `absgrad` also Σ |d/du|, Σ |d/dv| over the pixels."""
     channels = colors + depth
     block = (2 + channels) * LANES  # per register: T, light behind, then the gradients of the channels
@@ -81,12 +80,14 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
     size = slot_size(channels, absgrad)
 
     @kernel()
-    def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of,
+    def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of, limits,
                        image, depth_map, transmittance, grad_image, grad_depth, grad_transmittance, reached,
                        slots):  # fmt: skip
         """Write the slots of every pair; those that were not looked at become zero."""
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
+        max_alpha, log2_min_alpha = limits[MAX_ALPHA], limits[LOG2_MIN_ALPHA]
+        min_transmittance, end_early = limits[MIN_TRANSMITTANCE], limits[END_EARLY] > ZERO
         pixels = aligned_floats(TILE * row + 3 * TILE)
         row_y = pixels[TILE * row :]
         row_b = row_y[TILE:]
@@ -164,13 +165,13 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                         o = row_index * row + part * block
                         dy = row_y[U(row_index)]
                         log2_alpha = dx * row_b[U(row_index)] + (along_x + row_c[U(row_index)])
-                        uncapped = exp2(log2_alpha)
-                        alpha = minimum(uncapped, MAX_ALPHA)
+                        uncapped = exp2_rough(log2_alpha) if rough_exp else exp2(log2_alpha)
+                        alpha = minimum(uncapped, max_alpha)
                         t = load(pixels, o)
                         t_alive = maximum(t, zero)
-                        weight = select(greater_equal(log2_alpha, LOG2_MIN_ALPHA), alpha * t_alive, zero)
+                        weight = select(greater_equal(log2_alpha, log2_min_alpha), alpha * t_alive, zero)
                         t_next = t_alive - weight
-                        goes_on = greater_equal(t_next, MIN_TRANSMITTANCE)
+                        goes_on = greater_equal(t_next, min_transmittance)
                         store(pixels, o, select(goes_on, t_next, negative_abs(t)))
                         weight = select(goes_on, weight, zero)
                         g0 = load(pixels, o + 2 * LANES)
@@ -191,7 +192,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                         own = weight * color_dot_g
                         behind = load(pixels, o + LANES) - own
                         store(pixels, o + LANES, behind)
-                        moves = both(greater(weight, zero), less_equal(uncapped, MAX_ALPHA))
+                        moves = both(greater(weight, zero), less_equal(uncapped, max_alpha))
                         g = select(moves, behind * (alpha * reciprocal(alpha - ONE)) + own, zero)
                         column_0 = column_0 + g
                         g_dy = g * dy
@@ -225,7 +226,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                     if absgrad:
                         slots[o + U(size - 2)] = row_c[2]
                         slots[o + U(size - 1)] = row_c[3]
-                if (k - begin) % CHECK_EVERY == CHECK_EVERY - 1:
+                if end_early and (k - begin) % CHECK_EVERY == CHECK_EVERY - 1:
                     while first_row <= last_row and not row_alive(pixels, first_row * row, block):
                         first_row += 1
                     while last_row >= first_row and not row_alive(pixels, last_row * row, block):

@@ -2,7 +2,7 @@
 
 A Gaussian lies within `slack` of where it is thought to be, and no axis is longer than thought by more than a factor:
 the optimiser moves what it has not seen for a while only when it is looked at again (`tdgbench.splats.optimizer`).
-The image covariance's largest eigenvalue is at most |J|² σ² + eps2d, alpha ≥ 1/255 ends at 3.33 of its roots.
+The image covariance's largest eigenvalue is at most |J|² σ² + eps2d, alpha ≥ min_alpha ends at `reach` of its roots.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from tdgbench.splats.cpu.simd import (
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
-REACH = F(3.4)
+MARGIN = F(1.02)  # of the reach, against rounding
 GRID = F(18)  # px: the last tile may stick out of the image by 15
 
 
 @kernel()
 def find_candidates(start, stop, means, mean_stride, mean_column, sizes, size_stride, size_column, size_count, raw,
-                    slack, growth, camera, candidates):  # fmt: skip
+                    slack, growth, camera, reach_limit, candidates):  # fmt: skip
     """candidates[start : start + n] = those of Gaussians [start, stop) that may be seen, ascending; returns n.
 
     Behind them the last one is repeated to fill a register. sizes: 1 or 3 deviations each (`raw`: their logarithms,
@@ -60,7 +60,7 @@ def find_candidates(start, stop, means, mean_stride, mean_column, sizes, size_st
         nearest, farthest = maximum(z - slack, splat(near)), z + slack
         per_near, per_far = divide(ONE, nearest), divide(ONE, maximum(farthest, splat(near)))
         stretch = size * per_near
-        reach = REACH * square_root(stretch * stretch * jacobian + blur) + GRID
+        reach = MARGIN * reach_limit * square_root(stretch * stretch * jacobian + blur) + GRID
         right_most, left_most = x + slack, x - slack
         bottom_most, top_most = y + slack, y - slack
         u_right = right_most * select(greater(right_most, zero), per_near, per_far) * camera[12] + camera[14] + reach

@@ -7,6 +7,7 @@ import numpy as np
 from tdgbench.splats import harmonics
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import load, store
+from tdgbench.splats.cpu.projection import from_camera
 from tdgbench.splats.cpu.simd import LANES, divide, splat, square_root
 
 F = np.float32
@@ -19,9 +20,7 @@ _1, _2, _3, _4, _6, _8 = F(1), F(2), F(3), F(4), F(6), F(8)
 @kernel(inline=True)
 def view_direction(mean, camera):
     """Unit vectors from the camera centre to the Gaussians, and the inverse of the distance."""
-    x = mean[0] - camera[16]
-    y = mean[1] - camera[17]
-    z = mean[2] - camera[18]
+    x, y, z = from_camera(mean, camera)
     inverse = divide(_1, square_root(x * x + y * y + z * z))
     return x * inverse, y * inverse, z * inverse, inverse
 

@@ -16,6 +16,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.blend import make_blend
 from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
 from tdgbench.splats.cpu.culling import find_candidates
+from tdgbench.splats.cpu.limits import REACH
 from tdgbench.splats.cpu.projection_backward import projection_backward
 from tdgbench.splats.cpu.projection_forward import project_and_list
 from tdgbench.splats.cpu.records import RECORD
@@ -36,6 +37,8 @@ class Settings:
     degree: int  # −1: colours as they are
     depth_channel: bool
     background: np.ndarray  # float32 (colours,)
+    limits: np.ndarray  # float32 (7,), see tdgbench.splats.cpu.limits
+    rough_exp: bool = False
     absgrad: bool = False
 
 
@@ -107,14 +110,9 @@ def forward(source: Source, settings: Settings) -> ForwardPass:
         (a * LANES, min(b * LANES, source.count)) for a, b in pool.chunks(n_groups, min(threads, max(n_groups, 1)))
     ]
     candidates = passing.take("candidates", max(n_groups, 1) * LANES, np.int32)
-    growing = F(source.slack), F(source.growth)
-    found = pool.run(
-        find_candidates,
-        [
-            (*piece, *source.centres, *source.sizes, source.raw, *growing, settings.camera, candidates)
-            for piece in pieces
-        ],
-    )
+    growing, reach = (F(source.slack), F(source.growth)), settings.limits[REACH]
+    where = (*source.centres, *source.sizes, source.raw, *growing, settings.camera, reach, candidates)
+    found = pool.run(find_candidates, [(*piece, *where) for piece in pieces])
     # The candidates of all pieces together are cut anew, so that each thread projects as many as the others.
     spans = _pack(candidates, [(a, n) for (a, _), n in zip(pieces, found)], threads)
     if source.update is not None:
@@ -147,14 +145,14 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     pair_room = max(4096, 6 * room // len(spans))
     while True:
         tile_of_pair = passing.take("tiles", (len(spans), pair_room), np.int32)
-        counts = np.zeros((len(spans), 3), np.int64)
+        counts = np.zeros((len(spans), 4), np.int64)
         pool.run(
             project_and_list,
             [
                 (
                     *span, candidates, *source.arrays, source.layout, source.raw, channels, settings.degree,
-                    settings.camera, settings.depth_channel, t * pair_room, records, owners, pairs, keys, order,
-                    index, radii, means2d, tile_of_pair[t], counts[t],
+                    settings.camera, settings.limits, settings.depth_channel, t * pair_room, records, owners, pairs,
+                    keys, order, index, radii, means2d, tile_of_pair[t], counts[t],
                 )
                 for t, span in enumerate(spans)
             ],
@@ -177,9 +175,12 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     transmittance, reached = np.empty(size, np.float32), np.empty(n_tiles, np.int32)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
-        settings.background, image, depth, transmittance, reached,
+        settings.background, settings.limits, image, depth, transmittance, reached,
     )  # fmt: skip
-    pool.run(make_blend(channels, settings.depth_channel), [arguments] * pool.get_threads())
+    pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
+    if counts[:, 3].any():  # nobody can say where that Gaussian would have been
+        for result in (image, depth, transmittance):
+            result[:] = np.nan
     projected = Projected(list(zip(firsts, counts[:, 2].tolist())), index, radii, means2d)
     return ForwardPass(
         image, depth, transmittance, projected, records, owners, pairs, kept, len(spans) * pair_room,
@@ -203,9 +204,10 @@ def backward(
     slots = passing.take("slots", done.pair_room * size, np.float32)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, done.records, done.tile_start,
-        done.gaussian_of, done.slot_of, done.image, done.depth, done.transmittance, *gradients, done.reached, slots,
+        done.gaussian_of, done.slot_of, settings.limits, done.image, done.depth, done.transmittance, *gradients,
+        done.reached, slots,
     )  # fmt: skip
-    variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad)
+    variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad, settings.rough_exp)
     pool.run(variant, [arguments] * pool.get_threads())
     bases = (settings.degree + 1) ** 2 if settings.degree >= 0 else 1
     stride = padded(COLORS_AT + bases * channels)

@@ -1,7 +1,8 @@
 """Projection of 3-D Gaussians to 2-D ones (EWA splatting; Zwicker et al. 2001, as used by 3DGS), LANES at a time.
 
-The camera is one float32 array: [0:12] the rows of world-to-camera [R | t], [12:16] fx fy cx cy, [16:19] camera
-centre, [19] near, [20] far, [21] eps2d, [22] width, [23] height. Pixel centres lie at whole numbers + 1/2.
+The camera is one float32 array: [0:12] the rows of world-to-camera [R | t] (t is not read), [12:16] fx fy cx cy,
+[16:19] camera centre, [19] near, [20] far, [21] eps2d, [22] width, [23] height, [24:27] what float32 leaves of the
+centre. Pixel centres lie at whole numbers + 1/2.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from tdgbench.splats.cpu.simd import (
     exp2,
     greater,
     greater_equal,
+    is_nan,
     log2,
     maximum,
     minimum,
@@ -28,16 +30,17 @@ from tdgbench.splats.cpu.simd import (
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-CAMERA_SIZE = 24
+CAMERA_SIZE = 27
 LOG2_E = F(math.log2(math.e))
 LARGEST_EXPONENT = F(126)
+SHORTEST = F(1e-12)  # quaternions are divided by no less, as torch does
 FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
 
 
 @kernel(inline=True)
 def exponential(x):
-    """e^x, held within 2^±126."""
-    return exp2(minimum(maximum(x * LOG2_E, -LARGEST_EXPONENT), LARGEST_EXPONENT))
+    """e^x, held within 2^±126; NaN stays NaN."""
+    return select(is_nan(x), x, exp2(minimum(maximum(x * LOG2_E, -LARGEST_EXPONENT), LARGEST_EXPONENT)))
 
 
 @kernel(inline=True)
@@ -63,12 +66,19 @@ def opacity_and_log2(opacities, rows, k, stride, column, raw):
 
 
 @kernel(inline=True)
+def from_camera(mean, camera):
+    """World vectors from the camera to the mean. Far from the origin R m + t would cancel; this keeps its digits."""
+    mx, my, mz = mean
+    return (mx - camera[16]) - camera[24], (my - camera[17]) - camera[25], (mz - camera[18]) - camera[26]
+
+
+@kernel(inline=True)
 def camera_point(mean, camera):
     """The mean in camera coordinates."""
-    mx, my, mz = mean
-    x = mx * camera[0] + my * camera[1] + mz * camera[2] + camera[3]
-    y = mx * camera[4] + my * camera[5] + mz * camera[6] + camera[7]
-    z = mx * camera[8] + my * camera[9] + mz * camera[10] + camera[11]
+    mx, my, mz = from_camera(mean, camera)
+    x = mx * camera[0] + my * camera[1] + mz * camera[2]
+    y = mx * camera[4] + my * camera[5] + mz * camera[6]
+    z = mx * camera[8] + my * camera[9] + mz * camera[10]
     return x, y, z
 
 
@@ -77,7 +87,8 @@ def rotation(quats, rows, k, stride, column):
     """Rows of the rotation matrix of a quaternion (wxyz), its normalised parts, and 1 / |quaternion|."""
     w = gather(quats, rows, k, stride, column)
     x, y, z = gather_3(quats, rows, k, stride, column + 1)
-    n = divide(ONE, square_root(w * w + x * x + y * y + z * z))
+    length = square_root(w * w + x * x + y * y + z * z)
+    n = divide(ONE, select(greater(splat(SHORTEST), length), splat(SHORTEST), length))
     w, x, y, z = w * n, x * n, y * n, z * n
     r0 = (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y))
     r1 = (TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x))
@@ -151,10 +162,12 @@ def covariance_2d(p, q, eps2d):
 @kernel()
 def exact_image_point(mean_x, mean_y, mean_z, camera):
     """u and v of one mean (scalars) in double precision: in single, 3e-5 px are lost at 600, which alpha shows."""
-    mx, my, mz = np.float64(mean_x), np.float64(mean_y), np.float64(mean_z)
-    x = np.float64(camera[0]) * mx + np.float64(camera[1]) * my + np.float64(camera[2]) * mz + np.float64(camera[3])
-    y = np.float64(camera[4]) * mx + np.float64(camera[5]) * my + np.float64(camera[6]) * mz + np.float64(camera[7])
-    z = np.float64(camera[8]) * mx + np.float64(camera[9]) * my + np.float64(camera[10]) * mz + np.float64(camera[11])
+    mx = np.float64(mean_x) - np.float64(camera[16]) - np.float64(camera[24])
+    my = np.float64(mean_y) - np.float64(camera[17]) - np.float64(camera[25])
+    mz = np.float64(mean_z) - np.float64(camera[18]) - np.float64(camera[26])
+    x = np.float64(camera[0]) * mx + np.float64(camera[1]) * my + np.float64(camera[2]) * mz
+    y = np.float64(camera[4]) * mx + np.float64(camera[5]) * my + np.float64(camera[6]) * mz
+    z = np.float64(camera[8]) * mx + np.float64(camera[9]) * my + np.float64(camera[10]) * mz
     rz = 1.0 / z
     return (
         np.float64(camera[12]) * x * rz + np.float64(camera[14]),

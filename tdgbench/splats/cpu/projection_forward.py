@@ -12,6 +12,8 @@ from numba import int64
 
 from tdgbench.splats.cpu.harmonics import view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.limits import LOG2_MIN_ALPHA, LOOSE, MIN_ALPHA
+from tdgbench.splats.cpu.limits import REACH as REACH_LIMIT
 from tdgbench.splats.cpu.memory import aligned_floats, float_bits, gather, gather_3, load, store
 from tdgbench.splats.cpu.projection import (
     LOG2_E,
@@ -32,19 +34,19 @@ from tdgbench.splats.cpu.records import (
     C_,
     CHANNELS,
     FIRST_X,
-    LOG2_MIN_ALPHA,
     LOG2_OPACITY,
-    MIN_ALPHA,
     OPACITY,
     RADIUS,
     U_,
     V_,
 )  # fmt: skip
+from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,
     divide,
     greater,
     greater_equal,
+    is_nan,
     maximum,
     minimum,
     round_down,
@@ -82,19 +84,22 @@ def write_colors(group, colors, rows, k, stride, column, channels, degree, mean,
 
 @kernel()
 def project_and_list(
-    first, count, candidates, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
+    first, count, candidates, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera, limits,
     depth_channel, first_pair, records, owners, pairs, depth_keys, order, seen, radii, means2d, tile_of_pair, counts,
 ):  # fmt: skip
     """Project candidates [first, first + count); kept ones become records from `first` on.
 
     layout: stride and first column of the five arrays (means, scales, quats, opacities, colours) as flat memory.
     owners[r] is a record's Gaussian; pairs[r] = first and last + 1 of its pairs, counted from first_pair. seen, radii,
-    means2d: what was projected, from `first` on. counts = [records, pairs, projected].
+    means2d: what was projected, from `first` on. counts = [records, pairs, projected,
+    whether anything is NaN].
     """
     width, height = camera[22], camera[23]
+    loose = limits[LOOSE] > ZERO
     tiles_x = (int64(width) + TILE - 1) // TILE
     group, basis = aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
     one, zero = splat(ONE), splat(ZERO)
+    unknown = zero
     n_records, n_seen = first, first
     n_pairs = 0
     for k in range(first, first + count, LANES):
@@ -109,19 +114,25 @@ def project_and_list(
         p, q = along_axes(ja, r0, r1, r2), along_axes(jb, r0, r1, r2)
         p, q = (p[0] * s0, p[1] * s1, p[2] * s2), (q[0] * s0, q[1] * s1, q[2] * s2)
         a, b, c, det = covariance_2d(p, q, camera[21])
+        # opacity and determinant carry what scales and quaternions hold
+        unknown = select(is_nan(z), one, select(is_nan(det), one, select(is_nan(opacity), one, unknown)))
         valid = select(greater(z, splat(camera[19])), one, zero)
         valid = select(greater(splat(camera[20]), z), valid, zero)
         valid = select(greater(det, zero), valid, zero)
         valid = select(greater(splat(F(np.inf)), det), valid, zero)
-        cut = log2_opacity - LOG2_MIN_ALPHA
+        cut = log2_opacity - limits[LOG2_MIN_ALPHA]
         inverse = divide(ONE, det)
         wide = square_root(maximum(TWO / LOG2_E * cut * a, zero))
         high = square_root(maximum(TWO / LOG2_E * cut * c, zero))
+        if loose:
+            middle = HALF * (a + c)
+            wide = limits[REACH_LIMIT] * square_root(middle + square_root(maximum(middle * middle - det, zero)))
+            high = wide
         u, v = x * rz * camera[12] + camera[14], y * rz * camera[13] + camera[15]
         left, right = maximum(u - wide - (HALF + SLACK), zero), minimum(u + wide - (HALF - SLACK), splat(width - ONE))
         top, bottom = maximum(v - high - (HALF + SLACK), zero), minimum(v + high - (HALF - SLACK), splat(height - ONE))
         x0, x1, y0, y1 = round_up(left), round_down(right), round_up(top), round_down(bottom)
-        keep = select(greater_equal(opacity, splat(MIN_ALPHA)), valid, zero)
+        keep = select(greater_equal(opacity, splat(limits[MIN_ALPHA])), valid, zero)
         keep = select(greater_equal(x1, x0), keep, zero)
         keep = select(greater_equal(y1, y0), keep, zero)
         store(group, KEEP * LANES, keep)
@@ -166,7 +177,7 @@ def project_and_list(
             before = n_pairs
             n_pairs = list_tiles(
                 n_pairs, u, v, A, B, C, group[U(DET * LANES) + i], group[U(CUT * LANES) + i], hw, hh,
-                group[U(SLOPE * LANES) + i], x0_, x1_, y0_, y1_, tiles_x, tile_of_pair,
+                group[U(SLOPE * LANES) + i], x0_, x1_, y0_, y1_, loose, tiles_x, tile_of_pair,
             )  # fmt: skip
             if n_pairs == before:
                 continue
@@ -191,3 +202,4 @@ def project_and_list(
     counts[0] = n_records - first
     counts[1] = n_pairs
     counts[2] = n_seen - first
+    counts[3] = any_positive(unknown)

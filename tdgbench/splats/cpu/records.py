@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 # Columns: image mean, counted from the first pixel of the box, which keeps its digits; the quadratic form; opacity; the
 # channels stand from CHANNELS on, up to four.
 U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
-FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # the box in which alpha ≥ 1/255, in whole px; screen radius
+FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # the box in which it is seen, whole px; screen radius
 RECORD = 16
-MIN_ALPHA = np.float32(1 / 255)
-LOG2_MIN_ALPHA = np.float32(math.log2(1 / 255))

@@ -142,6 +142,25 @@ def both(typing_context, x, y):
     return mask(mask, mask), lambda context, builder, signature, args: builder.and_(*args)
 
 
+def _exponent_test(predicate: str, documentation: str):
+    """A test of the bits without the sign: float comparisons are compiled as if there were no NaN."""
+
+    @intrinsic
+    def operation(typing_context, x):
+        def generate(context, builder, signature, args):
+            bits = builder.and_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [2**31 - 1] * LANES))
+            return builder.icmp_unsigned(predicate, bits, ir.Constant(_INTS, [0x7F800000] * LANES))
+
+        return mask(vec), generate
+
+    operation.__doc__ = documentation
+    return operation
+
+
+is_nan = _exponent_test(">", "Lanes that hold NaN.")
+is_finite = _exponent_test("<", "Lanes that hold neither NaN nor an infinity.")
+
+
 @intrinsic
 def select(typing_context, condition, x, y):
     """Lane by lane: x where the condition holds, else y."""
@@ -189,26 +208,38 @@ def lane_index(typing_context):
     return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
 
 
-@intrinsic
-def exp2(typing_context, x):
-    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.
+def _exp2(name: str, coefficients: tuple[float, ...], documentation: str):
+    """2^x: a whole part, which goes into the exponent bits, and a rest in [-1/2, 1/2], for a minimax polynomial."""
 
-    Splits x into a whole part, which goes into the exponent bits, and a rest in [-1/2, 1/2], for a minimax polynomial.
-    """
+    def operation(typing_context, x):
+        def generate(context, builder, signature, args):
+            exact = ("contract",)
+            magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+            shifted = builder.fadd(args[0], magic)
+            exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
+            rest = builder.fsub(args[0], builder.fsub(shifted, magic))
+            result = constant(coefficients[0])
+            for coefficient in coefficients[1:]:
+                product = builder.fmul(result, rest, flags=exact)
+                result = builder.fadd(product, constant(coefficient), flags=exact)
+            return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
 
-    def generate(context, builder, signature, args):
-        exact = ("contract",)
-        magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
-        shifted = builder.fadd(args[0], magic)
-        exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
-        rest = builder.fsub(args[0], builder.fsub(shifted, magic))
-        result = constant(0.00132764718)
-        for coefficient in (0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007):
-            product = builder.fmul(result, rest, flags=exact)
-            result = builder.fadd(product, constant(coefficient), flags=exact)
-        return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
+        return vec(vec), generate
 
-    return vec(vec), generate
+    operation.__name__, operation.__doc__ = name, documentation
+    return intrinsic(operation)
+
+
+exp2 = _exp2(
+    "exp2",
+    (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007),
+    "2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.",
+)
+exp2_rough = _exp2(
+    "exp2_rough",
+    (0.0551714178, 0.24261117, 0.693261056, 0.999928073),
+    "2^x to a relative error of 7.5e-5; otherwise as `exp2`.",
+)
 
 
 @intrinsic

@@ -25,16 +25,17 @@ ALONE_BELOW = 20_000  # Gaussians that one thread sorts faster than several
 
 
 @kernel()
-def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, tiles_x, tile_of_pair):
+def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, loose, tiles_x, tile_of_pair):
     """Write the tiles that a Gaussian reaches behind the first n_pairs; returns how many there are then.
 
     Pairs beyond the room in `tile_of_pair` are counted but not written. The box's half sides are hw, hh; cut is by how
-    much log2(opacity) is above log2(1/255); slope = b / a · hw is the ordinate of the ellipse's right end.
+    much log2(opacity) is above log2(min_alpha); slope = b / a · hw is the ordinate of the ellipse's right end.
+    loose: every tile of the box.
     """
     room = tile_of_pair.shape[0]
     # Where the box spans 2×2 tiles or more it has corners that the ellipse does not reach: cut each row of tiles
     # to the ellipse's own extent there. Roots of A dx² + B dy dx + C dy² = −cut; B² − 4AC = −log2(e)²/det.
-    has_corners = (x1 >> 4) > (x0 >> 4) and (y1 >> 4) > (y0 >> 4)
+    has_corners = not loose and (x1 >> 4) > (x0 >> 4) and (y1 >> 4) > (y0 >> 4)
     discriminant, per_2a = -LOG2_E * LOG2_E / det, HALF / A
     for tile_y in range(y0 >> 4, (y1 >> 4) + 1):
         first, last = x0, x1

@@ -14,7 +14,9 @@ def test_packed_camera():
     assert np.allclose(packed[12:16], [36, 36.8, 22, 12])
     centre = np.append(packed[16:19], 1)
     assert np.allclose(view.numpy() @ centre, [0, 0, 0, 1], atol=1e-6)
-    assert np.allclose(packed[19:], [0.2, 100, 0.3, 40, 30])
+    assert np.allclose(packed[19:24], [0.2, 100, 0.3, 40, 30])
+    rest = packed[16:19].astype(np.float64) + packed[24:27]
+    assert np.abs(view.double().numpy() @ np.append(rest, 1) - [0, 0, 0, 1]).max() < 1e-13
 
 
 def test_two_renders_before_one_backward():

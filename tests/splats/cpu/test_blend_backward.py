@@ -7,5 +7,5 @@ def test_slots_hold_moments_channels_and_absolute_sums():
 
 
 def test_variants_are_made_once():
-    assert make_blend_backward(1, True, False) is make_blend_backward(1, True, False)
-    assert make_blend_backward(1, True, False) is not make_blend_backward(2, False, False)
+    assert make_blend_backward(1, True, False, False) is make_blend_backward(1, True, False, False)
+    assert make_blend_backward(1, True, False, False) is not make_blend_backward(2, False, False, False)

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,8 @@ from tdgbench.splats.cpu.culling import find_candidates
 from tdgbench.splats.cpu.simd import LANES
 from tests.conftest import random_gaussians, turned_camera
 
+REACH = np.float32(math.sqrt(2 * math.log(255)))
+
 
 def candidates_of(means, sizes, camera, slack=0.0, growth=0.0, raw=False) -> np.ndarray:
     """The candidates of one piece that holds all."""
@@ -15,7 +19,7 @@ def candidates_of(means, sizes, camera, slack=0.0, growth=0.0, raw=False) -> np.
     out = np.full(-(-count // LANES) * LANES, -1, np.int32)
     flat = (means.numpy().reshape(-1), sizes.numpy().reshape(-1))
     found = find_candidates(
-        0, count, flat[0], 3, 0, flat[1], 3, 0, 3, raw, np.float32(slack), np.float32(growth), camera, out
+        0, count, flat[0], 3, 0, flat[1], 3, 0, 3, raw, np.float32(slack), np.float32(growth), camera, REACH, out
     )
     assert (np.diff(out[:found]) > 0).all()
     filled = -(-found // LANES) * LANES

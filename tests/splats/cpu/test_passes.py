@@ -1,11 +1,15 @@
 import numpy as np
 import torch
 
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.cpu import passes, pool
+from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.passes import _pack
 from tdgbench.splats.cpu.simd import LANES
 from tests.conftest import random_gaussians, turned_camera
+
+LIMITS = pack_limits(AS_3DGS)
 
 
 def test_gaps_between_pieces_are_closed():
@@ -36,7 +40,7 @@ def test_only_candidates_are_updated_and_only_pulled_ones_get_rows():
         update=lambda spans, candidates: asked.extend(candidates[a : a + n].copy() for a, n in spans),
     )  # fmt: skip
     settings = passes.Settings(
-        cpu.pack_camera(view, K, 40, 30, 0.2, 1e10, 0.3), 40, 30, -1, False, np.zeros(1, np.float32)
+        cpu.pack_camera(view, K, 40, 30, 0.2, 1e10, 0.3), 40, 30, -1, False, np.zeros(1, np.float32), LIMITS
     )
     done = passes.forward(source, settings)
     asked = np.concatenate(asked)
@@ -60,7 +64,7 @@ def test_the_same_on_any_number_of_threads():
             means, quats, scales, opacities, colors = parameters
             source = cpu._arrays_of((means, scales, quats, opacities, colors))
             camera = cpu.pack_camera(views[0], Ks[0], 70, 50, 0.2, 1e10, 0.3)
-            settings = passes.Settings(camera, 70, 50, 2, True, np.zeros(3, np.float32))
+            settings = passes.Settings(camera, 70, 50, 2, True, np.zeros(3, np.float32), LIMITS)
             done = passes.forward(source, settings)
             g = torch.Generator().manual_seed(0)
             pull = torch.randn(50, 70, 3, generator=g).numpy()

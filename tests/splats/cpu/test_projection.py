@@ -57,7 +57,7 @@ def test_agrees_with_the_reference(shape):
     arrays = (t.numpy().reshape(-1) for t in (means, quats, scales))
     camera = pack_camera(view, K, 64, 48, 0.2, 1e10, 0.3)
     project_all(np.arange(COUNT, dtype=np.int32), *arrays, camera, out)
-    means2d, _, covariance, z = reference._project(*(t.double() for t in (means, quats, scales, view, K)), 64, 48, 0.3)
+    means2d, _, covariance, z = reference.project(*(t.double() for t in (means, quats, scales, view, K)), 64, 48, 0.3)
     want = torch.cat(
         [means2d, covariance.flatten(1)[:, [0, 1, 3]], torch.linalg.det(covariance)[:, None], z[:, None]], 1
     )

@@ -17,7 +17,7 @@ def test_records_hold_the_projection():
     assert (np.diff(owners) > 0).all() and not (owners < 20).any()
     doubles = [p.double() for p in parameters]
     view, K = camera[0][0].double(), camera[1][0].double()
-    means2d, _, covariance, _ = reference._project(*doubles[:3], view, K, width, height, 0.3)
+    means2d, _, covariance, _ = reference.project(*doubles[:3], view, K, width, height, 0.3)
     boxes = records[:, FIRST_X : LAST_Y + 1]
     found = records[:, [U_, V_]].astype(np.float64) + boxes[:, [0, 2]]
     assert np.allclose(found, means2d[owners].numpy(), atol=1e-5)  # single precision would be 3e-5 px at 600 px

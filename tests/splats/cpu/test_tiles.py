@@ -3,8 +3,10 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.cpu import passes, pool
+from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.tiles import ALONE_BELOW, TILE, sort_by_key
 from tests.conftest import random_gaussians, turned_camera
 
@@ -32,7 +34,7 @@ def lists(parameters, camera, width, height):
     means, quats, scales, opacities, colors = parameters
     settings = passes.Settings(
         camera=cpu.pack_camera(camera[0][0], camera[1][0], width, height, 0.2, 1e10, 0.3), width=width, height=height,
-        degree=-1, depth_channel=False, background=np.zeros(1, np.float32),
+        degree=-1, depth_channel=False, background=np.zeros(1, np.float32), limits=pack_limits(AS_3DGS),
     )  # fmt: skip
     return passes.forward(cpu._arrays_of((means, scales, quats, opacities, colors[:, None])), settings)
 

@@ -1,7 +1,7 @@
 """Splatting in plain torch, tile by tile: what one gets without a compiler, and in float64 the oracle at full size.
 
-Each tile is blended with the Gaussians that can reach 1/255 in it; the others are exactly nothing there, so the result
-is that of `tdgbench.splats.reference`, whose functions these are, in the memory of one tile.
+Each tile is blended with the Gaussians that can reach min_alpha in it; the others are exactly nothing there, so the
+result is that of `tdgbench.splats.reference`, whose functions these are, in the memory of one tile.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from benchmarks.clouds import Cloud
+from tdgbench.bench.clouds import Cloud
 from tdgbench.splats import reference
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.rasterization import EPS2D, NEAR_PLANE
 
 TILE = 32
@@ -34,21 +35,23 @@ def leaves_of(cloud: Cloud, dtype: torch.dtype) -> list[Tensor]:
     return [t.to(dtype).clone().requires_grad_() for t in given]
 
 
-def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None) -> Result:
+def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: Blending = AS_3DGS) -> Result:
     """Value, and with weights (H, W, D + 2) of image, depth and transmittance the gradient of the weighted sum."""
     leaves = leaves_of(cloud, dtype)
     means, quats, scales, opacities, colors = leaves
     view, K = cloud.viewmat.to(dtype), cloud.K.to(dtype)
     in_front = ((means @ view[2, :3] + view[2, 3]).detach() > NEAR_PLANE).nonzero().squeeze(1)
-    front = [t[in_front] for t in (means, quats, scales)]
-    means2d, conics, covariance, z = reference._project(*front, view, K, cloud.width, cloud.height, EPS2D)
+    front_means, front_quats, front_scales = (t[in_front] for t in (means, quats, scales))
+    means2d, conics, covariance, z = reference.project(
+        front_means, front_quats, front_scales, view, K, cloud.width, cloud.height, EPS2D
+    )
     order = torch.argsort(z.detach(), stable=True)
     channels = torch.cat([colors[in_front], z[:, None]], dim=1)
     projected = [t[order] for t in (means2d, conics, opacities[in_front], channels)]
     held = [t.detach().requires_grad_(weights is not None) for t in projected]
     # alpha ≤ opacity · exp(−d² / (2 λ)), d the distance to the tile and λ the larger eigenvalue of the covariance
     largest = torch.linalg.eigvalsh(covariance.detach())[order, 1]
-    reach = (2 * largest * (held[2].detach() / reference.MIN_ALPHA).clamp_min(1).log()).sqrt() + 1e-3
+    reach = (2 * largest * (held[2].detach() / blending.min_alpha).clamp_min(1).log()).sqrt() + 1e-3
     image = torch.zeros(cloud.height, cloud.width, channels.shape[1], dtype=dtype)
     transmittance = torch.ones(cloud.height, cloud.width, dtype=dtype)
     for top in range(0, cloud.height, TILE):
@@ -64,14 +67,16 @@ def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None) -> Result:
                 torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij"
             )
             pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(dtype) + 0.5
-            light, t = reference._blend(pixels, *(h[near] for h in held))
+            own_means, own_conics, own_opacities, own_channels = (h[near] for h in held)
+            light, t = reference.blend(pixels, own_means, own_conics, own_opacities, own_channels, blending)
             image[rows, columns] = light.detach().reshape(*xs.shape, -1)
             transmittance[rows, columns] = t.detach().reshape(xs.shape)
             if weights is not None:
                 own = weights[rows, columns].reshape(len(pixels), -1).to(dtype)
                 ((light * own[:, :-1]).sum() + (t * own[:, -1]).sum()).backward()
-    gradients = {}
+    gradients: dict[str, Tensor] = {}
     if weights is not None:
-        torch.autograd.backward(projected, [h.grad for h in held])
-        gradients = {name: leaf.grad for name, leaf in zip(NAMES, leaves, strict=True)}
+        torch.autograd.backward(projected, [torch.zeros_like(h) if h.grad is None else h.grad for h in held])
+        for name, leaf in zip(NAMES, leaves, strict=True):
+            gradients[name] = torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
     return Result(image, transmittance, gradients)

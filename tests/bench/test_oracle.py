@@ -1,7 +1,7 @@
 import torch
 
-from benchmarks.clouds import random_cloud
-from benchmarks.torch_tiles import leaves_of, render
+from tdgbench.bench.clouds import random_cloud
+from tdgbench.bench.oracle import leaves_of, render
 from tdgbench.splats.rasterization import render_view
 
 

@@ -1,0 +1,45 @@
+"""When training has stopped getting better: the loss of training views, averaged, window by window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class PlateauRule:
+    """Training stops after `patience` windows in a row whose mean loss is not below the best one by `gain`."""
+
+    window: int  # iterations
+    patience: int
+    gain: float  # relative
+    after: int  # not before this iteration
+
+    def __post_init__(self) -> None:
+        if self.window < 1 or self.patience < 1 or self.gain < 0:
+            raise ValueError(f"budget.plateau needs window, patience ≥ 1 and gain ≥ 0, not {self}")
+
+
+@dataclass
+class Plateau:
+    """Watches the loss by a rule."""
+
+    rule: PlateauRule
+    _sum: float = 0.0
+    _count: int = 0
+    _best: float = field(default=float("inf"))
+    _without: int = 0
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        """Take in one iteration's loss; True once it is time to stop."""
+        if iteration <= self.rule.after:
+            return False
+        self._sum, self._count = self._sum + loss, self._count + 1
+        if self._count < self.rule.window:
+            return False
+        mean, self._sum, self._count = self._sum / self._count, 0.0, 0
+        if mean < self._best * (1 - self.rule.gain):
+            self._without = 0
+        else:
+            self._without += 1
+        self._best = min(self._best, mean)
+        return self._without >= self.rule.patience
