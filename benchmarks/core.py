@@ -20,9 +20,9 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from benchmarks.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.bench import oracle
 from tdgbench.bench.clouds import Cloud, random_cloud, trained_cloud
+from tdgbench.bench.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.splats import cuda
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.records import FIRST_Y, LAST_Y

@@ -33,6 +33,7 @@ from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Context, Method, training_device
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
+from tdgbench.training.skips.plateau import Plateau
 from tdgbench.training.warmup import compile_kernels
 
 OVERWRITE = ("only-missing", "always", "never")
@@ -207,7 +208,8 @@ def _train(
     with stages("compile"):
         compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     with stages("train"):
-        plateau = budget.plateau if skips.plateau.allowed else None
+        watched = budget.plateau is not None and skips.plateau.allowed
+        plateau = Plateau(budget.plateau, len(scene.train)) if watched else None
         log = train(method, budget.iterations, stages.progress.line, plateau)
     record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
     note_training(skips, scene, method, budget, log)

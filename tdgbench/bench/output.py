@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tdgbench.scenes import View
-from tdgbench.scoring import METRICS, to_8bit
+from tdgbench.scenes import Scene, View
+from tdgbench.scoring import METRICS, Scorer, to_8bit
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
 
@@ -45,14 +45,24 @@ def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple
         (folder / sub).mkdir()
     results = []
     for view in views:
-        render = method.render(view.camera).cpu()
-        assert render.depth is not None
-        image = to_8bit(render.image.numpy())
+        image, depth = _seen(method, view)
         for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
             Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
-        depth = render.depth / render.alpha.clamp_min(1e-6)
-        results.append((image, depth.cpu().numpy().astype(np.float64)))
+        results.append((image, depth))
     return results
+
+
+def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
+    """The scores of a scene's test views as the method renders them now."""
+    return {view.name: scorer.score(scene, view, *_seen(method, view)) for view in scene.test}
+
+
+def _seen(method: Method, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """A view's render (H, W, C) uint8 and expected depth (H, W)."""
+    render = method.render(view.camera).cpu()
+    assert render.depth is not None
+    depth = render.depth / render.alpha.clamp_min(1e-6)
+    return to_8bit(render.image.numpy()), depth.numpy().astype(np.float64)
 
 
 def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:

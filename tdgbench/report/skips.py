@@ -44,14 +44,19 @@ def run(cfg: DictConfig) -> None:
 
 def show(table: pd.DataFrame, console: Console) -> None:
     """Print the summary."""
-    view = Table("skip", "found on", "faster alone", "slower without", "PSNR worst", "SSIM worst", "default")
+    view = Table("skip", "found on", "faster alone", "slower without", "PSNR worst, dB", "SSIM worst", "may be")
     for row in table.itertuples():
         view.add_row(
             str(row.skip), str(row.taken_on), f"{row.faster_alone:.2f} ×",
             "" if pd.isna(row.slower_without) else f"{row.slower_without:.2f} ×",
-            f"{row.psnr_worst:+.3f} dB", f"{row.ssim_worst:+.4f}", "on" if row.keep else "off",
+            _change(row.psnr_worst, row.psnr_error, 3), _change(row.ssim_worst, row.ssim_error, 4),
+            "on" if row.keep else "off",
         )  # fmt: skip
     console.print(view)
+
+
+def _change(mean: float, error: float, digits: int) -> str:
+    return f"{mean:+.{digits}f}" + ("" if pd.isna(error) else f" ± {error:.{digits}f}")
 
 
 def draw(table: pd.DataFrame, target: Path) -> None:

@@ -12,7 +12,7 @@ import torch
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.method import Method, Step
 from tdgbench.training.model import SplatModel
-from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tdgbench.training.skips.plateau import Plateau
 
 LOG_LINES = 200
 
@@ -42,7 +42,7 @@ def train(
     method: Method,
     iterations: int,
     on_line: Callable[[LogLine], None] | None = None,
-    plateau: PlateauRule | None = None,
+    plateau: Plateau | None = None,
     on_step: Callable[[int, float], None] | None = None,
 ) -> TrainingLog:
     """Train a method that is set up, for so many iterations, or until its thermal loss is on a plateau.
@@ -54,7 +54,6 @@ def train(
     """
     log = TrainingLog()
     every = max(1, iterations // LOG_LINES)
-    watch = None if plateau is None else Plateau(plateau)
     paused = 0.0
     smoothed: float | None = None
     start = time.perf_counter()
@@ -75,7 +74,7 @@ def train(
                 raise NonFiniteError(iteration, f"gradient of {name} {bad}")
             if len(model) == 0:
                 raise EmptyModelError(iteration, name)
-        ends = watch is not None and watch.reached(iteration, step.terms.get("thermal", loss))
+        ends = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
         if iteration % every == 0 or iteration in (1, iterations) or ends:
             for name, model in models.items():
                 _check_parameters(name, model, iteration)

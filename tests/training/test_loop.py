@@ -13,7 +13,7 @@ from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.method import Context
 from tdgbench.training.skips import Skips
-from tdgbench.training.skips.plateau import PlateauRule
+from tdgbench.training.skips.plateau import Plateau, PlateauRule
 from tests.conftest import config
 
 METHODS = ["tdg", "msmg", "splat"]
@@ -95,7 +95,7 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
 
 def test_training_ends_on_a_plateau(small_scene):
     method, _ = trained(small_scene, "splat", 1)
-    log = train(method, 60, plateau=PlateauRule(window=5, patience=1, gain=0.9, after=10))
+    log = train(method, 60, plateau=Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=10), views=5))
     assert log.iterations == 20 == log.lines[-1].iteration  # one window to compare with, one that is not 90 % better
 
 

@@ -26,6 +26,11 @@ def get_threads() -> int:
     return _threads if _threads is not None else available_cores()
 
 
+def chosen_threads() -> int | None:
+    """What `set_threads` chose; None: every available core."""
+    return _threads
+
+
 def set_threads(count: int | None) -> None:
     """Choose the number of threads of the CPU kernels (None: every available core)."""
     global _threads

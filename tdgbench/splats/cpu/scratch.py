@@ -28,6 +28,11 @@ def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
     return buffer[start : start + size]
 
 
+def release() -> None:
+    """Give back what waits for its next use."""
+    _free.clear()
+
+
 class Lease:
     """Arrays by role, uninitialised, 64-byte aligned."""
 

@@ -1,4 +1,4 @@
-"""When training has stopped getting better: the loss of training views, averaged, window by window."""
+"""When training has stopped getting better: the loss of the training views, averaged over whole rounds of them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class PlateauRule:
-    """Training stops after `patience` windows in a row whose mean loss is not below the best one by `gain`."""
+    """Training stops after `patience` windows in a row whose mean loss is not below the best one by `gain`.
 
-    window: int  # iterations
-    patience: int
+    A window is `rounds` times all training views, so that every view counts alike in it.
+    """
+
+    rounds: int
+    patience: int  # windows
     gain: float  # relative
     after: int  # not before this iteration
 
     def __post_init__(self) -> None:
-        if self.window < 1 or self.patience < 1 or self.gain < 0:
-            raise ValueError(f"budget.plateau needs window, patience ≥ 1 and gain ≥ 0, not {self}")
+        if self.rounds < 1 or self.patience < 1 or self.gain < 0:
+            raise ValueError(f"budget.plateau needs rounds, patience ≥ 1 and gain ≥ 0, not {self}")
 
 
 @dataclass
@@ -24,6 +27,7 @@ class Plateau:
     """Watches the loss by a rule."""
 
     rule: PlateauRule
+    views: int
     _sum: float = 0.0
     _count: int = 0
     _best: float = field(default=float("inf"))
@@ -34,7 +38,7 @@ class Plateau:
         if iteration <= self.rule.after:
             return False
         self._sum, self._count = self._sum + loss, self._count + 1
-        if self._count < self.rule.window:
+        if self._count < self.rule.rounds * self.views:
             return False
         mean, self._sum, self._count = self._sum / self._count, 0.0, 0
         if mean < self._best * (1 - self.rule.gain):

@@ -4,7 +4,7 @@ from tdgbench.training.skips.plateau import Plateau, PlateauRule
 
 
 def stops_at(losses, **rule):
-    watch = Plateau(PlateauRule(**{"window": 5, "patience": 2, "gain": 0.01, "after": 0, **rule}))
+    watch = Plateau(PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
     return next((i for i, loss in enumerate(losses, start=1) if watch.reached(i, loss)), None)
 
 
@@ -16,13 +16,14 @@ def test_a_flat_loss_stops_after_its_patience():
     assert stops_at([1.0] * 100) == 15  # one window to compare with, two that are no better
     assert stops_at([1.0] * 100, patience=3) == 20
     assert stops_at([1.0] * 100, after=30) == 45
+    assert stops_at([1.0] * 100, rounds=2) == 30
 
 
 def test_one_better_window_starts_the_patience_anew():
     assert stops_at([1.0] * 10 + [0.5] * 5 + [0.5] * 100) == 25
 
 
-@pytest.mark.parametrize("wrong", [{"window": 0}, {"patience": 0}, {"gain": -0.1}])
+@pytest.mark.parametrize("wrong", [{"rounds": 0}, {"patience": 0}, {"gain": -0.1}])
 def test_rules_that_cannot_be(wrong):
     with pytest.raises(ValueError, match="plateau needs"):
-        PlateauRule(**{"window": 5, "patience": 2, "gain": 0.01, "after": 0, **wrong})
+        PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **wrong})

@@ -1,0 +1,1 @@
+"""Run time against error: of kernels, of training, and how cost grows."""

@@ -1,0 +1,190 @@
+"""Training: wall time against the quality of the test views, sampled along each run; and what each step from MSMG to
+TDg contributes to the speed-up."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from tdgbench.bench.output import score_views
+from tdgbench.priors import estimate_all
+from tdgbench.scenes import Scene
+from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.training.loop import train
+from tdgbench.training.method import Context, Method
+from tdgbench.training.skips import Skips
+from tdgbench.training.warmup import compile_kernels
+
+METRICS = ("psnr", "ssim", "lpips", "depth_abs_rel")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A link of the chain: a method with options of its own, and its share of the iterations."""
+
+    label: str
+    method: str
+    share: float
+    options: Mapping[str, Any]
+
+
+def runs_of(cfg: DictConfig) -> list[Run]:
+    """The chain in `cfg.job.runs`. Raises ValueError for a method that the job does not have."""
+    runs = []
+    for one in cfg.job.runs:
+        if one.method not in cfg.job.methods:
+            raise ValueError(f"run {one.label!r}: no method {one.method!r} among {', '.join(cfg.job.methods)}")
+        runs.append(Run(one.label, one.method, float(one.get("share", 1.0)), dict(one.get("options", {}))))
+    return runs
+
+
+def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
+    """Train one link and score the test views at `samples` moments, evenly in the logarithm of the iteration.
+
+    The clock stands still while views are scored.
+    """
+    cfg = cfg.copy()
+    cfg.scene = scene_name
+    scene: Scene = instantiate(cfg.dataset.loader).load(scene_name)
+    cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
+    budget = instantiate(cfg.budget)
+    method: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
+    skips: Skips = instantiate(cfg.skip)
+    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
+    for view in scene.views:
+        _ = view.thermal, view.rgb if method.needs_rgb else None
+    points = instantiate(cfg.init.points).points(scene)
+    method.setup(Context(scene, points, priors, budget, cfg.backend.name, int(cfg.seed), skips))
+    compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
+    scorer: Scorer = instantiate(cfg.metrics)
+    moments = set(np.unique(np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)))
+    rows: list[dict[str, Any]] = []
+
+    def look(iteration: int, seconds: float) -> None:
+        if iteration not in moments:
+            return
+        scores = mean_scores(score_views(method, scene, scorer))
+        gaussians = sum(len(model) for model in method.models().values())
+        rows.append(
+            {
+                "scene": scene.name, "label": run.label, "iteration": iteration, "seconds": seconds,
+                "gaussians": gaussians, **{m: scores[m] for m in METRICS},
+            }
+        )  # fmt: skip
+
+    train(method, budget.iterations, on_step=look)
+    return pd.DataFrame(rows)
+
+
+def seconds_to(curve: pd.DataFrame, quality: float, metric: str = "psnr") -> float:
+    """When a curve first reaches a quality, between samples linearly; NaN if it never does."""
+    seconds, values = curve["seconds"].to_numpy(float), curve[metric].to_numpy(float)
+    for i, value in enumerate(values):
+        if value >= quality:
+            if i == 0:
+                return float(seconds[0])
+            share = (quality - values[i - 1]) / (value - values[i - 1])
+            return float(seconds[i - 1] + share * (seconds[i] - seconds[i - 1]))
+    return math.nan
+
+
+def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> float:
+    """The quality of a curve at a time, linear between samples; NaN before its first sample, its last one after it."""
+    times = curve["seconds"].to_numpy(float)
+    if seconds < times[0]:
+        return math.nan
+    return float(np.interp(seconds, times, curve[metric].to_numpy(float)))
+
+
+def milestones(curves: pd.DataFrame) -> pd.DataFrame:
+    """Per scene and label: final quality and time, seconds to reach whole dB, dB at the times at which runs ended."""
+    rows = []
+    for scene, own in curves.groupby("scene", sort=False):
+        by_label = {str(label): curve for label, curve in own.groupby("label", sort=False)}
+        ends = {label: float(curve["seconds"].iloc[-1]) for label, curve in by_label.items()}
+        best = min(float(curve["psnr"].max()) for curve in by_label.values())
+        levels = range(math.floor(best) - 4, math.floor(best) + 1)
+        for label, curve in by_label.items():
+            row = {"scene": scene, "label": label, "end_seconds": ends[label], "end_psnr": curve["psnr"].iloc[-1]}
+            row |= {f"seconds to {level} dB": seconds_to(curve, level) for level in levels}
+            row |= {f"dB at {end:.1f} s ({other})": quality_at(curve, end) for other, end in ends.items()}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def attribution(curves: pd.DataFrame, labels: list[str]) -> pd.DataFrame:
+    """Each link's part of the speed-up from the first label to the last, per scene.
+
+    factor: time of the link before over its own; share: of the logarithm of the whole factor, so that shares add up
+    to 1; saved: time saved against the first, as the paper counts it.
+    """
+    rows = []
+    for scene, own in curves.groupby("scene", sort=False):
+        ends = {str(label): float(curve["seconds"].iloc[-1]) for label, curve in own.groupby("label", sort=False)}
+        if any(label not in ends for label in labels):
+            continue  # a run failed: no chain
+        whole = math.log(ends[labels[0]] / ends[labels[-1]])
+        for before, label in itertools.pairwise(labels):
+            factor = ends[before] / ends[label]
+            saved = 1 - ends[label] / ends[labels[0]]
+            rows.append(
+                {"scene": scene, "step": label, "factor": factor, "share": math.log(factor) / whole, "saved": saved}
+            )  # fmt: skip
+    return pd.DataFrame(rows, columns=["scene", "step", "factor", "share", "saved"])
+
+
+def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.DataFrame:
+    """Time saved against the baseline, asked in three ways: whole runs, equal iterations, equal quality; and the gain
+    in dB at equal time (that of the shorter run)."""
+    rows = []
+    for scene, own in curves.groupby("scene", sort=False):
+        by_label = {str(label): curve for label, curve in own.groupby("label", sort=False)}
+        if baseline not in by_label:
+            continue
+        base = by_label[baseline]
+        for label in labels:
+            if label not in by_label:
+                continue
+            curve = by_label[label]
+            end, base_end = float(curve["seconds"].iloc[-1]), float(base["seconds"].iloc[-1])
+            last = int(min(curve["iteration"].iloc[-1], base["iteration"].iloc[-1]))
+            per_iteration = [float(np.interp(last, c["iteration"], c["seconds"])) for c in (curve, base)]
+            quality = float(min(curve["psnr"].max(), base["psnr"].max()))
+            reached = [seconds_to(c, quality) for c in (curve, base)]
+            at = min(end, base_end)
+            rows.append(
+                {
+                    "scene": scene, "label": label, "whole runs": 1 - end / base_end,
+                    "equal iterations": 1 - per_iteration[0] / per_iteration[1],
+                    "equal quality": 1 - reached[0] / reached[1], "that quality (dB)": quality,
+                    "dB more at equal time": quality_at(curve, at) - quality_at(base, at),
+                }
+            )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def sample_all(
+    cfg: DictConfig, report: Callable[[str, str, pd.DataFrame | Exception], None]
+) -> tuple[pd.DataFrame, int]:
+    """The curves of every scene and link, and how many failed; a failing run does not stop the others."""
+    parts, failed = [], 0
+    for scene in cfg.job.scenes:
+        for run in runs_of(cfg):
+            try:
+                curve = sample_curve(cfg, scene, run, int(cfg.job.samples))
+            except Exception as error:
+                failed += 1
+                report(str(scene), run.label, error)
+                continue
+            parts.append(curve)
+            report(str(scene), run.label, curve)
+    columns = ["scene", "label", "iteration", "seconds", "gaussians", *METRICS]
+    return (pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)), failed
