@@ -77,7 +77,8 @@ def _run(cloud: Cloud, channels: int, views: int) -> Callable[[], float]:
 
 
 def _working_memory(run: Callable[[], float]) -> float:
-    """MB that NumPy holds at most during a run, from nothing."""
+    """MB that NumPy holds at most during a run, from nothing. A first run compiles."""
+    run()
     scratch.release()
     tracemalloc.start()
     try:

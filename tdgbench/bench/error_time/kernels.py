@@ -69,6 +69,7 @@ def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFr
         want, oracle_ms = _oracle(cloud, torch.float64, weights)
         runs: dict[str, Callable[[], float]] = {}
         ms: dict[str, float] = {}
+        errors: dict[str, dict[str, float]] = {}
         for name, setting in settings(slow).items():
             if setting.backend in ("cpu", "cuda"):
                 errors[name] = _errors(_result(cloud, setting, weights), want)
