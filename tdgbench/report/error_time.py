@@ -21,6 +21,10 @@ from tdgbench.splats.cpu import pool
 
 PARTS = ("kernels", "training", "growth")
 MARKERS = "osD^vP*X"
+SHOWN = {
+    "setting": "setting", "forward_ms": "fwd ms", "both_ms": "+ bwd ms", "both_ratio": "ratio", "image_error": "image",
+    "depth_error": "depth", "gradient_error": "gradient", "non_dominated": "best",
+}  # fmt: skip
 NOTHING = 1e-9  # where an error of zero is drawn
 
 
@@ -61,7 +65,7 @@ def _kernels(cfg: DictConfig, folder: Path, console: Console) -> None:
         table.loc[own.index, "non_dominated"] = kernels.non_dominated(own, "both_ms", "gradient_error")
     _write(table, folder / "kernels.csv")
     for scene, own in table.groupby("scene", sort=False):
-        _show(own.drop(columns=["scene", "gaussians", "forward_ratio"]), console, f"{scene}: errors against float64")
+        _show(own[list(SHOWN)].rename(columns=SHOWN), console, f"{scene}: errors against float64")
     draw_pareto(table, folder / "pareto.png")
 
 
@@ -195,6 +199,9 @@ def _show(table: pd.DataFrame, console: Console, title: str) -> None:
 def _text(value: object) -> str:
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
-    if isinstance(value, float):
-        return "n/a" if np.isnan(value) else f"{value:.1e}" if 0 < abs(value) < 1e-2 else f"{value:.3g}"
-    return str(value)
+    if not isinstance(value, float):
+        return str(value)
+    if np.isnan(value):
+        return "n/a"
+    size = abs(value)
+    return f"{value:.1e}" if 0 < size < 1e-2 else f"{value:,.0f}" if size >= 1000 else f"{value:.3g}"

@@ -90,9 +90,9 @@ def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFr
 
 
 def non_dominated(table: pd.DataFrame, time_column: str, error_column: str) -> pd.Series:
-    """Which rows no other row beats in both columns; errors that agree to two digits are equal."""
+    """Which rows no other row beats in both columns; errors are compared by their first digit."""
     seconds = table[time_column]
-    errors = table[error_column].map(lambda e: float(f"{e:.1e}"))
+    errors = table[error_column].map(lambda e: float(f"{e:.0e}"))
 
     def beaten(t: float, e: float) -> bool:
         as_good = (seconds <= t) & (errors <= e)
