@@ -28,5 +28,5 @@ def test_errors_are_those_of_the_settings(table):
 
 
 def test_non_dominated():
-    table = pd.DataFrame({"t": [1.0, 2.0, 3.0, 2.0, 1.0], "e": [3.0, 2.0, 1.0, 2.5, 3.0]})
+    table = pd.DataFrame({"t": [1.0, 2.0, 3.0, 2.0, 1.0], "e": [4.0, 2.04, 1.0, 3.0, 4.0]})
     assert list(non_dominated(table, "t", "e")) == [True, True, True, False, True]
