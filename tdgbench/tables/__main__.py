@@ -1,4 +1,7 @@
-"""`python -m tdgbench.tables results/<experiment> …`: the tables again, from what is on disk."""
+"""`python -m tdgbench.tables results/<experiment> …`: the tables again, from what is on disk.
+
+`python -m tdgbench.tables claims [results/<experiment> …]`: the paper's claims, held against its own tables and ours.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,23 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show
+from tdgbench.tables.build import build_tables, write_claims
+from tdgbench.tables.show import show, show_claims
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tdgbench.tables", description=__doc__)
-    parser.add_argument("experiment", nargs="+", type=Path, help="a folder results/<experiment>")
+    parser.add_argument("what", nargs="+", help="folders results/<experiment>; with `claims` before them, the claims")
     arguments = parser.parse_args()
-    for folder in arguments.experiment:
-        try:
-            show(build_tables(folder), Console())
-        except ValueError as error:
-            print(f"tdgbench.tables: {error}", file=sys.stderr)
-            return 1
+    try:
+        if arguments.what[0] == "claims":
+            show_claims(write_claims([Path(folder) for folder in arguments.what[1:]]), Console())
+            return 0
+        for folder in arguments.what:
+            show(build_tables(Path(folder)), Console())
+    except ValueError as error:
+        print(f"tdgbench.tables: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -11,6 +11,7 @@ from tdgbench.bench.plan import Plan, read_plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
+from tdgbench.tables.claims import Evidence, check_all, load_claims
 from tdgbench.tables.difference import difference
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.published import published_ablation, published_main
@@ -61,6 +62,24 @@ def build_tables(experiment: Path) -> Tables:
     if tables.difference is not None:
         write_text(folder / "difference.csv", to_csv(tables.difference))
     return tables
+
+
+def write_claims(experiments: list[Path]) -> pd.DataFrame:
+    """The paper's claims against the published tables and, with experiments, against ours; written to each of them.
+
+    The first experiment with a main table and the first with an ablation speak for us. Raises ValueError where an
+    experiment holds nothing.
+    """
+    tables = [build_tables(folder) for folder in experiments]
+    main = next((t.main for t in tables if t.kind == "main"), None)
+    ablation = next((t.main for t in tables if t.kind == "ablation"), None)
+    ours = None
+    if main is not None or ablation is not None:
+        ours = Evidence(published_main().iloc[:0] if main is None else main, ablation, printed=False)
+    found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
+    for one in tables:
+        write_text(one.folder / "claims.csv", found.to_csv(index=False, lineterminator="\n"))
+    return found
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:

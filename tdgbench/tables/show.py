@@ -5,11 +5,13 @@ from __future__ import annotations
 from datetime import timedelta
 
 import numpy as np
+import pandas as pd
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from tdgbench.tables.build import Tables
+from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.results import METRICS, decimals
 
 HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "time↓"}
@@ -35,6 +37,19 @@ def show(tables: Tables, console: Console) -> None:
                 f"  {metric}: ours − published {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}",
                 highlight=False,
             )
+
+
+def show_claims(claims: pd.DataFrame, console: Console) -> None:
+    """Print each claim with what the published table and ours say of it."""
+    colors = {HOLDS: "green", FAILS: "red", UNDECIDED: "dim"}
+    table = Table("claim", "published table", "our results", show_lines=True)
+    for row in claims.to_dict("records"):
+        sides = [
+            f"[{colors[row[side]]}]{row[side]}[/{colors[row[side]]}]: {escape(str(row[f'{side}_seen']))}"
+            for side in ("published", "ours")
+        ]
+        table.add_row(escape(str(row["said"])), *sides)
+    console.print(table)
 
 
 def _show_main(tables: Tables, console: Console) -> None:

@@ -110,6 +110,17 @@ def test_command(tmp_path, capsys, monkeypatch):
     assert "holds no records" in capsys.readouterr().err
 
 
+def test_claims_command(tmp_path, capsys, monkeypatch):
+    write(tmp_path)
+    monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path)])
+    assert main() == 0
+    assert "is the fraction" in " ".join(capsys.readouterr().out.split())
+    claims = pd.read_csv(tmp_path / "tables" / "claims.csv").set_index("id")
+    assert claims.loc["psnr-better", "published"] == "fails" and claims.loc["psnr-better", "ours"] == "undecided"
+    monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path / "nothing")])
+    assert main() == 1
+
+
 def test_a_broken_record_is_named(tmp_path):
     folder = write(tmp_path)
     (folder / "record.json").write_text("{}")
