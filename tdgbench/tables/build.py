@@ -23,6 +23,7 @@ from tdgbench.tables.results import (
     with_averages,
     with_bold,
 )
+from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios, verdict
 
 INITS = ("random", "colmap")
 ABLATION_METRICS = ("psnr", "ssim")
@@ -37,6 +38,8 @@ class Tables:
     latex: str
     difference: pd.DataFrame | None
     folder: Path
+    paired: pd.DataFrame | None = None
+    speed: pd.DataFrame | None = None
 
 
 def build_tables(experiment: Path) -> Tables:
@@ -50,10 +53,12 @@ def build_tables(experiment: Path) -> Tables:
         against = difference(main, published_ablation(), ["method", "init", "metric"])
         tables = Tables("ablation", main, ablation_table(main), against, folder)
     elif plan.table == "main":
-        main = with_bold(with_averages(scene_rows(records, plan)))
+        bold = with_bold(with_averages(scene_rows(records, plan)))
+        main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
+        main = main.merge(intervals(records, experiment), on=KEYS, how="left")
         of_paper = main["dataset"].isin(DATASETS.values()).any()
-        against = difference(main, published_main(), KEYS) if of_paper else None
-        tables = Tables("main", main, main_table(main), against, folder)
+        against = with_verdicts(difference(main, published_main(), KEYS), main) if of_paper else None
+        tables = Tables("main", main, main_table(main), against, folder, paired_tests(main), speed_table(main))
     else:
         raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main or ablation")
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +66,27 @@ def build_tables(experiment: Path) -> Tables:
     write_text(folder / "main.tex", tables.latex)
     if tables.difference is not None:
         write_text(folder / "difference.csv", to_csv(tables.difference))
+    for name, table in (("paired", tables.paired), ("speed", tables.speed)):
+        if table is not None and not table.empty:
+            write_text(folder / f"{name}.csv", to_csv(table))
     return tables
+
+
+def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
+    """The differences with std and number of seeds of ours, and the verdict on each published number."""
+    merged = differences.merge(main[[*KEYS, "std", "seeds"]], on=KEYS, how="left")
+    merged["seeds"] = merged["seeds"].fillna(0).astype(int)
+    merged["verdict"] = [
+        verdict(r.metric, r.scene, r.ours, r.published, r.std, r.seeds) for r in merged.itertuples()
+    ]  # fmt: skip
+    return merged
+
+
+def speed_table(main: pd.DataFrame) -> pd.DataFrame:
+    """dataset, group, scene, ours, published: hours of TDg over hours of MSMG; only ratios compare across machines."""
+    ours = speed_ratios(main).rename(columns={"ratio": "ours"})
+    published = speed_ratios(published_main()).rename(columns={"ratio": "published"})
+    return ours.merge(published, on=["dataset", "group", "scene"], how="left")
 
 
 def write_claims(experiments: list[Path]) -> pd.DataFrame:
@@ -102,7 +127,7 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
 def to_csv(table: pd.DataFrame) -> str:
     """CSV text with n/a for numbers that are not there."""
     table = table.copy()
-    for column in ("value", "ours", "published", "difference"):
+    for column in ("value", "ours", "published", "difference", "std", "low", "high", "p"):
         if column in table:
             table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
     if "bold" in table:

@@ -13,7 +13,10 @@ from rich.table import Table
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.results import METRICS, decimals
+from tdgbench.tables.statistics import BETTER, REPRODUCED, WORSE
+from tdgbench.tables.statistics import UNDECIDED as NOT_SAID
 
+VERDICTS = (REPRODUCED, BETTER, WORSE, NOT_SAID)
 HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "time↓"}
 
 
@@ -33,10 +36,12 @@ def show(tables: Tables, console: Console) -> None:
         )
         for metric, own in tables.difference[known].groupby("metric", sort=False):
             spread = own["difference"]
-            console.print(
-                f"  {metric}: ours − published {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}",
-                highlight=False,
-            )
+            said = f"  {metric}: ours − published {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}"
+            if "verdict" in own:
+                counts = own["verdict"].value_counts()
+                said += "; " + ", ".join(f"{counts[v]} {v}" for v in VERDICTS if v in counts)
+            console.print(said, highlight=False)
+    _show_comparisons(tables, console)
 
 
 def show_claims(claims: pd.DataFrame, console: Console) -> None:
@@ -52,6 +57,25 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
     console.print(table)
 
 
+def _show_comparisons(tables: Tables, console: Console) -> None:
+    """TDg against MSMG: over scenes, and in time."""
+    if tables.paired is not None:
+        for row in tables.paired.itertuples():
+            if not np.isnan(row.p):
+                console.print(
+                    f"TDg is better in {row.metric} on {row.better} of {row.scenes} scenes (Wilcoxon p = {row.p:.3g})",
+                    highlight=False,
+                )
+    if tables.speed is not None and tables.speed["published"].notna().any():
+        both = tables.speed.dropna()
+        gap = (both["ours"] / both["published"] - 1).abs()
+        console.print(
+            f"time TDg / MSMG: {both['ours'].mean():.2f}, published {both['published'].mean():.2f}; "
+            f"{int((gap < 0.1).sum())} of {len(both)} within 10 %",
+            highlight=False,
+        )
+
+
 def _show_main(tables: Tables, console: Console) -> None:
     main = tables.main
     methods = list(dict.fromkeys(main["method"]))
@@ -65,6 +89,8 @@ def _show_main(tables: Tables, console: Console) -> None:
             for metric in METRICS:
                 row = values[method, dataset, scene, metric]
                 text = "n/a" if np.isnan(row.value) else _text(row.value, metric, scene)
+                if not np.isnan(row.std) and metric != "hours":
+                    text += f" ± {_text(row.std, metric, scene)}"
                 cells.append(f"[bold]{text}[/bold]" if row.bold else text)
             title = scene if method == methods[0] else ""
             table.add_row(title, escape(method), *cells, end_section=method == methods[-1])

@@ -91,7 +91,7 @@ def test_other_settings_run_again(run):
 def test_the_key_covers_what_matters_and_nothing_else(small_scene):
     def key(*overrides, method="splat"):
         cfg = config(*SMALL, f"method={method}", *overrides)
-        plug_in = Splat(0.2)
+        plug_in = Splat(0.2, 0.0, "reference", 1.0)
         plug_in.needs_prior = method == "tdg"
         return cell_key(relevant_config(cfg, plug_in), small_scene)
 
@@ -100,7 +100,7 @@ def test_the_key_covers_what_matters_and_nothing_else(small_scene):
                  "metrics.lpips.download=true"):  # fmt: skip
         assert key(same) == base, same
     for other in ("seed=1", "method.method.lambda_ssim=0.3", "budget.iterations=9", "init=random", "metrics=standard",
-                  "data.width=20", "backend=reference"):  # fmt: skip
+                  "data.width=20", "backend=reference", "skip.gray=false"):  # fmt: skip
         assert key(other) != base, other
     assert key("prior=synthetic", method="tdg") != key(method="tdg")
 

@@ -1,0 +1,137 @@
+"""How sure a number of ours is: its spread over seeds, an interval over seeds and views, and the verdict on a published
+one.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from tdgbench.bench.cell import cell_folder_of
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import Record
+from tdgbench.tables.results import (
+    AVERAGE,
+    HIGHER_IS_BETTER,
+    KEYS,
+    OVERALL,
+    decimals,
+    method_label,
+    scene_rows,
+    with_averages,
+)
+
+REPLICATES = 1000
+SEED = 0
+COVERAGE = 0.95
+REPRODUCED, BETTER, WORSE, UNDECIDED = "reproduced", "better", "worse", "undecided"
+
+
+def over_seeds(records: list[Record], plan: Plan) -> pd.DataFrame:
+    """KEYS, seeds, std: the sample standard deviation over seeds of each number, averages included (NaN below two)."""
+    seeds = sorted({record.seed for record in records})
+    parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan)) for seed in seeds]
+    if not parts:
+        return pd.DataFrame(columns=[*KEYS, "seeds", "std"])
+    grouped = pd.concat(parts, ignore_index=True).groupby(KEYS, sort=False)["value"]
+    return grouped.agg(seeds="count", std="std").reset_index()
+
+
+def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
+    """KEYS, low, high: 95 % bootstrap intervals of each mean, drawing seeds anew, and for each its test views."""
+    rng = np.random.default_rng(SEED)
+    cells: dict[tuple[str, str, str, str], list[dict[str, np.ndarray]]] = {}
+    for record in sorted(records, key=lambda r: (r.title, r.seed)):
+        if record.failure is None:
+            key = (method_label(record, with_init=True), record.dataset, record.group, record.scene)
+            cells.setdefault(key, []).append(_values(record, experiment))
+    replicates: dict[tuple[str, ...], np.ndarray] = {}
+    for key, seeds in cells.items():
+        for metric in seeds[0]:
+            if all(metric in one for one in seeds):
+                replicates[(*key, metric)] = _replicates([one[metric] for one in seeds], rng)
+    rows = [_row(key, drawn) for key, drawn in replicates.items()]
+    for method in dict.fromkeys(key[0] for key in replicates):
+        datasets = list(dict.fromkeys(key[1] for key in replicates if key[0] == method))
+        for dataset in [*datasets, *([""] if len(datasets) > 1 else [])]:
+            for metric in dict.fromkeys(key[4] for key in replicates if key[0] == method):
+                own = [v for k, v in replicates.items() if k[0] == method and k[4] == metric and dataset in ("", k[1])]
+                scene = AVERAGE if dataset else OVERALL
+                rows.append(_row((method, dataset, "", scene, metric), np.mean(own, axis=0)))
+    return pd.DataFrame(rows, columns=[*KEYS, "low", "high"])
+
+
+def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
+    """Every number of a cell: scores by view, hours as one value."""
+    found = {"hours": np.array([record.seconds["train"] / 3600])}
+    path = cell_folder_of(experiment, record) / "views.csv"
+    if path.exists():
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        for metric in rows[0] if rows else []:
+            if metric != "view" and all(row[metric] != "n/a" for row in rows):
+                found[metric] = np.array([float(row[metric]) for row in rows])
+    return found
+
+
+def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+    """REPLICATES means, each of seeds drawn with replacement and of each one's views drawn with replacement."""
+    drawn = np.empty(REPLICATES)
+    for i in range(REPLICATES):
+        chosen = rng.integers(len(seeds), size=len(seeds))
+        drawn[i] = np.mean([seeds[s][rng.integers(len(seeds[s]), size=len(seeds[s]))].mean() for s in chosen])
+    return drawn
+
+
+def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
+    low, high = np.quantile(drawn, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
+
+
+def noise_of_one_run(std: float, seeds: int) -> float:
+    """How far a single further run may be from our mean, 95 % of the time: Student's prediction interval."""
+    if seeds < 2 or np.isnan(std):
+        return float("nan")
+    return float(stats.t.ppf((1 + COVERAGE) / 2, seeds - 1) * std * np.sqrt(1 + 1 / seeds))
+
+
+def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> str:
+    """`reproduced` where the difference is within seed noise and the rounding of print; else `better` or `worse`.
+
+    `undecided` with fewer than two seeds, without a number of ours, and for hours, which depend on the machine.
+    """
+    noise = noise_of_one_run(std, seeds)
+    if np.isnan(ours) or np.isnan(noise) or metric == "hours":
+        return UNDECIDED
+    if abs(ours - published) <= noise + 0.5 * 10.0 ** -decimals(metric, scene):
+        return REPRODUCED
+    return BETTER if (ours > published) == HIGHER_IS_BETTER.get(metric, False) else WORSE
+
+
+def speed_ratios(main: pd.DataFrame) -> pd.DataFrame:
+    """dataset, group, scene, ratio: hours of TDg over those of MSMG, which may be compared between machines."""
+    hours = main[main["metric"] == "hours"]
+    wide = hours.pivot_table(index=["dataset", "group", "scene"], columns="method", values="value", sort=False)
+    if not {"tdg", "msmg"} <= set(wide):
+        return pd.DataFrame(columns=["dataset", "group", "scene", "ratio"])
+    return (wide["tdg"] / wide["msmg"]).rename("ratio").reset_index()
+
+
+def paired_tests(main: pd.DataFrame) -> pd.DataFrame:
+    """metric, scenes, better, p: Wilcoxon's signed-rank test over scenes that TDg beats MSMG (one-sided)."""
+    single = main[~main["scene"].isin((AVERAGE, OVERALL))]
+    rows = []
+    for metric, own in single.groupby("metric", sort=False):
+        wide = own.pivot_table(index=["dataset", "scene"], columns="method", values="value", sort=False)
+        if not {"tdg", "msmg"} <= set(wide):
+            continue
+        both = wide[["tdg", "msmg"]].dropna()
+        gain = (both["tdg"] - both["msmg"]) * (1 if HIGHER_IS_BETTER[str(metric)] else -1)
+        tested = len(gain) >= 5 and bool((gain != 0).any())  # with fewer, no outcome could be below 5 %
+        p = float(stats.wilcoxon(gain, alternative="greater").pvalue) if tested else float("nan")
+        rows.append({"metric": metric, "scenes": len(gain), "better": int((gain > 0).sum()), "p": p})
+    return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p"])

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import read_all
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.published import published_main
+from tdgbench.tables.results import KEYS
+from tdgbench.tables.statistics import (
+    BETTER,
+    REPRODUCED,
+    UNDECIDED,
+    WORSE,
+    intervals,
+    noise_of_one_run,
+    over_seeds,
+    paired_tests,
+    speed_ratios,
+    verdict,
+)
+from tests.tables.test_build import published_as_records, write
+
+
+def with_views(folder, psnr):
+    lines = ["view,psnr,ssim,lpips,mae_degC,depth_abs_rel", *(f"v{i},{v},0.8,n/a,n/a,n/a" for i, v in enumerate(psnr))]
+    (folder / "views.csv").write_text("\n".join(lines) + "\n")
+
+
+def test_spread_over_seeds(tmp_path):
+    for seed, (a, b) in enumerate([(20.0, 30.0), (22.0, 30.0), (21.0, 33.0)]):
+        for scene, value in (("Truck", a), ("Dimsum", b)):
+            write(tmp_path, scene=scene, seed=seed, scores={"psnr": value})
+    found = over_seeds(read_all(tmp_path), Plan()).set_index(KEYS)
+    psnr = found.xs("psnr", level="metric").reset_index().query("method == 'tdg'").set_index("scene")
+    assert psnr.loc["Truck", "std"] == pytest.approx(1.0) and psnr.loc["Truck", "seeds"] == 3
+    assert np.isnan(psnr.loc["Average", "std"]).all()  # other scenes of the data set are missing
+    assert psnr.loc["Lion", "seeds"] == 0
+
+
+def test_intervals_hold_what_the_samples_hold(tmp_path):
+    rng = np.random.default_rng(1)
+    for seed in range(3):
+        with_views(write(tmp_path, scene="Truck", seed=seed), 20 + rng.normal(size=12))
+    found = intervals(read_all(tmp_path), tmp_path).set_index("metric")
+    row = found[found["scene"] == "Truck"].loc["psnr"]
+    assert 19 < row["low"] < 20 < row["high"] < 21.2 and row["high"] - row["low"] > 0.2
+    assert "lpips" not in found.index  # n/a in every view
+    again = intervals(read_all(tmp_path), tmp_path)
+    assert again.equals(intervals(read_all(tmp_path), tmp_path))
+
+
+def test_noise_is_students_prediction_interval():
+    rng = np.random.default_rng(0)
+    runs = rng.normal(size=(20_000, 4))
+    noise = np.array([noise_of_one_run(row[:3].std(ddof=1), 3) for row in runs])
+    inside = np.abs(runs[:, 3] - runs[:, :3].mean(axis=1)) <= noise
+    assert inside.mean() == pytest.approx(0.95, abs=0.01)
+    assert np.isnan(noise_of_one_run(0.1, 1))
+
+
+@pytest.mark.parametrize(
+    ("metric", "ours", "published", "std", "seeds", "expected"),
+    [
+        ("psnr", 27.0, 27.3, 0.1, 3, REPRODUCED),
+        ("psnr", 27.0, 28.0, 0.1, 3, WORSE),
+        ("psnr", 29.0, 28.0, 0.1, 3, BETTER),
+        ("lpips", 0.3, 0.2, 0.001, 3, WORSE),
+        ("lpips", 0.1, 0.2, 0.001, 3, BETTER),
+        ("ssim", 0.8004, 0.8, 0.0, 3, REPRODUCED),  # the rounding of print
+        ("psnr", 27.0, 27.0, float("nan"), 1, UNDECIDED),
+        ("psnr", float("nan"), 27.0, 0.1, 3, UNDECIDED),
+        ("hours", 0.1, 0.1, 0.0, 3, UNDECIDED),
+    ],
+)
+def test_verdicts(metric, ours, published, std, seeds, expected):
+    assert verdict(metric, "Truck", ours, published, std, seeds) == expected
+
+
+def test_the_published_numbers_are_reproduced_by_themselves(tmp_path):
+    published_as_records(tmp_path)
+    once = build_tables(tmp_path).difference
+    assert set(once["verdict"]) == {UNDECIDED}  # one seed
+    for record in read_all(tmp_path):
+        write(tmp_path, record.method, record.scene, record.dataset, record.group, seed=1,
+              scores=record.scores, seconds=record.seconds)  # fmt: skip
+    tables = build_tables(tmp_path)
+    of_scores = tables.difference[tables.difference["metric"] != "hours"]
+    assert set(of_scores["verdict"]) == {REPRODUCED} and (of_scores["seeds"] == 2).all()
+    assert set(tables.difference.query("metric == 'hours'")["verdict"]) == {UNDECIDED}
+    assert (tmp_path / "tables" / "paired.csv").exists()
+    speed = tables.speed[~tables.speed["scene"].str.contains("Average")]
+    assert len(speed) == 14 and speed["ours"].to_numpy() == pytest.approx(speed["published"].to_numpy())
+
+
+def test_paired_test_is_scipys():
+    table = published_main()
+    found = paired_tests(table).set_index("metric")
+    psnr = table.query("metric == 'psnr' and not scene.str.contains('Average')").pivot(
+        index=["dataset", "scene"], columns="method", values="value"
+    )
+    want = stats.wilcoxon(psnr["tdg"], psnr["msmg"], alternative="greater").pvalue
+    assert found.loc["psnr", "p"] == pytest.approx(want) and found.loc["psnr", "scenes"] == 14
+    assert found.loc["hours", "better"] == 14
+    few = paired_tests(table[table["scene"].isin(["Truck", "Lion"])])
+    assert few["p"].isna().all()
+
+
+def test_speed_ratio():
+    ratios = speed_ratios(published_main()).set_index("scene")["ratio"]
+    assert ratios["Dimsum"] == pytest.approx(0.376 / 0.407)
