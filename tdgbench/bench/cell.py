@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from tdgbench.bench import output
 from tdgbench.bench.environment import code_version, describe_environment
 from tdgbench.bench.init import InitialPoints
+from tdgbench.bench.key import cell_key, relevant_config, why_differs
+from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
@@ -37,13 +37,14 @@ from tdgbench.training.skips.plateau import Plateau
 from tdgbench.training.warmup import compile_kernels
 
 OVERWRITE = ("only-missing", "always", "never")
-Status = Literal["ok", "kept", "failed", "missing"]
+Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
 FAILURES_OF_THE_INPUT = (SceneError, PriorError, TrainingError)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a cell: run (`ok`), already there (`kept`), `failed`, or its scene is not on disk (`missing`)."""
+    """What became of a cell: run (`ok`), already there (`kept`), `failed`, its scene not on disk (`missing`), or
+    in the hands of another process (`elsewhere`)."""
 
     status: Status
     title: str
@@ -67,7 +68,7 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         environment=describe_environment(),
     )
     experiment = Path(cfg.results) / cfg.name
-    stages = _Stages(record, progress)
+    stages, held = _Stages(record, progress), ExitStack()
     progress.begin(record.title)
     try:
         with stages("load"):
@@ -79,19 +80,21 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
             scene = dataset.load(cfg.scene)
             method: Method = instantiate(cfg.method.method)
             record.config = relevant_config(cfg, method)
-            record.key = cell_key(record.config, scene)
+            record.data, record.code = scene.fingerprint, code_version()
+            record.key = cell_key(record)
         folder = cell_folder_of(experiment, record)
+        if not held.enter_context(cell_lock(experiment, folder)):
+            return Outcome("elsewhere", record.title, "another process is running it")
         existing = _existing(folder)
-        if existing is not None and existing.status == "ok" and cfg.overwrite != "always":
-            if existing.key == record.key:
-                return Outcome("kept", record.title)
-            if cfg.overwrite == "never":
-                return Outcome("kept", record.title, "made with other settings; overwrite=never keeps it")
+        known = None if existing is None else _known(existing, record, cfg)
+        if known is not None:
+            return known
         with PeakMemory() as memory:
             scorer, log = _train(cfg, record, scene, method, skips, stages)
         record.peak_rss_mb = memory.mb
         _write_results(record, scene, method, scorer, log, folder, stages)
-        return Outcome("ok", record.title)
+        why = "" if existing is None else "; ".join(why_differs(existing, record))
+        return Outcome("ok", record.title, f"made anew: {why}" if why else "")
     except MissingScenesError as error:
         return Outcome("missing", record.title, str(error))
     except Exception as error:
@@ -107,32 +110,25 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         _write_failure(cell_folder_of(experiment, record), record)
         return Outcome("failed", record.title, f"{stages.current}: {message}")
     finally:
+        held.close()
         progress.end()
 
 
-def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
-    """The part of the configuration that the result depends on."""
-    plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    loader = {k: v for k, v in plain["dataset"]["loader"].items() if k != "root"}
-    metrics = json.loads(json.dumps(plain["metrics"]))
-    metrics["lpips"].pop("download")
-    return {
-        "dataset": loader,
-        "init": plain["init"],
-        "prior": plain["prior"] if method.needs_prior else None,
-        "method": plain["method"],
-        "backend": plain["backend"],
-        "budget": plain["budget"],
-        "metrics": metrics,
-        "skip": plain["skip"],
-        "seed": plain["seed"],
-    }
-
-
-def cell_key(config: dict[str, Any], scene: Scene) -> str:
-    """Names a result: the configuration it depends on, the data, the code."""
-    content = {"config": config, "data": scene.fingerprint, "scene": scene.name, "code": code_version()}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+def _known(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
+    """What is to be said of a cell that need not be run; None if it must be."""
+    if existing.status == "failed":
+        if existing.failure is None or existing.key != record.key or cfg.overwrite == "always" or cfg.retry_failed:
+            return None
+        again = "as before, not tried again (retry_failed=true does)"
+        return Outcome("failed", record.title, f"{existing.failure.stage}: {existing.failure.error}, {again}")
+    if cfg.overwrite == "always":
+        return None
+    if existing.key == record.key:
+        return Outcome("kept", record.title)
+    if cfg.overwrite == "never":
+        why = "; ".join(why_differs(existing, record))
+        return Outcome("kept", record.title, f"made with other settings ({why}); overwrite=never keeps it")
+    return None
 
 
 def cell_folder_of(experiment: Path, record: Record) -> Path:
@@ -183,6 +179,8 @@ def _train(
     budget = instantiate(cfg.budget)
     scorer: Scorer = instantiate(cfg.metrics)
     record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
+    span = scene.temperature
+    record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
     record.convention, record.iterations = scorer.convention, budget.iterations
     record.views = {"train": len(scene.train), "test": len(scene.test)}
     record.backend = choose_backend(cfg.backend.name, training_device(cfg.backend.name), torch.float32)
@@ -235,6 +233,7 @@ def _write_results(
         with stages("write"):
             for name, model in method.models().items():
                 save_ply(model.gaussians, part / ("model.ply" if name == "thermal" else f"model_{name}.ply"))
+            output.write_cameras(part / "cameras.json", scene)
             output.write_views(part / "views.csv", scores)
             output.write_log(part / "log.csv", log)
         record.hashes = output.hashes(part)

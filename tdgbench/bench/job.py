@@ -29,8 +29,11 @@ def run_job(cfg: DictConfig) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     if outcome.status != "missing":
-        words = {"ok": "done", "kept": "already there", "failed": "[red]failed[/red]"}
-        console.print(f"{escape(outcome.title)}: {words[outcome.status]}", highlight=False, soft_wrap=True)
+        words = {
+            "ok": "done", "kept": "already there", "failed": "[red]failed[/red]", "elsewhere": "in another process",
+        }  # fmt: skip
+        why = f" ({escape(outcome.message)})" if outcome.status == "ok" and outcome.message else ""
+        console.print(f"{escape(outcome.title)}: {words[outcome.status]}{why}", highlight=False, soft_wrap=True)
 
 
 def read_outcomes(hydra_folder: Path) -> list[Outcome]:

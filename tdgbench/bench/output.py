@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from PIL import Image
 
-from tdgbench.scenes import Scene, View
+from tdgbench.files import write_text
+from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import METRICS, Scorer, to_8bit
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
@@ -83,7 +86,39 @@ def write_log(path: Path, log: TrainingLog) -> None:
             writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *own])
 
 
+def write_cameras(path: Path, scene: Scene) -> None:
+    """All cameras, so that the model can be rendered again, and coverage be counted, without the data."""
+    parts = {"train": scene.train, "test": scene.test}
+    cameras = {part: {view.name: _camera_as_json(view.camera) for view in views} for part, views in parts.items()}
+    write_text(path, json.dumps(cameras, indent=1) + "\n")
+
+
+def _camera_as_json(camera: Camera) -> dict[str, object]:
+    return {
+        "K": camera.K.tolist(),
+        "world_to_camera": camera.world_to_camera.tolist(),
+        "width": camera.width,
+        "height": camera.height,
+    }
+
+
+def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
+    """What `write_cameras` wrote, by view name. Raises ValueError, naming the file, for anything else."""
+    try:
+        return {
+            name: Camera(
+                np.array(one["K"], np.float64).reshape(3, 3),
+                np.array(one["world_to_camera"], np.float64).reshape(4, 4),
+                int(one["width"]),
+                int(one["height"]),
+            )
+            for name, one in json.loads(path.read_text())[part].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} holds no cameras: {error!r}") from error
+
+
 def hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every picture and model in a cell's folder."""
-    files = [p for p in sorted(folder.rglob("*")) if p.suffix in (".png", ".ply")]
+    """SHA-256 of every picture, model and camera file in a cell's folder."""
+    files = [p for p in sorted(folder.rglob("*")) if p.suffix in (".png", ".ply") or p.name == "cameras.json"]
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}

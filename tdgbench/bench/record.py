@@ -39,10 +39,13 @@ class Record:
     group: str = ""
     status: Status = "ok"
     key: str = ""
+    data: str = ""  # fingerprint of the scene's files
+    code: str = ""  # of the sources that the result depends on
     split: str = ""
     convention: str = ""
     iterations: int = 0
     channels: int = 0
+    temperature: list[float] | None = None  # °C that image values 0 and 1 stand for, where they do
     views: dict[str, int] = field(default_factory=dict)
     scores: dict[str, float | None] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)

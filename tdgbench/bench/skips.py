@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from omegaconf import DictConfig
 
@@ -23,15 +23,20 @@ def without(name: str) -> str:
     return f"without {name}"
 
 
-def variants(names: list[str]) -> dict[str, dict[str, bool]]:
-    """What each variant switches on; skips that are not in `names` are off with the baseline and on with all."""
+def variants(names: list[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
+    """What each variant switches on; skips that are not in `names` are off in all of them.
+
+    `all` are those of `names` that are usually on; only these are also taken away one by one.
+    """
     unknown = set(names) - set(NAMES)
     if unknown:
         raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
-    made = {NONE: dict.fromkeys(NAMES, False), ALL: dict.fromkeys(NAMES, True)}
+    together = {name: name in names and usual[name] for name in NAMES}
+    made = {NONE: dict.fromkeys(NAMES, False), ALL: together}
     for name in names:
         made[alone(name)] = {**made[NONE], name: True}
-        made[without(name)] = {**made[ALL], name: False}
+        if usual[name]:
+            made[without(name)] = {**together, name: False}
     return made
 
 
@@ -46,9 +51,10 @@ def run_variants(cfg: DictConfig, progress: CellProgress, report: Callable[[Outc
 
 
 def _cells(cfg: DictConfig) -> Iterator[tuple[DictConfig, str]]:
+    usual = {name: bool(cfg.skip[name]) for name in NAMES}
     for scene in cfg.job.scenes:
         for seed in cfg.job.seeds:
-            for label, options in variants(list(cfg.job.skips)).items():
+            for label, options in variants(list(cfg.job.skips), usual).items():
                 one = cfg.copy()
                 one.scene, one.seed = scene, seed
                 for name, on in options.items():

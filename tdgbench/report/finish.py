@@ -14,6 +14,7 @@ from rich.markup import escape
 from tdgbench.bench.job import clear_outcomes, read_outcomes
 from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
 from tdgbench.bench.record import read_all
+from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.scenes import SceneError
 from tdgbench.tables.build import build_tables
@@ -70,10 +71,13 @@ class Finish(Callback):
         console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
         if draw_strip(read_all(experiment), experiment, experiment / "strip.png"):
             console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
-        count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "failed", "missing")}
+        page = write_report(experiment, tables)
+        console.print(f"report: {page}", highlight=False, soft_wrap=True)
+        count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "elsewhere", "failed", "missing")}
         console.print(
             f"{count['ok']} cells run, {count['kept']} already there, {count['failed']} failed, "
-            f"{count['missing']} without data",
+            f"{count['missing']} without data"
+            + (f", {count['elsewhere']} in the hands of another process" if count["elsewhere"] else ""),
             highlight=False,
         )
         for outcome in outcomes:

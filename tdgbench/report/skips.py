@@ -24,7 +24,7 @@ def run(cfg: DictConfig) -> None:
     console = Console()
 
     def report(outcome: Outcome) -> None:
-        if outcome.status not in ("ok", "kept"):
+        if outcome.status not in ("ok", "kept", "elsewhere"):
             console.print(f"[red]{outcome.status}:[/red] {escape(outcome.title)}: {escape(outcome.message)}")
 
     outcomes = run_variants(cfg, CellProgress(Console(stderr=True), int(cfg.budget.iterations)), report)
@@ -38,7 +38,7 @@ def run(cfg: DictConfig) -> None:
         draw(table, folder / "skips.png")
         show(table, console)
         console.print(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}", soft_wrap=True)
-    if any(outcome.status not in ("ok", "kept") for outcome in outcomes):
+    if any(outcome.status not in ("ok", "kept", "elsewhere") for outcome in outcomes):
         raise SystemExit(1)
 
 

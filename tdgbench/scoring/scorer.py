@@ -63,10 +63,14 @@ class Scorer:
         return {
             "psnr": psnr(image, target),
             "ssim": ssim(image, target, self.ssim_border),
-            "lpips": None if self._lpips is None else self._lpips(image, target),
+            "lpips": self.lpips(image, target),
             "mae_degC": self._mae_degC(scene, image, target),
             "depth_abs_rel": self._depth_abs_rel(view, depth),
         }
+
+    def lpips(self, image: np.ndarray, target: np.ndarray) -> float | None:
+        """LPIPS of two images (H, W, C) in [0, 1]; None without a backbone."""
+        return None if self._lpips is None else self._lpips(image, target)
 
     def _mae_degC(self, scene: Scene, image: np.ndarray, target: np.ndarray) -> float | None:
         if scene.temperature is None:

@@ -39,11 +39,11 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
         g.log_scales,
         g.quats,
     ]
-    values = torch.cat([c.reshape(len(g), c.shape[1]).float() for c in columns], dim=1).numpy()
     names = _columns(sh.shape[1] - 1)
     table = np.zeros(len(g), dtype=[(name, "f4") for name in names])
-    for i, name in enumerate(names):
-        table[name] = values[:, i]
+    single = (column for part in columns for column in part.unbind(dim=1))  # no second copy of a large model
+    for name, column in zip(names, single, strict=True):
+        table[name] = column.numpy()
     with whole_file(path) as part:
         PlyData([PlyElement.describe(table, "vertex")]).write(str(part))
 

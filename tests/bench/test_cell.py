@@ -7,7 +7,8 @@ from PIL import Image
 from rich.console import Console
 
 from methods.splat import Splat
-from tdgbench.bench.cell import cell_key, relevant_config, run_cell
+from tdgbench.bench.cell import cell_folder_of, run_cell
+from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.splats.ply import load_ply
@@ -88,23 +89,6 @@ def test_other_settings_run_again(run):
     assert read_all(run.experiment)[0].iterations == 31
 
 
-def test_the_key_covers_what_matters_and_nothing_else(small_scene):
-    def key(*overrides, method="splat"):
-        cfg = config(*SMALL, f"method={method}", *overrides)
-        plug_in = Splat(0.2, 0.0, "reference", 1.0)
-        plug_in.needs_prior = method == "tdg"
-        return cell_key(relevant_config(cfg, plug_in), small_scene)
-
-    base = key()
-    for same in ("results=elsewhere", "threads=1", "overwrite=always", "data.root=/x", "prior=synthetic",
-                 "metrics.lpips.download=true"):  # fmt: skip
-        assert key(same) == base, same
-    for other in ("seed=1", "method.method.lambda_ssim=0.3", "budget.iterations=9", "init=random", "metrics=standard",
-                  "data.width=20", "backend=reference", "skip.gray=false"):  # fmt: skip
-        assert key(other) != base, other
-    assert key("prior=synthetic", method="tdg") != key(method="tdg")
-
-
 def test_random_points(run):
     assert run("init=random", "init.points.count=200", "method=splat").status == "ok"
     record = read_all(run.experiment)[0]
@@ -160,3 +144,37 @@ def test_missing_scenes_leave_nothing(run, tmp_path):
 def test_wrong_option_is_an_error(run):
     with pytest.raises(ValueError, match="overwrite is 'maybe'"):
         run("overwrite=maybe")
+
+
+def test_a_cell_in_another_hand_is_left_alone(run, tmp_path):
+    assert run("method=splat").status == "ok"
+    folder = cell_folder_of(run.experiment, read_all(run.experiment)[0])
+    with cell_lock(run.experiment, folder) as mine:
+        assert mine
+        assert run("method=splat", "overwrite=always").status == "elsewhere"
+    assert run("method=splat").status == "kept"
+
+
+def test_a_failure_is_tried_again_only_when_asked(run, monkeypatch):
+    tries = []
+
+    def broken(self, iteration):
+        tries.append(iteration)
+        raise RuntimeError("out of luck")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Splat, "step", broken)
+        assert run("method=splat").status == "failed"
+        again = run("method=splat")
+        assert again.status == "failed" and "out of luck, as before" in again.message and len(tries) == 1
+        assert run("method=splat", "retry_failed=true").status == "failed" and len(tries) == 2
+    assert run("method=splat").status == "failed"  # nothing that the key covers has changed
+    assert run("method=splat", "retry_failed=true").status == "ok"
+
+
+def test_what_changed_is_said(run):
+    assert run("method=splat").message == ""
+    outcome = run("method=splat", "budget.iterations=31")
+    assert outcome.status == "ok" and outcome.message == "made anew: budget.iterations: 30 → 31"
+    kept = run("method=splat", "overwrite=never", "seed=0", "budget.sh_degree=0")
+    assert kept.status == "kept" and "budget.sh_degree: 1 → 0" in kept.message

@@ -8,14 +8,14 @@ from tests.conftest import SMALL, config
 
 
 def test_variants():
-    made = variants(["gray", "depth"])
-    assert list(made) == ["none", "all", "only gray", "without gray", "only depth", "without depth"]
-    assert not any(made["none"].values()) and all(made["all"].values())
-    assert [name for name, on in made["only gray"].items() if on] == ["gray"]
-    assert [name for name, on in made["without depth"].items() if not on] == ["depth"]
-    assert set(made["all"]) == set(NAMES)
+    usual = {**dict.fromkeys(NAMES, True), "sh": False}
+    made = variants(["gray", "depth", "sh"], usual)
+    assert list(made) == ["none", "all", "only gray", "without gray", "only depth", "without depth", "only sh"]
+    on = {label: [name for name, is_on in options.items() if is_on] for label, options in made.items()}
+    assert on["none"] == [] and on["all"] == ["gray", "depth"] and on["only sh"] == ["sh"]
+    assert on["only gray"] == ["gray"] and on["without depth"] == ["gray"]
     with pytest.raises(ValueError, match="there is no skip grey"):
-        variants(["grey"])
+        variants(["grey"], usual)
 
 
 def test_cells_of_every_variant(tmp_path, data_root):
@@ -32,7 +32,7 @@ def test_cells_of_every_variant(tmp_path, data_root):
     }  # fmt: skip
     skips = {s["name"]: s for s in records["all"].skips}
     assert skips["gray"]["taken"] and skips["gray"]["saved"] == "2 of 3 channels"
-    assert skips["rgb"]["taken"] and skips["depth"]["taken"] and not skips["plateau"]["taken"]
+    assert not skips["rgb"]["taken"] and skips["rgb"]["reason"] == "switched off"
     assert all(s["reason"] == "switched off" for s in records["none"].skips)
     again = run_variants(cfg, CellProgress(Console(quiet=True), 12), told.append)
     assert [o.status for o in again] == ["kept"] * 4

@@ -185,6 +185,6 @@ def sample_all(
                 report(str(scene), run.label, error)
                 continue
             parts.append(curve)
-            report(str(scene), run.label, curve)
+            report(str(curve["scene"].iloc[0]), run.label, curve)
     columns = ["scene", "label", "iteration", "seconds", "gaussians", *METRICS]
     return (pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)), failed

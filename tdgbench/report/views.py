@@ -1,0 +1,82 @@
+"""Pictures of one test view for the report: temperatures, errors, depth, and how many training views saw what."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import torch
+from PIL import Image
+
+from tdgbench.bench.output import read_cameras
+from tdgbench.scenes import Camera
+from tdgbench.splats.ply import load_ply
+from tdgbench.splats.rasterization import render_view
+
+THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
+ERROR_RANGE = 0.15
+MIN_ALPHA = 0.5  # less is no surface
+
+
+def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
+    """(H, W) in a perceptual colour map, (H, W, 3) uint8; what is not finite is gray."""
+    span = max(high - low, 1e-12)
+    mapped = matplotlib.colormaps[name](np.clip((np.nan_to_num(values) - low) / span, 0, 1))[..., :3]
+    mapped[~np.isfinite(values)] = 0.5
+    return (mapped * 255 + 0.5).astype(np.uint8)
+
+
+def embedded(pixels: np.ndarray) -> str:
+    """A picture (H, W, 3) uint8 as a data URI."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """A stored picture: in colour (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
+    stored = np.asarray(Image.open(path))
+    if stored.ndim == 3:
+        return stored, stored.astype(np.float64) / 255
+    return colored(stored / 255, THERMAL, 0, 1), stored[..., None].astype(np.float64) / 255
+
+
+def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Mean absolute difference over the channels, in colour."""
+    return colored(np.abs(image - truth).mean(axis=2), ERROR, 0, ERROR_RANGE)
+
+
+@torch.no_grad()
+def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
+    """Expected z (H, W) of a cell's model from a test camera, NaN where there is no surface; and that camera."""
+    gaussians, camera = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")[view]
+    seen = render_view(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
+        sh_degree=gaussians.sh_degree, depth=True,
+    )  # fmt: skip
+    assert seen.depth is not None
+    alpha = 1 - seen.transmittance
+    return torch.where(alpha > MIN_ALPHA, seen.depth / alpha, torch.nan).numpy(), camera
+
+
+def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:
+    """How many other cameras have each pixel's point in their picture (H, W), whatever stands before it; NaN: no point.
+
+    A region that few training views see is where a model must guess: the paper's half-seen building.
+    """
+    rows, columns = np.indices(depth.shape) + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
+    local = rays * depth[..., None]
+    to_world = np.linalg.inv(camera.world_to_camera)
+    points = (local @ to_world[:3, :3].T + to_world[:3, 3]).reshape(-1, 3)
+    count = np.zeros(len(points))
+    for other in others:
+        pixels, z = other.project(points)
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < other.width) & (pixels[:, 1] < other.height) & (z > 0)
+        count += inside
+    return np.where(np.isfinite(depth), count.reshape(depth.shape), np.nan)

@@ -1,0 +1,167 @@
+"""`python -m tdgbench.verify results/<experiment> …`: are results what their records say?
+
+For every finished cell: the record fits its schema; files have the hashes that it names; the model, rendered again from
+the test cameras, gives the stored pictures; and the pictures give the stored scores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import torch
+from PIL import Image
+from rich.console import Console
+from rich.markup import escape
+
+from tdgbench.bench.output import hashes, read_cameras
+from tdgbench.bench.record import FILE
+from tdgbench.scenes import Camera
+from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
+from tdgbench.scoring.psnr import psnr
+from tdgbench.scoring.ssim import ssim
+from tdgbench.splats import Gaussians
+from tdgbench.splats.ply import load_ply
+from tdgbench.splats.rasterization import render_view
+
+SCHEMA = Path(__file__).parent / "bench" / "record.schema.json"
+MOST_OFF = 1e-3  # share of values that may differ by one of 255 levels: another processor rounds otherwise
+SCORE_TOLERANCE = 1e-6
+
+
+def verify(experiment: Path) -> tuple[int, list[str]]:
+    """How many cells were looked at, and every problem in words. Raises ValueError if there are none."""
+    folders = [
+        path.parent
+        for path in sorted((experiment / "cells").rglob(FILE))
+        if not any(part.startswith(".") for part in path.relative_to(experiment).parts)
+    ]
+    if not folders:
+        raise ValueError(f"{experiment} holds no records; run an experiment first")
+    problems = []
+    for folder in folders:
+        problems += [f"{folder.relative_to(experiment / 'cells')}: {problem}" for problem in verify_cell(folder)]
+    return len(folders), problems
+
+
+def verify_cell(folder: Path) -> list[str]:
+    """What is wrong with one cell; failed cells are only held against the schema."""
+    try:
+        content = json.loads((folder / FILE).read_text())
+    except ValueError as error:
+        return [f"{FILE} is not JSON: {error}"]
+    wrong = [f"{FILE}: {error.json_path}: {error.message}" for error in _schema().iter_errors(content)]
+    if wrong or content["status"] != "ok":
+        return wrong
+    return [*_files(folder, content), *_renders(folder), *_scores(folder, content)]
+
+
+@cache
+def _schema() -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text()))
+
+
+def _files(folder: Path, content: dict[str, Any]) -> Iterator[str]:
+    """Files that changed, went missing, or came from nowhere."""
+    there, said = hashes(folder), content["hashes"]
+    yield from (f"{name} is missing" for name in sorted(set(said) - set(there)))
+    yield from (f"{name} is not in the record" for name in sorted(set(there) - set(said)))
+    yield from (f"{name} has changed" for name in sorted(set(there) & set(said)) if there[name] != said[name])
+
+
+def _renders(folder: Path) -> Iterator[str]:
+    """Pictures that the model does not give."""
+    try:
+        gaussians, cameras = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")
+    except (OSError, ValueError) as error:
+        yield f"cannot be rendered again: {error}"
+        return
+    for name, camera in cameras.items():
+        path = folder / "renders" / f"{name}.png"
+        if not path.exists():
+            continue  # told as missing
+        stored, again = _picture(path), to_8bit(_render(gaussians, camera))
+        if stored.shape != again.shape:
+            yield f"renders/{name}.png is {stored.shape}, the model gives {again.shape}"
+            continue
+        off = np.abs(stored.astype(int) - again.astype(int))
+        if off.max() > 1 or (off > 0).mean() > MOST_OFF:
+            yield f"renders/{name}.png is not what model.ply gives: {(off > 0).mean():.1%} differ, by up to {off.max()}"
+
+
+@torch.no_grad()
+def _render(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    view = render_view(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
+        sh_degree=gaussians.sh_degree,
+    )  # fmt: skip
+    return view.image.numpy()
+
+
+def _picture(path: Path) -> np.ndarray:
+    """(H, W, C) uint8."""
+    values = np.asarray(Image.open(path))
+    return values[..., None] if values.ndim == 2 else values
+
+
+def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
+    """Scores that the stored pictures do not give. Those that need more than pictures are not computed again."""
+    with (folder / "views.csv").open(newline="") as file:
+        rows = {row["view"]: row for row in csv.DictReader(file)}
+    metrics = content["config"]["metrics"]
+    options = LPIPSOptions(metrics["lpips"]["net"], metrics["lpips"]["weights"], download=False)
+    scorer = Scorer(metrics["convention"], metrics["ssim_border"], metrics["lpips_range"], options)
+    found: dict[str, list[float]] = {"psnr": [], "ssim": [], "lpips": []}
+    for name, row in rows.items():
+        pair = [folder / sub / f"{name}.png" for sub in ("renders", "targets")]
+        if not all(path.exists() for path in pair):
+            return  # told as missing
+        image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
+        again: dict[str, float | None] = {
+            "psnr": psnr(image, target),
+            "ssim": ssim(image, target, scorer.ssim_border),
+            "lpips": None if row["lpips"] == "n/a" else scorer.lpips(image, target),
+        }
+        for metric, value in again.items():
+            if value is None:
+                continue
+            found[metric].append(value)
+            if not math.isclose(value, float(row[metric]), rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE):
+                yield f"views.csv: {metric} of {name} is {row[metric]}, its pictures give {value:.6f}"
+    for metric, values in found.items():
+        said = content["scores"].get(metric)
+        if len(values) == len(rows) and rows:
+            mean = float(np.mean(values))
+            if said is None or not math.isclose(mean, said, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE):
+                yield f"{FILE}: {metric} is {said}, the pictures give {mean:.6f}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tdgbench.verify", description=__doc__)
+    parser.add_argument("experiment", nargs="+", type=Path, help="a folder results/<experiment>")
+    console, status = Console(), 0
+    for experiment in parser.parse_args().experiment:
+        try:
+            count, problems = verify(experiment)
+        except ValueError as error:
+            print(f"tdgbench.verify: {error}", file=sys.stderr)
+            return 1
+        for problem in problems:
+            console.print(f"[red]wrong:[/red] {escape(problem)}", highlight=False, soft_wrap=True)
+        console.print(f"{experiment}: {count} cells, {len(problems)} problems", highlight=False, soft_wrap=True)
+        status |= bool(problems)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,36 @@
+from methods.splat import Splat
+from tdgbench.bench.key import cell_key, relevant_config, why_differs
+from tdgbench.bench.record import Record
+from tests.conftest import SMALL, config
+
+
+def record(*overrides, method="splat", data="d", code="c"):
+    cfg = config(*SMALL, f"method={method}", *overrides)
+    plug_in = Splat(0.2, 0.0, "reference", 1.0)
+    plug_in.needs_prior = method == "tdg"
+    made = Record(method, "synthetic", "orbit", "colmap", int(cfg.seed), "e", "")
+    made.config, made.data, made.code = relevant_config(cfg, plug_in), data, code
+    made.key = cell_key(made)
+    return made
+
+
+def test_the_key_covers_what_matters_and_nothing_else():
+    base = record().key
+    for same in ("results=elsewhere", "threads=1", "overwrite=always", "data.root=/x", "prior=synthetic",
+                 "metrics.lpips.download=true", "retry_failed=true"):  # fmt: skip
+        assert record(same).key == base, same
+    for other in ("seed=1", "method.method.lambda_ssim=0.3", "budget.iterations=9", "init=random", "metrics=standard",
+                  "data.width=20", "backend=reference", "skip.gray=false"):  # fmt: skip
+        assert record(other).key != base, other
+    assert record("prior=synthetic", method="tdg").key != record(method="tdg").key
+    assert record(data="e").key != base and record(code="e").key != base
+
+
+def test_what_changed_is_named():
+    base = record()
+    assert why_differs(base, record("results=elsewhere")) == []
+    assert why_differs(base, record("budget.iterations=9")) == ["budget.iterations: 3000 → 9"]
+    both = why_differs(base, record("seed=1", "init=random"))
+    assert "seed: 0 → 1" in both and 'init.name: "colmap" → "random"' in both
+    assert "init.points.count: nothing → 100000" in both
+    assert why_differs(base, record(data="e", code="e")) == ["the scene's files changed", "the code changed"]

@@ -1,0 +1,113 @@
+"""The report: whole in one file, and alive in a browser where there is one."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import pytest
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.report.page import write_report
+from tdgbench.tables.build import build_tables
+from tests.conftest import SMALL, config
+from tests.tables.test_build import published_as_records
+
+CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
+PROBE = """
+<script>
+const errors = [];
+window.addEventListener("error", e => errors.push(e.message));
+</script>
+"""
+ACT = """
+<script>
+const input = document.querySelector(".slider input");
+input.value = 80;
+input.dispatchEvent(new Event("input"));
+const head = document.querySelectorAll("#scores th")[3];
+const rows = () => [...document.querySelectorAll("#scores tbody tr")];
+const column = () => rows().map(r => r.cells[3].dataset.sort).filter(x => x);
+head.click(); const up = column();
+head.click(); const down = column();
+const result = {
+  clip: document.querySelector(".slider .over").style.clipPath, up, down, errors,
+  pictures: [...document.images].every(i => i.complete && i.naturalWidth > 0),
+};
+document.body.innerHTML = `<pre id="result">${JSON.stringify(result)}</pre>`;
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, data_root):
+    """The report of three finished cells and a failed one."""
+    results = tmp_path_factory.mktemp("page")
+    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
+              f"results={results}")  # fmt: skip
+    progress = CellProgress(Console(quiet=True), 30)
+    for own in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
+        assert run_cell(config(*common, *own), "", progress).status == "ok"
+    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
+    return write_report(results / "single", build_tables(results / "single"))
+
+
+class Sources(HTMLParser):
+    """Everything that the page would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.opened: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in ("src", "href", "xlink:href") and value]
+        self.opened.append(tag)
+
+
+def test_everything_is_in_the_file(page):
+    text = page.read_text()
+    parser = Sources()
+    parser.feed(text)
+    assert parser.found and all(s.startswith(("data:", "#")) for s in parser.found)
+    assert "url(http" not in text and "@import" not in text
+    assert parser.opened.count("section") == 2 and text.count('class="slider"') == 3
+    for said in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
+        assert said in text, said
+    assert len(re.findall(r"<svg", text)) == 2
+
+
+def test_differences_to_published_numbers(tmp_path):
+    published_as_records(tmp_path)
+    tables = build_tables(tmp_path)
+    (tmp_path / "cells").rename(tmp_path / "hidden")  # numbers alone: there are no pictures
+    text = write_report(tmp_path, tables).read_text()
+    assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_it_lives_in_a_browser(page, tmp_path):
+    text = page.read_text().replace("<head>", f"<head>{PROBE}").replace("</body>", f"{ACT}</body>")
+    probe = tmp_path / "probe.html"
+    probe.write_text(text)
+    quiet = ("background-networking", "component-update", "sync")
+    call = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--virtual-time-budget=3000",
+            *(f"--disable-{what}" for what in quiet), f"--user-data-dir={tmp_path / 'profile'}"]  # fmt: skip
+    run = subprocess.run([*call, "--dump-dom", probe.as_uri()], capture_output=True, text=True, timeout=120)
+    found = re.search(r'<pre id="result">(.*?)</pre>', run.stdout, re.DOTALL)
+    assert found, run.stderr[-2000:]
+    result = json.loads(found[1].replace("&amp;", "&"))
+    assert result["errors"] == [] and result["pictures"] and "80%" in result["clip"]
+    numbers = [float(x) for x in result["up"]]
+    assert numbers == sorted(numbers) and [float(x) for x in result["down"]] == sorted(numbers, reverse=True)
+    shot = page.with_name("report.png")
+    subprocess.run(
+        [*call, f"--screenshot={shot}", "--window-size=1280,2400", page.as_uri()], check=True, timeout=120,
+        capture_output=True,
+    )  # fmt: skip
+    assert shot.stat().st_size > 20_000

@@ -1,0 +1,124 @@
+"""Sound results are found sound; every way of spoiling them is found out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.verify import main, verify
+from tests.conftest import SMALL, config
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory, data_root):
+    """Two finished cells, one gray and one in colour, and a failed one."""
+    results = tmp_path_factory.mktemp("verify")
+    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
+              f"results={results}")  # fmt: skip
+    progress = CellProgress(Console(quiet=True), 30)
+    for own in (["scene=turntable"], ["scene=orbit", "method=msmg"]):
+        assert run_cell(config(*common, *own), "", progress).status == "ok"
+    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
+    return results / "single"
+
+
+@pytest.fixture
+def spoiled(sound, tmp_path):
+    """A copy to spoil, and the folder of its gray cell."""
+    copy = shutil.copytree(sound, tmp_path / "single")
+    return copy, copy / "cells" / "tdg" / "synthetic" / "turntable" / "colmap" / "seed0"
+
+
+def test_sound_results(sound, capsys, monkeypatch):
+    assert verify(sound) == (3, [])
+    monkeypatch.setattr("sys.argv", ["verify", str(sound)])
+    assert main() == 0 and "3 cells, 0 problems" in capsys.readouterr().out
+
+
+def only_problem(experiment) -> str:
+    count, problems = verify(experiment)
+    assert count == 3 and len(problems) >= 1
+    assert all(p.startswith("tdg/synthetic/turntable/colmap/seed0: ") for p in problems)
+    return "\n".join(problems)
+
+
+def test_a_changed_picture(spoiled):
+    experiment, cell = spoiled
+    path = sorted((cell / "renders").glob("*.png"))[0]
+    values = np.asarray(Image.open(path)).copy()
+    values[5:15, 5:15] = 255 - values[5:15, 5:15]
+    Image.fromarray(values).save(path)
+    problem = only_problem(experiment)
+    assert f"renders/{path.name} has changed" in problem
+    assert "is not what model.ply gives" in problem and "views.csv: psnr of" in problem
+
+
+def test_a_changed_target_changes_the_scores(spoiled):
+    experiment, cell = spoiled
+    path = sorted((cell / "targets").glob("*.png"))[0]
+    Image.fromarray(np.asarray(Image.open(path)) // 2).save(path)
+    assert "record.json: psnr is" in only_problem(experiment)
+
+
+def test_another_model(spoiled, sound):
+    experiment, cell = spoiled
+    other = sound / "cells" / "msmg" / "synthetic" / "orbit" / "colmap" / "seed0" / "model.ply"
+    shutil.copy(other, cell / "model.ply")
+    problem = only_problem(experiment)
+    assert "model.ply has changed" in problem and "the model gives (36, 48, 3)" in problem
+
+
+def test_missing_and_foreign_files(spoiled):
+    experiment, cell = spoiled
+    path = sorted((cell / "renders").glob("*.png"))[0]
+    path.rename(path.with_name("other.png"))
+    problem = only_problem(experiment)
+    assert f"renders/{path.name} is missing" in problem and "renders/other.png is not in the record" in problem
+
+
+def test_edited_scores(spoiled):
+    experiment, cell = spoiled
+    record = json.loads((cell / "record.json").read_text())
+    record["scores"]["ssim"] += 0.01
+    (cell / "record.json").write_text(json.dumps(record))
+    assert "record.json: ssim is" in only_problem(experiment)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"seed": "0"}, r"$.seed: '0' is not of type 'integer'"),
+        ({"extra": 1}, "Additional properties are not allowed ('extra' was unexpected)"),
+        ({"hashes": {"a": "b"}}, "$.hashes.a: 'b' does not match"),
+        ({"failure": {"stage": "train"}}, "is a required property"),
+    ],
+)
+def test_records_that_do_not_fit_the_schema(spoiled, change, said):
+    experiment, cell = spoiled
+    record = json.loads((cell / "record.json").read_text())
+    (cell / "record.json").write_text(json.dumps({**record, **change}))
+    assert said in only_problem(experiment)
+
+
+def test_broken_files_are_named(spoiled, capsys, monkeypatch):
+    experiment, cell = spoiled
+    (cell / "cameras.json").write_text("[]")
+    assert "holds no cameras" in only_problem(experiment)
+    (cell / "record.json").write_text("{")
+    assert "record.json is not JSON" in only_problem(experiment)
+    monkeypatch.setattr("sys.argv", ["verify", str(experiment)])
+    assert main() == 1 and "wrong:" in capsys.readouterr().out
+
+
+def test_an_empty_folder_is_named(tmp_path, capsys, monkeypatch):
+    with pytest.raises(ValueError, match="holds no records"):
+        verify(tmp_path)
+    monkeypatch.setattr("sys.argv", ["verify", str(tmp_path)])
+    assert main() == 1 and "holds no records" in capsys.readouterr().err
