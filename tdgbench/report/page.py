@@ -72,7 +72,8 @@ def _table(tables: Tables) -> dict[str, Any]:
     if tables.kind == "main":
         values = {tuple(getattr(r, k) for k in keys): r for r in tables.main.itertuples()}
         places = tables.main[["dataset", "scene", "method"]].drop_duplicates()
-        for place in places.sort_values(["dataset", "scene"], kind="stable").itertuples():
+        by_scene = pd.Series(pd.factorize(places["dataset"] + "/" + places["scene"])[0], places.index)
+        for place in places.loc[by_scene.sort_values(kind="stable").index].itertuples():  # in the main table's order
             own = [(place.method, place.dataset, place.scene, metric) for metric in metrics]
             rows.append(
                 {
