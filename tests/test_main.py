@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.bench.record import read_all
+from tdgbench.verify import verify
 from tests.conftest import ROOT, SMALL
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -53,6 +54,8 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
         assert set(main["scene"]) == {"orbit", "night", "turntable", "facade", "Average"}
         assert (main[main["metric"] == "psnr"]["value"] != "n/a").all()
         assert (tmp_path / "results" / "demo" / "strip.png").stat().st_size > 10_000
+        assert verify(tmp_path / "results" / "demo") == (8, [])
+        assert "<svg" in (tmp_path / "results" / "demo" / "report.html").read_text()
     else:  # the paper's data is not here: one error for all scenes, n/a everywhere, exit status 1
         assert run.returncode == 1 and run.stderr.count("14 scenes are not in") == 1
         assert "Dimsum, DailyStuff" in run.stderr and "Zenodo" in run.stderr and "[train|test]" in run.stderr

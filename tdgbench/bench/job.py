@@ -15,6 +15,7 @@ from tdgbench.bench.cell import Outcome, run_cell
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.progress import CellProgress
 from tdgbench.files import write_text
+from tdgbench.splats.cpu import pool
 
 OUTCOME = "outcome.json"
 
@@ -23,6 +24,8 @@ def run_job(cfg: DictConfig) -> None:
     """Run a cell, say in one line what became of it, and note the outcome in the job's folder."""
     console = Console(stderr=True)
     hydra = HydraConfig.get()
+    if cfg.threads is None:
+        cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
     variant = read_plan(Path(cfg.results) / cfg.name).variant(list(hydra.overrides.task))
     outcome = run_cell(cfg, variant, CellProgress(console, int(cfg.budget.iterations)))
     folder = Path(hydra.runtime.output_dir)
@@ -34,6 +37,20 @@ def run_job(cfg: DictConfig) -> None:
         }  # fmt: skip
         why = f" ({escape(outcome.message)})" if outcome.status == "ok" and outcome.message else ""
         console.print(f"{escape(outcome.title)}: {words[outcome.status]}{why}", highlight=False, soft_wrap=True)
+
+
+def worker_threads(launcher: DictConfig, cores: int) -> int | None:
+    """Threads of one cell when a launcher runs several at once, so that together they use the cores once.
+
+    joblib says how many workers there are (a negative number: as many as cores), submitit how many cores each gets.
+    None: the cell has the machine to itself.
+    """
+    if launcher.get("cpus_per_task") is not None:
+        return int(launcher.cpus_per_task)
+    if launcher.get("n_jobs") is not None:
+        workers = cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
+        return max(1, cores // workers)
+    return None
 
 
 def read_outcomes(hydra_folder: Path) -> list[Outcome]:

@@ -1,7 +1,10 @@
 import json
 
+import pytest
+from omegaconf import OmegaConf
+
 from tdgbench.bench.cell import Outcome
-from tdgbench.bench.job import OUTCOME, clear_outcomes, read_outcomes
+from tdgbench.bench.job import OUTCOME, clear_outcomes, read_outcomes, worker_threads
 
 
 def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
@@ -11,3 +14,12 @@ def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
     assert read_outcomes(tmp_path) == [Outcome("ok", t) for t in ("0", "2", "10")]
     clear_outcomes(tmp_path)
     assert read_outcomes(tmp_path) == [] == read_outcomes(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    ("launcher", "threads"),
+    [({}, None), ({"n_jobs": 2}, 4), ({"n_jobs": -1}, 1), ({"n_jobs": 16}, 1), ({"n_jobs": 3}, 2),
+     ({"cpus_per_task": 3}, 3)],
+)  # fmt: skip
+def test_workers_share_the_cores(launcher, threads):
+    assert worker_threads(OmegaConf.create(launcher), 8) == threads
