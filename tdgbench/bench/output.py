@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -27,11 +26,14 @@ from tdgbench.training.method import Method
 def whole_folder(folder: Path) -> Iterator[Path]:
     """A temporary folder to fill; takes the place of `folder` at the end, vanishes on an error.
 
-    What was there before goes only once the new one is complete.
+    What was there before goes only once the new one is complete. What a killed process left half done is removed: the
+    caller alone holds this folder.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    old = folder.with_name(f".{folder.name}-old-{os.getpid()}")
+    for left in folder.parent.glob(f".{folder.name}.part-*"):
+        shutil.rmtree(left, ignore_errors=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}.part-", dir=folder.parent))
+    old = folder.with_name(f".{folder.name}.part-old")
     try:
         yield part
         if folder.exists():

@@ -1,0 +1,43 @@
+"""Broken scenes among good ones: the good cells finish, and each broken scene is one clear error."""
+
+from __future__ import annotations
+
+import shutil
+
+from tdgbench.bench.record import read_all
+from tests.conftest import SMALL
+from tests.test_main import command
+
+OPTIONS = [o for o in SMALL if not o.startswith("dataset.loader")]
+
+
+def test_good_cells_finish_and_the_others_say_why(tmp_path, small_scene):
+    source, root = small_scene.train[0].thermal_path.parents[1], tmp_path / "data"
+    for name in ("corrupt", "good", "incomplete", "thermal_only", "unposed"):
+        shutil.copytree(source, root / name)
+    (root / "corrupt" / "thermal" / "view003.png").write_bytes(b"\x89PNG, and then nothing")
+    (root / "incomplete" / "thermal" / "view004.png").unlink()
+    shutil.rmtree(root / "unposed" / "sparse")
+    shutil.rmtree(root / "thermal_only" / "rgb")
+    run = command(
+        tmp_path, "-m", *OPTIONS, "dataset=folder", f"data.root={root}", "budget=demo", "budget.iterations=12",
+        "method=msmg", "scene=corrupt,good,incomplete,thermal_only,unposed",
+    )  # fmt: skip
+    assert run.returncode == 1 and "Traceback" not in run.stderr
+    assert "1 cells run, 0 already there, 4 failed" in run.stdout
+    said = [line for line in run.stdout.splitlines() if line.startswith("failed:")]
+    assert len(said) == 4
+    for scene, what in (
+        ("corrupt", "view003.png cannot be read as an image"),
+        ("incomplete", "1 views of the COLMAP model have no thermal image (view004)"),
+        ("thermal_only", "has no RGB image; a method that trains on RGB cannot use this scene"),
+        ("unposed", "has no COLMAP model in sparse/0; run COLMAP on its RGB images first"),
+    ):
+        (line,) = (line for line in said if f"folder/{scene}," in line)
+        assert what in line
+    records = {r.scene: r for r in read_all(tmp_path / "results" / "single")}
+    assert {name: r.status for name, r in records.items()} == {
+        "corrupt": "failed", "good": "ok", "incomplete": "failed", "thermal_only": "failed", "unposed": "failed",
+    }  # fmt: skip
+    assert "failed in" in (tmp_path / "results" / "single" / "tables" / "main.csv").read_text()
+    assert "view003.png" in (tmp_path / "results" / "single" / "report.html").read_text()
