@@ -1,4 +1,4 @@
-"""What the benchmarks render: random clouds, and a trained model seen from a camera of its scene."""
+"""What is measured: Gaussians before a camera, at random, or of a trained model seen from its scene."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from torch import Tensor
 from tdgbench.scenes import FolderDataset, ReadOptions
 from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.ply import load_ply
+from tdgbench.splats.rasterization import NEAR_PLANE
 
 
-@dataclass(frozen=True)
+@dataclass
 class Cloud:
-    """Gaussians before a camera that looks along z; colours (N, 3) in [0, 1]."""
+    """Gaussians before a camera, as `rasterization` takes them; colors (N, D), or (N, K, D) with `degree`."""
 
     means: Tensor
     quats: Tensor
@@ -26,6 +27,8 @@ class Cloud:
     K: Tensor
     width: int
     height: int
+    degree: int | None = None
+    near_plane: float = NEAR_PLANE
 
 
 def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:

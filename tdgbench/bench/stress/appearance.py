@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import torch
 
+from tdgbench.bench.clouds import Cloud
 from tdgbench.bench.stress.case import Case, Close
-from tdgbench.bench.stress.compare import Gaussians, cloud, compared
+from tdgbench.bench.stress.compare import cloud, compared
 from tdgbench.bench.stress.outcome import Seen
 
 FAMILY = "appearance"
@@ -15,7 +16,7 @@ FAMILY = "appearance"
 
 def cases() -> list[Case]:
     """Every case of this family."""
-    made: list[tuple[str, Callable[[], Gaussians]]] = [
+    made: list[tuple[str, Callable[[], Cloud]]] = [
         ("opacity 0", lambda: _opacity(0.0)),
         ("opacity below 1/255", lambda: _opacity(0.0039)),
         ("opacity just above 1/255", lambda: _opacity(0.00393)),
@@ -35,54 +36,54 @@ def cases() -> list[Case]:
     return [Case(FAMILY, name, Close(), _compare(make)) for name, make in made]
 
 
-def _compare(make: Callable[[], Gaussians]) -> Callable[[str], Seen]:
+def _compare(make: Callable[[], Cloud]) -> Callable[[str], Seen]:
     return lambda backend: compared(make(), backend)
 
 
-def _opacity(value: float) -> Gaussians:
+def _opacity(value: float) -> Cloud:
     scene = cloud(60, seed=20)
     scene.opacities = torch.full((60,), value)
     return scene
 
 
-def _ramp() -> Gaussians:
+def _ramp() -> Cloud:
     scene = cloud(60, seed=21)
     scene.opacities = torch.linspace(0, 1, 60)
     return scene
 
 
-def _harmonics(size: float, degree: int) -> Gaussians:
+def _harmonics(size: float, degree: int) -> Cloud:
     scene = cloud(60, seed=22, degree=degree)
     scene.colors = scene.colors * size
     return scene
 
 
-def _dark() -> Gaussians:
+def _dark() -> Cloud:
     scene = cloud(60, seed=23, degree=1)
     scene.colors = -scene.colors.abs() - 3
     return scene
 
 
-def _colors(value: float) -> Gaussians:
+def _colors(value: float) -> Cloud:
     scene = cloud(60, seed=24)
     scene.colors = scene.colors * value
     return scene
 
 
-def _three() -> Gaussians:
+def _three() -> Cloud:
     scene = cloud(60, seed=25)
     scene.colors = torch.rand(60, 3, generator=torch.Generator().manual_seed(25))
     return scene
 
 
-def _opaque_layers() -> Gaussians:
+def _opaque_layers() -> Cloud:
     scene = cloud(60, seed=26)
     scene.opacities = torch.ones(60)
     scene.scales = scene.scales * 5
     return scene
 
 
-def _underflow() -> Gaussians:
+def _underflow() -> Cloud:
     """300 layers of alpha 0.99: the product of what they let through is 1e-600."""
     scene = cloud(300, seed=27, width=8, height=8)
     scene.viewmat = torch.eye(4)
@@ -93,7 +94,7 @@ def _underflow() -> Gaussians:
     return scene
 
 
-def _haze() -> Gaussians:
+def _haze() -> Cloud:
     scene = cloud(1000, seed=28, width=16, height=12)
     scene.opacities = torch.full((1000,), 0.006)
     scene.scales = scene.scales * 10

@@ -1,4 +1,4 @@
-"""Render Gaussians on a backend and by the float64 reference, and measure how far values and gradients are apart.
+"""Render Cloud on a backend and by the float64 reference, and measure how far values and gradients are apart.
 
 A rounding error may flip one of the blend's two thresholds at a pixel: such pixels, found by moving the thresholds by a
 little, are left out of the comparison, and counted.
@@ -6,43 +6,24 @@ little, are left out of the comparison, and counted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from tdgbench.bench.clouds import Cloud
+from tdgbench.bench.oracle import NAMES
 from tdgbench.bench.stress.outcome import Seen
 from tdgbench.splats import rasterization
 from tdgbench.splats.blending import AS_3DGS, Blending
 
-NAMES = ("means", "quats", "scales", "opacities", "colors")
 MOVED = 1e-4  # by which thresholds are moved to find undecided pixels
 SMALL = 1e-4  # of the largest gradient: a parameter that pulls less is measured against that
 MAX_ALPHA_OF_GSPLAT = 0.999
 
 
-@dataclass
-class Gaussians:
-    """What `rasterization` takes, for one camera; colors (N, D) or (N, K, D) with `degree`."""
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    colors: Tensor
-    viewmat: Tensor
-    K: Tensor
-    width: int
-    height: int
-    degree: int | None = None
-    near_plane: float = 0.2
-
-    def parameters(self) -> list[Tensor]:
-        return [getattr(self, name) for name in NAMES]
-
-
-def cloud(count: int, seed: int = 0, width: int = 40, height: int = 30, degree: int | None = None) -> Gaussians:
+def cloud(count: int, seed: int = 0, width: int = 40, height: int = 30, degree: int | None = None) -> Cloud:
     """A random cloud 1 to 5 units before a turned, off-centre camera."""
     g = torch.Generator().manual_seed(seed)
     means = torch.cat([torch.rand(count, 2, generator=g) * 3 - 1.5, torch.rand(count, 1, generator=g) * 4 + 1], dim=1)
@@ -52,7 +33,7 @@ def cloud(count: int, seed: int = 0, width: int = 40, height: int = 30, degree: 
     cosine, sine = angle.cos().item(), angle.sin().item()
     viewmat = torch.tensor([[cosine, 0, sine, 0.1], [0, 1, 0, -0.05], [-sine, 0, cosine, 0.3], [0, 0, 0, 1]])
     K = torch.tensor([[width * 0.9, 0, width * 0.5 + 2], [0, width * 0.92, height * 0.5 - 3], [0, 0, 1]])
-    return Gaussians(
+    return Cloud(
         means=means,
         quats=torch.randn(count, 4, generator=g),
         scales=torch.exp(torch.randn(count, 3, generator=g) * 0.5 - 2),
@@ -66,12 +47,14 @@ def cloud(count: int, seed: int = 0, width: int = 40, height: int = 30, degree: 
     )
 
 
-def render(scene: Gaussians, backend: str, weights: Tensor | None = None, blending: Blending = AS_3DGS):
+def render(scene: Cloud, backend: str, weights: Tensor | None = None, blending: Blending = AS_3DGS):
     """Image with depth and alpha (H, W, D + 2) and, with weights of that shape, gradients by name; all float64."""
     kind: dict[str, Any] = {"dtype": torch.float64 if backend == "reference" else torch.float32}
     if backend == "cuda":
         kind["device"] = "cuda"
-    leaves = [p.detach().to(**kind).requires_grad_(weights is not None) for p in scene.parameters()]
+    leaves = [
+        p.detach().to(**kind).requires_grad_(weights is not None) for p in (getattr(scene, name) for name in NAMES)
+    ]
     means, quats, scales, opacities, colors = leaves
     viewmats, Ks = (t.to(**kind)[None] for t in (scene.viewmat, scene.K))
     renders, alphas, _ = rasterization(
@@ -86,7 +69,7 @@ def render(scene: Gaussians, backend: str, weights: Tensor | None = None, blendi
     return image.detach().double().cpu(), {n: g.double().cpu() for n, g in zip(NAMES, gradients, strict=True)}
 
 
-def compared(scene: Gaussians, backend: str, seed: int = 0) -> Seen:
+def compared(scene: Cloud, backend: str, seed: int = 0) -> Seen:
     """The largest error of any pixel, relative to its channel's range (at least 1), and of any gradient's norm."""
     constants = replace(AS_3DGS, max_alpha=MAX_ALPHA_OF_GSPLAT) if backend == "cuda" else AS_3DGS
     low, high = (render(scene, "reference", None, constants.moved(f))[0] for f in (1 - MOVED, 1 + MOVED))

@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import torch
 
-from tdgbench.bench.clouds import random_cloud
+from tdgbench.bench.clouds import Cloud, random_cloud
 from tdgbench.bench.oracle import render as render_tiled
 from tdgbench.bench.stress.case import Case, Close, Expected, Holds, Raises
-from tdgbench.bench.stress.compare import Gaussians, cloud, compared, render
+from tdgbench.bench.stress.compare import cloud, compared, render
 from tdgbench.bench.stress.outcome import Seen
 from tdgbench.splats.rasterization import render_view
 
 FAMILY = "geometry"
-Make = Callable[[], Gaussians]
+Make = Callable[[], Cloud]
 
 
 def cases() -> list[Case]:
@@ -69,7 +69,7 @@ def _compare(make: Make) -> Callable[[str], Seen]:
 
 
 def _scaled(scale: float) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=1)
         scene.scales = scene.scales / scene.scales.mean() * scale
         return scene
@@ -77,7 +77,7 @@ def _scaled(scale: float) -> Make:
     return make
 
 
-def _mixed_scales() -> Gaussians:
+def _mixed_scales() -> Cloud:
     scene = cloud(60, seed=2)
     scene.scales = torch.logspace(-10, 4, 60)[:, None].expand(60, 3).clone()
     scene.opacities = scene.opacities * 0.3
@@ -85,7 +85,7 @@ def _mixed_scales() -> Gaussians:
 
 
 def _stretched(scales: tuple[float, float, float]) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=3)
         scene.scales = torch.tensor(scales).expand(60, 3).clone()
         return scene
@@ -94,7 +94,7 @@ def _stretched(scales: tuple[float, float, float]) -> Make:
 
 
 def _quats(change) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=4)
         scene.quats = change(scene.quats)
         return scene
@@ -107,7 +107,7 @@ def _long_and_short(quats: torch.Tensor) -> torch.Tensor:
 
 
 def _moved(change) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=5)
         scene.means = change(scene.means)
         return scene
@@ -118,7 +118,7 @@ def _moved(change) -> Make:
 def _in_camera(change) -> Make:
     """Means changed in camera coordinates; the camera stands at the origin."""
 
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=6)
         scene.viewmat = torch.eye(4)
         scene.means = change(scene.means.clone())
@@ -140,7 +140,7 @@ def _near(points: torch.Tensor) -> torch.Tensor:
     return points
 
 
-def _close_up() -> Gaussians:
+def _close_up() -> Cloud:
     scene = cloud(40, seed=7)
     scene.viewmat = torch.eye(4)
     scene.means = scene.means * 1e-3
@@ -149,7 +149,7 @@ def _close_up() -> Gaussians:
     return scene
 
 
-def _far_away() -> Gaussians:
+def _far_away() -> Cloud:
     scene = cloud(60, seed=8)
     scene.viewmat = torch.eye(4)
     scene.means, scene.scales = scene.means * 1e6, scene.scales * 1e6
@@ -159,7 +159,7 @@ def _far_away() -> Gaussians:
 def _offset(offset: float) -> Make:
     """The whole scene, camera included, far from the origin; the camera's rotation is exact in float32."""
 
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=9)
         shift = torch.tensor([offset, -offset / 2, offset / 4])
         rotation = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -173,7 +173,7 @@ def _offset(offset: float) -> Make:
 
 
 def _focal(focal: float) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=10)
         scene.K = torch.tensor([[focal, 0, 20.0], [0, focal, 15.0], [0, 0, 1]])
         if focal > 100:  # bring them into the narrow view
@@ -186,7 +186,7 @@ def _focal(focal: float) -> Make:
 
 
 def _principal(cx: float, cy: float) -> Make:
-    def make() -> Gaussians:
+    def make() -> Cloud:
         scene = cloud(60, seed=11)
         scene.K = scene.K.clone()
         scene.K[0, 2], scene.K[1, 2] = cx, cy
@@ -196,7 +196,7 @@ def _principal(cx: float, cy: float) -> Make:
     return make
 
 
-def _sized(width: int, height: int) -> Gaussians:
+def _sized(width: int, height: int) -> Cloud:
     return cloud(60, seed=12, width=width, height=height)
 
 
@@ -204,13 +204,13 @@ def _size(width: int, height: int) -> Make:
     return lambda: _sized(width, height)
 
 
-def _with_near(near_plane: float) -> Gaussians:
+def _with_near(near_plane: float) -> Cloud:
     scene = cloud(5)
     scene.near_plane = near_plane
     return scene
 
 
-def _layers(opacity: float = 0.02) -> Gaussians:
+def _layers(opacity: float = 0.02) -> Cloud:
     count = 5000
     scene = cloud(count, seed=13, width=4, height=3)
     scene.viewmat = torch.eye(4)

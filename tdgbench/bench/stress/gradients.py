@@ -9,8 +9,9 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tdgbench.bench.clouds import Cloud
 from tdgbench.bench.stress.case import Case, Close
-from tdgbench.bench.stress.compare import NAMES, Gaussians, cloud, compared, render
+from tdgbench.bench.stress.compare import NAMES, cloud, compared, render
 from tdgbench.bench.stress.outcome import Seen
 from tdgbench.splats.blending import AS_3DGS, Blending
 
@@ -41,7 +42,7 @@ def _differences(name: str, degree: int | None) -> Callable[[str], Seen]:
         constants = AS_3DGS if backend == "cuda" else WITHOUT_THRESHOLDS
         own = replace(constants, min_alpha=1e-9, min_transmittance=0.0)
 
-        def total(changed: Gaussians) -> float:
+        def total(changed: Cloud) -> float:
             return (render(changed, "reference", None, own)[0] * weights).sum().item()
 
         at = getattr(scene, name).double()
