@@ -14,25 +14,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.bench.clouds import Cloud, random_cloud
-from tdgbench.bench.oracle import NAMES, Result, leaves_of, render
+from tdgbench.bench.oracle import on_backend, render
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.rasterization import render_view
 
 FLIP = 2e-5  # of the range of values: a larger difference is a threshold that flipped, or an error
-
-
-def fast(cloud: Cloud, weights: Tensor | None) -> Result:
-    """The `cpu` backend."""
-    leaves = leaves_of(cloud, torch.float32)
-    view = render_view(*leaves, cloud.viewmat, cloud.K, cloud.width, cloud.height, depth=True, backend="cpu")
-    image = torch.cat([view.image, view.depth[..., None]], dim=-1)
-    gradients = {}
-    if weights is not None:
-        w = weights.float()
-        ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
-        gradients = {name: leaf.grad for name, leaf in zip(NAMES, leaves, strict=True)}
-    return Result(image.detach(), view.transmittance.detach(), gradients)
 
 
 def undecided(cloud: Cloud) -> Tensor:
@@ -53,7 +39,7 @@ def measure(count: int, width: int, height: int, seed: int = 0) -> pd.DataFrame:
     results = []
     for threads in (1, 2, 3):
         pool.set_threads(threads)
-        results.append(fast(cloud, weights))
+        results.append(on_backend(cloud, "cpu", weights))
     pool.set_threads(None)
     got = results[0]
     scale = want.image.amax(dim=(0, 1))

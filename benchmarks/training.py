@@ -17,13 +17,13 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from tdgbench.priors import estimate_all
+from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
 from tdgbench.training.loop import train
-from tdgbench.training.method import Context, Method
+from tdgbench.training.method import Method
 from tdgbench.training.warmup import compile_kernels
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -84,11 +84,7 @@ def measure(overrides: list[str], steps: int) -> pd.DataFrame:
         cfg = compose("config", overrides=overrides)
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
     method, budget = instantiate(cfg.method.method), instantiate(cfg.budget)
-    for view in scene.train:
-        _ = view.thermal, view.rgb if method.needs_rgb else None
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    points = instantiate(cfg.init.points).points(scene)
-    method.setup(Context(scene, points, priors, budget, cfg.backend.name, int(cfg.seed)))
+    set_up(method, cfg, scene, budget, cfg.backend.name)
     compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     train(method, steps)
     parts = Parts()

@@ -18,20 +18,16 @@ from typing import Any
 
 import jsonschema
 import numpy as np
-import torch
 from PIL import Image
 from rich.console import Console
 from rich.markup import escape
 
-from tdgbench.bench.output import hashes, read_cameras
+from tdgbench.bench.output import hashes, read_cameras, render_model
 from tdgbench.bench.record import FILE
-from tdgbench.scenes import Camera
 from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
 from tdgbench.scoring.psnr import psnr
 from tdgbench.scoring.ssim import ssim
-from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
-from tdgbench.splats.rasterization import render_view
 
 SCHEMA = Path(__file__).parent / "bench" / "record.schema.json"
 MOST_OFF = 1e-3  # share of values that may differ by one of 255 levels: another processor rounds otherwise
@@ -89,23 +85,13 @@ def _renders(folder: Path) -> Iterator[str]:
         path = folder / "renders" / f"{name}.png"
         if not path.exists():
             continue  # told as missing
-        stored, again = _picture(path), to_8bit(_render(gaussians, camera))
+        stored, again = _picture(path), to_8bit(render_model(gaussians, camera).image.numpy())
         if stored.shape != again.shape:
             yield f"renders/{name}.png is {stored.shape}, the model gives {again.shape}"
             continue
         off = np.abs(stored.astype(int) - again.astype(int))
         if off.max() > 1 or (off > 0).mean() > MOST_OFF:
             yield f"renders/{name}.png is not what model.ply gives: {(off > 0).mean():.1%} differ, by up to {off.max()}"
-
-
-@torch.no_grad()
-def _render(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    view = render_view(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
-        sh_degree=gaussians.sh_degree,
-    )  # fmt: skip
-    return view.image.numpy()
 
 
 def _picture(path: Path) -> np.ndarray:

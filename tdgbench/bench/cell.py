@@ -22,6 +22,7 @@ from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
+from tdgbench.bench.setup import loader_of
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Dataset, MissingScenesError, Scene, SceneError, View
 from tdgbench.scoring import Scorer, mean_scores
@@ -73,7 +74,7 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     try:
         with stages("load"):
             skips: Skips = instantiate(cfg.skip)
-            dataset: Dataset = instantiate(_loader(cfg, skips))
+            dataset: Dataset = instantiate(loader_of(cfg, skips))
             what = dataset.describe(cfg.scene)
             record.scene, record.dataset, record.group = what.scene, what.dataset, what.group
             progress.rename(record.title)
@@ -139,16 +140,13 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
     return experiment / "cells" / Path(*safe)
 
 
-def _loader(cfg: DictConfig, skips: Skips) -> DictConfig:
-    """The loader's configuration; without the skip `gray` every thermal image gets three channels."""
-    loader = cfg.dataset.loader.copy()
-    if not skips.gray.allowed and loader.options.channels == "auto":
-        loader.options.channels = 3
-    return loader
-
-
-def _skip_rgb(skips: Skips, method: Method, with_rgb: list[View]) -> bool:
-    return skips.rgb.decide(bool(with_rgb), f"{method.name} trains on thermal images alone", f"{len(with_rgb)} images")
+def _rgb_views(skips: Skips, method: Method, scene: Scene) -> list[View]:
+    """The training views whose RGB images are read: those that the method needs, or without the skip all there are."""
+    if method.needs_rgb:
+        return scene.train
+    there = [view for view in scene.train if view.load_rgb is not None]
+    needless = f"{method.name} trains on thermal images alone"
+    return [] if skips.rgb.decide(bool(there), needless, f"{len(there)} images") else there
 
 
 def _note_prior(skips: Skips, scene: Scene, made: int) -> None:
@@ -187,8 +185,7 @@ def _train(
     with stages("images"):  # all of them, so that training does not pay for it and a broken one stops the cell now
         for view in scene.views:
             _ = view.thermal
-        with_rgb = [view for view in scene.train if view.load_rgb is not None]
-        for view in scene.train if method.needs_rgb else with_rgb if not _skip_rgb(skips, method, with_rgb) else []:
+        for view in _rgb_views(skips, method, scene):
             _ = view.rgb
     priors: dict[str, DepthPrior] = {}
     if method.needs_prior:

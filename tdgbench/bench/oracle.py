@@ -14,7 +14,8 @@ from torch import Tensor
 from tdgbench.bench.clouds import Cloud
 from tdgbench.splats import reference
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.rasterization import EPS2D, NEAR_PLANE
+from tdgbench.splats.rasterization import EPS2D, NEAR_PLANE, render_view
+from tdgbench.splats.view import RenderedView
 
 TILE = 32
 NAMES = ("means", "quats", "scales", "opacities", "colors")
@@ -29,10 +30,37 @@ class Result:
     gradients: dict[str, Tensor]
 
 
-def leaves_of(cloud: Cloud, dtype: torch.dtype) -> list[Tensor]:
+def leaves_of(cloud: Cloud, dtype: torch.dtype, device: str = "cpu") -> list[Tensor]:
     """The cloud's tensors, in the order of NAMES, ready for gradients."""
-    given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors)
-    return [t.to(dtype).clone().requires_grad_() for t in given]
+    given = [getattr(cloud, name) for name in NAMES]
+    return [t.to(device, dtype).clone().requires_grad_() for t in given]
+
+
+def device_of(backend: str) -> str:
+    """Where a fast backend wants its tensors."""
+    return "cuda" if backend == "cuda" else "cpu"
+
+
+def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS) -> RenderedView:
+    """Colour and depth of a cloud whose tensors are `leaves` (see `leaves_of`), on a fast backend."""
+    means, quats, scales, opacities, colors = leaves
+    camera = (cloud.viewmat.to(means), cloud.K.to(means))
+    return render_view(
+        means, quats, scales, opacities, colors, *camera, cloud.width, cloud.height, depth=True, backend=backend,
+        blending=blending,
+    )  # fmt: skip
+
+
+def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:
+    """What a fast backend makes of what `render` is the oracle for, in float32."""
+    leaves = leaves_of(cloud, torch.float32, device_of(backend))
+    view = view_of(cloud, leaves, backend, blending)
+    assert view.depth is not None
+    image = torch.cat([view.image, view.depth[..., None]], dim=-1)
+    w = weights.to(image)
+    ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
+    gradients = {name: leaf.grad.cpu() for name, leaf in zip(NAMES, leaves, strict=True) if leaf.grad is not None}
+    return Result(image.detach().cpu(), view.transmittance.detach().cpu(), gradients)
 
 
 def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: Blending = AS_3DGS) -> Result:

@@ -13,11 +13,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 from PIL import Image
 
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import METRICS, Scorer, to_8bit
+from tdgbench.splats import Gaussians
+from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.view import RenderedView
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
 
@@ -118,6 +122,16 @@ def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} holds no cameras: {error!r}") from error
+
+
+@torch.no_grad()
+def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False) -> RenderedView:
+    """A stored model from a camera, at its full degree."""
+    return render_view(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
+        sh_degree=gaussians.sh_degree, depth=depth,
+    )  # fmt: skip
 
 
 def hashes(folder: Path) -> dict[str, str]:

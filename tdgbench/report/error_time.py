@@ -16,7 +16,8 @@ from rich.table import Table
 
 from tdgbench.bench.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.bench.error_time import growth, kernels, training
-from tdgbench.files import whole_file, write_text
+from tdgbench.files import write_text
+from tdgbench.report.figures import save_figure
 from tdgbench.splats.cpu import pool
 
 PARTS = ("kernels", "training", "growth")
@@ -134,7 +135,7 @@ def draw_pareto(table: pd.DataFrame, target: Path) -> None:
         axes.set_title(scene, fontsize=9)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", fontsize=7)
-    _save(figure, target)
+    save_figure(figure, target)
 
 
 def draw_curves(curves: pd.DataFrame, target: Path) -> None:
@@ -156,7 +157,7 @@ def draw_curves(curves: pd.DataFrame, target: Path) -> None:
                 axes.set_title(scene, fontsize=9)
                 axes.legend(fontsize=6)
         grid[-1][column].set_xlabel("seconds of training")
-    _save(figure, target)
+    save_figure(figure, target)
 
 
 def draw_growth(table: pd.DataFrame, fitted: pd.DataFrame, target: Path) -> None:
@@ -169,7 +170,7 @@ def draw_growth(table: pd.DataFrame, fitted: pd.DataFrame, target: Path) -> None
         axes.plot(own["size"], own["memory_mb"], "s--", label=f"MB, exponent {slopes.loc[axis, 'memory']:.2f}")
         _logarithmic(axes, axis, "")
         axes.legend(fontsize=7)
-    _save(figure, target)
+    save_figure(figure, target)
 
 
 def _logarithmic(axes: Axes, x: str, y: str) -> None:
@@ -178,11 +179,6 @@ def _logarithmic(axes: Axes, x: str, y: str) -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(linewidth=0.3)
-
-
-def _save(figure: Figure, target: Path) -> None:
-    with whole_file(target) as part:
-        figure.savefig(part, dpi=110)
 
 
 def _write(table: pd.DataFrame, target: Path) -> None:

@@ -83,9 +83,7 @@ def _table(tables: Tables) -> dict[str, Any]:
             )
         return {"heads": ["data set", "scene", "method"], "metrics": [TITLES[m] for m in metrics], "rows": rows}
     for (method, init), own in tables.main.groupby(["method", "init"], sort=False):
-        rows.append(
-            {"head": [method, init], "cells": [_number(r._replace(), None) for r in own.assign(scene="").itertuples()]}
-        )
+        rows.append({"head": [method, init], "cells": [_number(r, None) for r in own.assign(scene="").itertuples()]})
     return {"heads": ["method", "first points"], "metrics": [TITLES[m] for m in metrics], "rows": rows}
 
 

@@ -15,7 +15,8 @@ from tdgbench.bench.cell import Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.bench.skips import run_variants
-from tdgbench.files import whole_file, write_text
+from tdgbench.files import write_text
+from tdgbench.report.figures import save_figure
 from tdgbench.tables.skips import skip_rows, summary
 
 
@@ -72,5 +73,4 @@ def draw(table: pd.DataFrame, target: Path) -> None:
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set_xlabel("ratio of training times (geometric mean over scenes)")
     axes.legend(fontsize=8)
-    with whole_file(target) as part:
-        figure.savefig(part, dpi=110)
+    save_figure(figure, target)

@@ -14,7 +14,8 @@ from rich.markup import escape
 
 from tdgbench.bench.stress.case import Verdict
 from tdgbench.bench.stress.suite import run_suite
-from tdgbench.files import whole_file, write_text
+from tdgbench.files import write_text
+from tdgbench.report.figures import save_figure
 from tdgbench.splats.cpu import pool
 
 FLOOR = 1e-5  # shares below are drawn here
@@ -68,5 +69,4 @@ def draw(table: pd.DataFrame, target: Path) -> None:
     axes.grid(axis="x", linewidth=0.3)
     if families:
         axes.legend(fontsize=7, loc="lower right")
-    with whole_file(target) as part:
-        figure.savefig(part, dpi=110)
+    save_figure(figure, target)

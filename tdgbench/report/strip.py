@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
 from tdgbench.bench.cell import cell_folder_of
 from tdgbench.bench.record import Record
+from tdgbench.report.figures import save_figure
 
 ERROR_RANGE = 0.15
 
@@ -42,8 +42,7 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
             row[1 + len(methods) + m].imshow(error, vmin=0, vmax=ERROR_RANGE, cmap="magma")
             row[1 + len(methods) + m].set_title(f"{method} error (0 to {ERROR_RANGE})", fontsize=8)
     target.parent.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context({"savefig.dpi": 110}):
-        figure.savefig(target)
+    save_figure(figure, target)
     return True
 
 

@@ -11,10 +11,9 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tdgbench.bench.output import read_cameras
+from tdgbench.bench.output import read_cameras, render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
-from tdgbench.splats.rasterization import render_view
 
 THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
 ERROR_RANGE = 0.15
@@ -49,15 +48,10 @@ def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return colored(np.abs(image - truth).mean(axis=2), ERROR, 0, ERROR_RANGE)
 
 
-@torch.no_grad()
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     """Expected z (H, W) of a cell's model from a test camera, NaN where there is no surface; and that camera."""
     gaussians, camera = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")[view]
-    seen = render_view(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
-        sh_degree=gaussians.sh_degree, depth=True,
-    )  # fmt: skip
+    seen = render_model(gaussians, camera, depth=True)
     assert seen.depth is not None
     alpha = 1 - seen.transmittance
     return torch.where(alpha > MIN_ALPHA, seen.depth / alpha, torch.nan).numpy(), camera

@@ -20,7 +20,6 @@ from tdgbench.bench.timing import interleave, median_ms
 from tdgbench.splats import cuda
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.rasterization import render_view
 
 BASELINE = "cpu"
 
@@ -72,7 +71,7 @@ def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFr
         errors: dict[str, dict[str, float]] = {}
         for name, setting in settings(slow).items():
             if setting.backend in ("cpu", "cuda"):
-                errors[name] = _errors(_result(cloud, setting, weights), want)
+                errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
                 runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
             elif setting.backend == "torch":  # seconds, not milliseconds: timed once, apart
                 got, taken = _oracle(cloud, torch.float32, weights)
@@ -111,30 +110,6 @@ def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[oracle.R
     return result, {"forward": 1e3 * (middle - start), "both": 1e3 * (end - middle)}
 
 
-def _leaves(cloud: Cloud, device: str) -> list[Tensor]:
-    given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors)
-    return [t.to(device).clone().requires_grad_() for t in given]
-
-
-def _render(cloud: Cloud, setting: Setting, leaves: list[Tensor]):
-    means, quats, scales, opacities, colors = leaves
-    camera = (cloud.viewmat.to(means), cloud.K.to(means))
-    return render_view(
-        means, quats, scales, opacities, colors, *camera, cloud.width, cloud.height, depth=True,
-        backend=setting.backend, blending=setting.blending,
-    )  # fmt: skip
-
-
-def _result(cloud: Cloud, setting: Setting, weights: Tensor) -> oracle.Result:
-    leaves = _leaves(cloud, "cuda" if setting.backend == "cuda" else "cpu")
-    view = _render(cloud, setting, leaves)
-    image = torch.cat([view.image, view.depth[..., None]], dim=-1)
-    w = weights.to(image)
-    ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
-    gradients = {n: leaf.grad.cpu() for n, leaf in zip(oracle.NAMES, leaves, strict=True) if leaf.grad is not None}
-    return oracle.Result(image.detach().cpu(), view.transmittance.detach().cpu(), gradients)
-
-
 def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
     def off(a: Tensor, b: Tensor) -> float:
         return ((a.double() - b.double()).square().mean().sqrt() / b.abs().max()).item()
@@ -151,8 +126,8 @@ def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
 
 
 def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
-    device = "cuda" if setting.backend == "cuda" else "cpu"
-    leaves = _leaves(cloud, device)
+    device = oracle.device_of(setting.backend)
+    leaves = oracle.leaves_of(cloud, torch.float32, device)
     size = (cloud.height, cloud.width)
     pulls = [torch.ones(*size, cloud.colors.shape[1], device=device), torch.ones(size, device=device)]
 
@@ -166,8 +141,9 @@ def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
         pool.set_threads(setting.threads if setting.threads is not None else before)
         try:
             start = now()
-            view = _render(cloud, setting, leaves)
+            view = oracle.view_of(cloud, leaves, setting.backend, setting.blending)
             if part == "both":
+                assert view.depth is not None
                 torch.autograd.backward([view.image, view.depth], pulls)
             return now() - start
         finally:

@@ -15,11 +15,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.output import score_views
-from tdgbench.priors import estimate_all
+from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.training.loop import train
-from tdgbench.training.method import Context, Method
+from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
 
@@ -53,16 +53,12 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     """
     cfg = cfg.copy()
     cfg.scene = scene_name
-    scene: Scene = instantiate(cfg.dataset.loader).load(scene_name)
+    skips: Skips = instantiate(cfg.skip)
+    scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     budget = instantiate(cfg.budget)
     method: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
-    skips: Skips = instantiate(cfg.skip)
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    for view in scene.views:
-        _ = view.thermal, view.rgb if method.needs_rgb else None
-    points = instantiate(cfg.init.points).points(scene)
-    method.setup(Context(scene, points, priors, budget, cfg.backend.name, int(cfg.seed), skips))
+    set_up(method, cfg, scene, budget, cfg.backend.name, skips)
     compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     scorer: Scorer = instantiate(cfg.metrics)
     moments = set(np.unique(np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)))

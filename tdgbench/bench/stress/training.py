@@ -18,13 +18,13 @@ from rich.console import Console
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.setup import set_up
 from tdgbench.bench.stress.case import Case, Expected, Holds, Raises
 from tdgbench.bench.stress.outcome import Seen
-from tdgbench.priors import estimate_all
 from tdgbench.scenes import PointCloud, Scene, View
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.method import Context, Method
+from tdgbench.training.method import Method
 from tdgbench.training.model import SplatModel
 
 FAMILY = "training"
@@ -54,11 +54,8 @@ class Small:
         """Train the configured method on a changed scene; options of the budget are dotted, with __ for the dots."""
         cfg = OmegaConf.merge(self.cfg.budget, _nested(budget))
         scene = change(self.scene())
-        method: Method = instantiate(self.cfg.method.method)
-        priors = estimate_all(instantiate(self.cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-        points = instantiate(self.cfg.init.points).points(scene)
         made = instantiate(cfg)
-        method.setup(Context(scene, points, priors, made, backend, int(self.cfg.seed)))
+        method = set_up(instantiate(self.cfg.method.method), self.cfg, scene, made, backend)
         if spoil is not None:
             spoil(method)
         return method, train(method, made.iterations)
