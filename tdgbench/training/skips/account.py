@@ -24,9 +24,8 @@ def note_training(skips: Skips, scene: Scene, method: Method, budget: Budget, lo
         touched < rows, f"a step touched {share:.0%} of the Gaussians", f"{1 - share:.0%} of the rows"
     )  # fmt: skip
     share = blended / max(pairs, 1)
-    skips.saturated.decide(
-        blended < pairs, f"{share:.1%} of the pairs came before their tile's end", f"{1 - share:.1%} of the pairs"
-    )  # fmt: skip
+    reason = f"{share:.1%} of the pairs came before their tile's end" if pairs else "the backend does not tell"
+    skips.saturated.decide(blended < pairs, reason, f"{1 - share:.1%} of the pairs")
     left = budget.iterations - log.iterations
     rule = "the budget has no plateau rule" if budget.plateau is None else "the loss went on falling"
     reason = rule if left == 0 else f"the loss no longer fell by {budget.plateau.gain:.2%} a window"  # type: ignore[union-attr]

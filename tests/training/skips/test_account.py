@@ -34,3 +34,12 @@ def test_methods_without_depth_or_prior(small_gray_scene):
     assert found["depth"].reason == "splat has no depth loss" and found["prior"].reason == "splat uses no prior"
     tdg = account(small_gray_scene, "tdg")
     assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
+
+
+def test_a_backend_that_does_not_count_pairs_is_not_spoken_for(small_gray_scene):
+    skips = Skips()
+    method, log = trained(small_gray_scene, "splat", 5, skips=skips)
+    work = method.models()["thermal"].work
+    work.pairs = work.blended = 0
+    note_training(skips, small_gray_scene, method, instantiate(config("budget=demo").budget), log)
+    assert skips.saturated.reason == "the backend does not tell" and not skips.saturated.taken
