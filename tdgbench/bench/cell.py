@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench import output
-from tdgbench.bench.environment import code_version, describe_environment
+from tdgbench.bench.environment import code_version, describe_environment, same_bytes_on
 from tdgbench.bench.init import InitialPoints
 from tdgbench.bench.key import cell_key, relevant_config, why_differs
 from tdgbench.bench.lock import cell_lock
@@ -29,6 +29,7 @@ from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
+from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Context, Method, training_device
@@ -90,10 +91,12 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         known = None if existing is None else _known(existing, record, cfg)
         if known is not None:
             return known
+        checkpoint = _checkpoint_of(cfg, record, experiment, folder)
         with PeakMemory() as memory:
-            scorer, log = _train(cfg, record, scene, method, skips, stages)
+            scorer, log = _train(cfg, record, scene, method, skips, stages, checkpoint)
         record.peak_rss_mb = memory.mb
         _write_results(record, scene, method, scorer, log, folder, stages)
+        checkpoint.discard()
         why = "" if existing is None else "; ".join(why_differs(existing, record))
         return Outcome("ok", record.title, f"made anew: {why}" if why else "")
     except MissingScenesError as error:
@@ -140,6 +143,15 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
     return experiment / "cells" / Path(*safe)
 
 
+def _checkpoint_of(cfg: DictConfig, record: Record, experiment: Path, folder: Path) -> Checkpoint:
+    """Where this cell's training is kept while it runs."""
+    path = experiment / "checkpoints" / f"{output.short_name(experiment, folder)}.pt"
+    checkpoint = Checkpoint(path, {"settings, data or code": record.key, **same_bytes_on()}, cfg.checkpoint)
+    if cfg.overwrite == "always":
+        checkpoint.discard()
+    return checkpoint
+
+
 def _rgb_views(skips: Skips, method: Method, scene: Scene) -> list[View]:
     """The training views whose RGB images are read: those that the method needs, or without the skip all there are."""
     if method.needs_rgb:
@@ -171,7 +183,13 @@ class _Stages:
 
 
 def _train(
-    cfg: DictConfig, record: Record, scene: Scene, method: Method, skips: Skips, stages: _Stages
+    cfg: DictConfig,
+    record: Record,
+    scene: Scene,
+    method: Method,
+    skips: Skips,
+    stages: _Stages,
+    checkpoint: Checkpoint,
 ) -> tuple[Scorer, TrainingLog]:
     """Everything up to the trained method; what it is scored with, and how training went."""
     budget = instantiate(cfg.budget)
@@ -205,7 +223,14 @@ def _train(
     with stages("train"):
         watched = budget.plateau is not None and skips.plateau.allowed
         plateau = Plateau(budget.plateau, len(scene.train)) if watched else None
-        log = train(method, budget.iterations, stages.progress.line, plateau)
+        so_far = checkpoint.take_up(method, context, plateau)
+        try:
+            log = train(method, budget.iterations, stages.progress.line, plateau, checkpoint.after_step, so_far)
+        except TrainingError:
+            checkpoint.discard()  # it would end there again
+            raise
+    record.resumed = log.resumed
+    record.notes += checkpoint.notes
     record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
     note_training(skips, scene, method, budget, log)
     record.skips = [asdict(skip) for skip in skips.all()]

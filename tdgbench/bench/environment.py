@@ -42,6 +42,12 @@ def describe_environment() -> dict[str, object]:
     }
 
 
+def same_bytes_on() -> dict[str, object]:
+    """What of the environment decides whether the same training gives the same bytes: all but how many threads."""
+    said = describe_environment()
+    return {name: said[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
+
+
 @cache
 def code_version() -> str:
     """A hash of the source files that a result depends on."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
+
+from tdgbench.bench.output import short_name
 
 
 @contextmanager
@@ -17,8 +18,7 @@ def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
     The system lets go of a lock when its process ends, however that happens. Lock files stay where they are:
     removing one while another process waits for it would give both of them the lock.
     """
-    name = hashlib.sha256(folder.relative_to(experiment).as_posix().encode()).hexdigest()[:16]
-    path = experiment / "locks" / f"{name}.lock"
+    path = experiment / "locks" / f"{short_name(experiment, folder)}.lock"
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path)
     try:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tdgbench.files import write_text
+from tdgbench.files import to_disk, write_text
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import METRICS, Scorer, to_8bit
 from tdgbench.splats import Gaussians
@@ -24,6 +24,11 @@ from tdgbench.splats.rasterization import render_view
 from tdgbench.splats.view import RenderedView
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
+
+
+def short_name(experiment: Path, folder: Path) -> str:
+    """A file name for what belongs to the cell in `folder` and stands outside of it: locks, checkpoints."""
+    return hashlib.sha256(folder.relative_to(experiment).as_posix().encode()).hexdigest()[:16]
 
 
 @contextmanager
@@ -40,6 +45,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     old = folder.with_name(f".{folder.name}.part-old")
     try:
         yield part
+        for path in part.rglob("*"):
+            if path.is_file():
+                to_disk(path)
         if folder.exists():
             folder.replace(old)
         part.replace(folder)

@@ -44,6 +44,7 @@ class Record:
     split: str = ""
     convention: str = ""
     iterations: int = 0
+    resumed: list[int] = field(default_factory=list)  # iterations after which a killed training went on
     channels: int = 0
     temperature: list[float] | None = None  # °C that image values 0 and 1 stand for, where they do
     views: dict[str, int] = field(default_factory=dict)
@@ -51,7 +52,7 @@ class Record:
     missing: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     gaussians: dict[str, int] = field(default_factory=dict)
-    peak_rss_mb: float | None = None
+    peak_rss_mb: float | None = None  # of the process that finished the cell
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
     backend: str = ""

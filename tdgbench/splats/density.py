@@ -80,6 +80,16 @@ class DensityControl:
         norm = (image[:, :2] * image.new_tensor(half)).norm(dim=1)
         self.grad_sum.index_add_(0, index, torch.where(image[:, 4] > 0, norm, 0.0))
 
+    def state_dict(self) -> dict[str, Tensor]:
+        """What was gathered since the last change, as `torch.save` takes it."""
+        return {"grad_sum": self.grad_sum.cpu(), "seen": self.seen.cpu(), "max_radii": self.max_radii.cpu()}
+
+    def load_state_dict(self, saved: dict[str, Tensor]) -> None:
+        """Take over what `state_dict` gave, once the rows are those of then."""
+        self._clear()
+        for name, tensor in saved.items():
+            getattr(self, name).copy_(tensor)
+
     def is_active(self, iteration: int) -> bool:
         """Whether views are still observed at this iteration."""
         return iteration < self.rules.stop

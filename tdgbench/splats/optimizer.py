@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -126,6 +127,23 @@ class Adam:
         columns = self.state.column_of(name)
         self.state.first[:, columns] = 0
         self.state.second[:, columns] = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a step depends on beside the rows, as `torch.save` takes it."""
+        return {
+            "steps": dict(self.steps),
+            "settled": self._settled,
+            "used": self._used,
+            "coefficients": torch.from_numpy(self._coefficients),
+            "drift": torch.from_numpy(self._drift),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave."""
+        self.steps = dict(saved["steps"])
+        self._settled, self._used = saved["settled"], saved["used"]
+        self._coefficients[:] = saved["coefficients"].numpy()
+        self._drift[:] = saved["drift"].numpy()
 
     def _arrays(self):
         """stride, then flat parameters and moments, bounds and clocks, as the kernels take them."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,6 +16,7 @@ from tdgbench.splats.gaussians import Gaussians
 GROWTH = 3.0  # of the room, when it is used up; memory that was never written costs nothing
 ORDER_AGAIN = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
+ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # all have one row per Gaussian, and room for more
 
 
 class TrainingState:
@@ -129,16 +132,38 @@ class TrainingState:
                 own[: self.count] = own[: self.count][order]
         self._ordered_at = self.count
 
+    def state_dict(self) -> dict[str, Any]:
+        """All rows as they lie there, lagging ones too; tensors on the CPU, which share memory where they can."""
+        return {
+            **{name: compact(getattr(self, name)[: self.count]) for name in ROWS},
+            "now": self.now,
+            "ordered_at": self._ordered_at,
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave, for Gaussians of the same layout."""
+        self.count = len(saved["_values"])
+        for name in ROWS:
+            room = _room(getattr(self, name), (max(self.count, 1), saved[name].shape[1]))
+            room[: self.count] = saved[name]
+            setattr(self, name, room)
+        self.now, self._ordered_at = saved["now"], saved["ordered_at"]
+
     def _make_room(self, count: int) -> None:
         if count <= len(self._values):
             return
         room = int(count * GROWTH)
-        for name in ("_values", "_first", "_second", "_bounds", "_clocks"):
+        for name in ROWS:
             old = getattr(self, name)
             larger = _room(old, (room, old.shape[1]))
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
+
+
+def compact(tensor: Tensor) -> Tensor:
+    """A tensor on the CPU whose storage holds itself alone, as `torch.save` writes whole storages."""
+    return torch.from_numpy(tensor.detach().cpu().numpy())
 
 
 def _room(like: Tensor, shape: tuple[int, int]) -> Tensor:

@@ -31,11 +31,13 @@ class LogLine:
 
 @dataclass
 class TrainingLog:
-    """What happened, thinned to some 200 lines."""
+    """What happened so far, thinned to some 200 lines."""
 
     lines: list[LogLine] = field(default_factory=list)
     seconds: float = 0.0
     iterations: int = 0
+    ended: bool = False
+    resumed: list[int] = field(default_factory=list)  # iterations after which it was taken up from a checkpoint
 
 
 def train(
@@ -43,21 +45,23 @@ def train(
     iterations: int,
     on_line: Callable[[LogLine], None] | None = None,
     plateau: Plateau | None = None,
-    on_step: Callable[[int, float], None] | None = None,
+    on_step: Callable[[TrainingLog], None] | None = None,
+    log: TrainingLog | None = None,
 ) -> TrainingLog:
     """Train a method that is set up, for so many iterations, or until its thermal loss is on a plateau.
 
-    on_step is told iteration and seconds so far after each step; the clock stands still meanwhile.
+    on_step is given the log after each step; the clock stands still meanwhile. log: that of the iterations which the
+    method already has behind it, to go on from.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when no
     Gaussian is left.
     """
-    log = TrainingLog()
+    log = log or TrainingLog()
     every = max(1, iterations // LOG_LINES)
-    paused = 0.0
-    smoothed: float | None = None
-    start = time.perf_counter()
-    for iteration in range(1, iterations + 1):
+    smoothed = log.lines[-1].psnr if log.lines else None
+    start = time.perf_counter() - log.seconds
+    left = range(0) if log.ended else range(log.iterations + 1, iterations + 1)
+    for iteration in left:
         models = method.models()
         for model in models.values():
             model.begin(iteration)
@@ -82,7 +86,7 @@ def train(
             smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
             line = LogLine(
                 iteration=iteration,
-                seconds=time.perf_counter() - start - paused,
+                seconds=time.perf_counter() - start,
                 loss=loss,
                 psnr=smoothed,
                 gaussians=sum(len(model) for model in models.values()),
@@ -91,14 +95,13 @@ def train(
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
+        log.iterations, log.seconds = iteration, time.perf_counter() - start
+        log.ended = ends or iteration == iterations
         if on_step is not None:
-            stopped = time.perf_counter()
-            on_step(iteration, stopped - start - paused)
-            paused += time.perf_counter() - stopped
-        if ends:
+            on_step(log)
+            start = time.perf_counter() - log.seconds
+        if log.ended:
             break
-    log.iterations = iteration
-    log.seconds = time.perf_counter() - start - paused
     return log
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -36,10 +36,22 @@ class ViewOrder:
             self._order = torch.randperm(len(self._views), generator=self._generator).tolist()
         return self._views[self._order.pop()]
 
+    def state_dict(self) -> dict[str, Any]:
+        """What is still to be drawn of this round; the random stream is the context's."""
+        return {"order": list(self._order)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave."""
+        self._order = list(saved["order"])
+
 
 @dataclass
 class Context:
-    """What a method may use: the scene, its first points, the priors (empty if it asked for none), the budget."""
+    """What a method may use: the scene, its first points, the priors (empty if it asked for none), the budget.
+
+    It hands out everything of a method that changes during training: models, view orders, random streams. So a
+    training that was killed can go on from a checkpoint.
+    """
 
     scene: Scene
     points: PointCloud
@@ -48,13 +60,15 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
-    _streams: int = field(default=0, repr=False)
+    _generators: list[torch.Generator] = field(default_factory=list, repr=False)
+    _orders: list[ViewOrder] = field(default_factory=list, repr=False)
 
     def generator(self) -> torch.Generator:
         """A new independent random stream; the same seed gives the same streams in the same order."""
-        self._streams += 1
-        state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
-        return torch.Generator().manual_seed(int(state) % 2**63)
+        number = len(self._generators) + 1
+        state = np.random.SeedSequence([self.seed, number]).generate_state(1, np.uint64)[0]
+        self._generators.append(torch.Generator().manual_seed(int(state) % 2**63))
+        return self._generators[-1]
 
     @property
     def device(self) -> torch.device:
@@ -75,7 +89,23 @@ class Context:
         )
 
     def view_order(self) -> ViewOrder:
-        return ViewOrder(self.scene.train, self.generator())
+        """The training views in an order of their own."""
+        self._orders.append(ViewOrder(self.scene.train, self.generator()))
+        return self._orders[-1]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the random streams and view orders are; models have their own."""
+        return {
+            "generators": [generator.get_state() for generator in self._generators],
+            "orders": [order.state_dict() for order in self._orders],
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave, once the method is set up."""
+        for generator, state in zip(self._generators, saved["generators"], strict=True):
+            generator.set_state(state)
+        for order, state in zip(self._orders, saved["orders"], strict=True):
+            order.load_state_dict(state)
 
 
 @dataclass

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -110,6 +111,25 @@ class SplatModel:
             skip_unseen=self.skips.unseen.allowed,
         )  # fmt: skip
         return Render(image, transmittance, depth_map)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that training changes, as `torch.save` takes it; between two iterations."""
+        return {
+            "rows": self.state.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "density": self.density.state_dict(),
+            "degree": self.degree,
+            "work": asdict(self.work),
+            "view_dependence": self.view_dependence,
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave; the random stream is the context's."""
+        self.state.load_state_dict(saved["rows"])
+        self.optimizer.load_state_dict(saved["optimizer"])
+        self.density.load_state_dict(saved["density"])
+        self.degree, self.view_dependence = saved["degree"], saved["view_dependence"]
+        self.work = Work(**saved["work"])
 
     def begin(self, iteration: int) -> None:
         """Before an iteration (1-based): raise the SH degree if it is time."""

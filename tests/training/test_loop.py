@@ -103,8 +103,8 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
     method, _ = trained(small_scene, "splat", 1)
     told = []
 
-    def look(iteration, seconds):
-        told.append((iteration, seconds))
+    def look(log):
+        told.append((log.iterations, log.seconds))
         time.sleep(0.05)
 
     log = train(method, 5, on_step=look)

@@ -18,7 +18,7 @@ from tdgbench.bench.output import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
-from tdgbench.training.loop import train
+from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -64,14 +64,15 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     moments = set(np.unique(np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)))
     rows: list[dict[str, Any]] = []
 
-    def look(iteration: int, seconds: float) -> None:
-        if iteration not in moments:
+    def look(log: TrainingLog) -> None:
+        if log.iterations not in moments:
             return
         scores = mean_scores(score_views(method, scene, scorer))
         gaussians = sum(len(model) for model in method.models().values())
         rows.append(
             {
-                "scene": scene.name, "label": run.label, "iteration": iteration, "seconds": seconds,
+                "scene": scene.name, "label": run.label, "iteration": log.iterations,
+                "seconds": log.seconds,
                 "gaussians": gaussians, **{m: scores[m] for m in METRICS},
             }
         )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,14 @@ class Plateau:
     _count: int = 0
     _best: float = field(default=float("inf"))
     _without: int = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """What was seen so far."""
+        return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without")}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take over what `state_dict` gave."""
+        vars(self).update(saved)
 
     def reached(self, iteration: int, loss: float) -> bool:
         """Take in one iteration's loss; True once it is time to stop."""
