@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
-
+from benchmarks.killed import compare, contents, run_killed
 from tdgbench.bench.record import read_all
-from tests.conftest import ROOT
 from tests.test_main import QUICK, command
 
-KILLS = 4
-SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=150")
-
-
-def contents(experiment) -> dict[str, tuple]:
-    """What must not depend on kills: everything of a record but times, memory and the machine."""
-    return {
-        r.title: (r.status, r.key, r.scores, r.hashes, r.gaussians, r.iterations, r.channels, r.views)
-        for r in read_all(experiment)
-    }
+SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=700", "checkpoint=0")
 
 
 def test_killed_and_gone_on(tmp_path, data_root):
-    sweep = ("-m", *QUICK, *SWEEP, f"data.root={data_root}")
-    calm, killed = tmp_path / "calm", tmp_path / "killed"
-    for folder in (calm, killed):
-        folder.mkdir()
-    assert command(calm, *sweep).returncode == 0
-    chance = random.Random(0)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TORCH_HOME": str(killed / "torch")}
-    made: dict[str, float] = {}
-    for _ in range(KILLS):
-        call = [sys.executable, "-m", "tdgbench", *sweep, f"results={killed / 'results'}"]
-        process = subprocess.Popen(
-            call, cwd=killed, env=environment, start_new_session=True, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        time.sleep(chance.uniform(2.0, 7.0))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        there = {str(p): p.stat().st_mtime for p in (killed / "results").rglob("record.json")}
-        assert made.items() <= there.items()  # nothing finished was lost or run again
-        made = there
-    assert command(killed, *sweep).returncode == 0
-    assert contents(killed / "results" / "single") == contents(calm / "results" / "single")
-    assert len(contents(killed / "results" / "single")) == 4
-    assert not list((killed / "results" / "single" / "cells").rglob(".*"))
+    sweep = ["-m", *QUICK, *SWEEP, f"data.root={data_root}"]
+    calm, killed = tmp_path / "results" / "single", tmp_path / "killed" / "single"
+    run = command(tmp_path, *sweep)
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert len(contents(calm)) == 4
+    kills, wrong = run_killed(sweep, killed.parent, "single", 4, (4.0, 7.0))
+    assert wrong == [] and compare(calm, killed) == []
+    assert len(kills) == 4
+    if any(kill.checkpoints for kill in kills):
+        assert any(record.resumed for record in read_all(killed))
+
+
+def test_a_difference_is_told(tmp_path, data_root):
+    quick = (*QUICK, "scene=turntable", "method=splat", f"data.root={data_root}")
+    assert command(tmp_path, *quick).returncode == 0
+    assert command(tmp_path, *quick, "seed=1", "name=other").returncode == 0
+    results = tmp_path / "results"
+    assert compare(results / "single", results / "single") == []
+    assert len(compare(results / "single", results / "other")) == 2
+    (results / "other" / "checkpoints").mkdir()
+    (results / "other" / "checkpoints" / "a.pt").touch()
+    assert any("left over" in one for one in compare(results / "other", results / "other"))

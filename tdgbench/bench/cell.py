@@ -111,7 +111,10 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
             iteration=getattr(error, "iteration", None) if isinstance(error, TrainingError) else None,
             tensor=getattr(error, "tensor", None) if isinstance(error, TrainingError) else None,
         )
-        _write_failure(cell_folder_of(experiment, record), record)
+        try:
+            _write_failure(cell_folder_of(experiment, record), record)
+        except OSError as unwritten:
+            message += f" (and its record could not be written: {unwritten})"
         return Outcome("failed", record.title, f"{stages.current}: {message}")
     finally:
         held.close()

@@ -60,9 +60,3 @@ def read_outcomes(hydra_folder: Path) -> list[Outcome]:
         number = path.parent.name
         found.append((int(number) if number.isdigit() else -1, Outcome(**json.loads(path.read_text()))))
     return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
-
-
-def clear_outcomes(hydra_folder: Path) -> None:
-    """Forget the outcomes of an earlier sweep."""
-    for path in hydra_folder.rglob(OUTCOME):
-        path.unlink()

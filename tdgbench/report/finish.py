@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
-from tdgbench.bench.job import clear_outcomes, read_outcomes
+from tdgbench.bench.job import read_outcomes
 from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
 from tdgbench.bench.record import read_all
 from tdgbench.report.page import write_report
@@ -40,7 +40,6 @@ class Finish(Callback):
         """Plan the experiment, and name every missing scene in one message before hours of work begin."""
         console = Console(stderr=True)
         experiment = Path(config.results) / config.name
-        clear_outcomes(experiment / "hydra")
         dataset = instantiate(config.dataset.loader)
         sweep = swept(config)
         try:
@@ -66,13 +65,11 @@ class Finish(Callback):
         console = Console()
         experiment = Path(config.results) / config.name
         outcomes = read_outcomes(hydra_folder)
-        tables = build_tables(experiment)
-        show(tables, console)
-        console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
-        if draw_strip(read_all(experiment), experiment, experiment / "strip.png"):
-            console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
-        page = write_report(experiment, tables)
-        console.print(f"report: {page}", highlight=False, soft_wrap=True)
+        problem = None
+        try:
+            _write_all(experiment, console)
+        except Exception as error:  # Hydra would make a warning of it and end with status 0
+            problem = f"{type(error).__name__}: {error}"
         count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "elsewhere", "failed", "missing")}
         console.print(
             f"{count['ok']} cells run, {count['kept']} already there, {count['failed']} failed, "
@@ -84,5 +81,19 @@ class Finish(Callback):
             if outcome.status == "failed":
                 message = escape(f"{outcome.title}: {outcome.message}")
                 console.print(f"[red]failed:[/red] {message}", highlight=False, soft_wrap=True)
-        if count["failed"] or count["missing"]:
+        if problem is not None:
+            message = f"tables and report are not written: {escape(problem)}; the cells are"
+            console.print(f"[red]error:[/red] {message}", highlight=False, soft_wrap=True)
+        if problem is not None or count["failed"] or count["missing"]:
             raise SystemExit(1)
+
+
+def _write_all(experiment: Path, console: Console) -> None:
+    """Tables, pictures and report of everything on disk, and where they are."""
+    tables = build_tables(experiment)
+    show(tables, console)
+    console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
+    if draw_strip(read_all(experiment), experiment, experiment / "strip.png"):
+        console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
+    page = write_report(experiment, tables)
+    console.print(f"report: {page}", highlight=False, soft_wrap=True)

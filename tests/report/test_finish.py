@@ -2,7 +2,7 @@
 
 import shutil
 
-from tests.test_main import command
+from tests.test_main import QUICK, command
 
 
 def test_a_failure_is_one_line_at_the_end_and_the_rest_is_there(tmp_path, small_scene, small_gray_scene):
@@ -21,3 +21,10 @@ def test_a_failure_is_one_line_at_the_end_and_the_rest_is_there(tmp_path, small_
     assert sum("view004.png cannot be read" in line for line in failed) == 2
     assert sum("has no RGB image" in line for line in failed) == 1
     assert (tmp_path / "results" / "single" / "strip.png").exists()
+
+
+def test_a_report_that_cannot_be_written_is_an_error(tmp_path, data_root):
+    (tmp_path / "results" / "single" / "report.html").mkdir(parents=True)  # in the way
+    run = command(tmp_path, "method=splat", "scene=turntable", f"data.root={data_root}", *QUICK)
+    assert run.returncode == 1
+    assert "1 cells run" in run.stdout and "error: tables and report are not written: IsADirectoryError" in run.stdout
