@@ -16,6 +16,7 @@ from omegaconf import DictConfig
 
 from tdgbench.bench import output
 from tdgbench.bench.environment import code_version, describe_environment, same_bytes_on
+from tdgbench.bench.gpu import a_gpu_of_its_own, visible_gpus
 from tdgbench.bench.init import InitialPoints
 from tdgbench.bench.key import cell_key, relevant_config, why_differs
 from tdgbench.bench.lock import cell_lock
@@ -91,10 +92,13 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         known = None if existing is None else _known(existing, record, cfg)
         if known is not None:
             return known
+        if training_device(cfg.backend.name).type == "cuda":
+            torch.cuda.set_device(held.enter_context(a_gpu_of_its_own(visible_gpus())))
+            record.environment = describe_environment()
         checkpoint = _checkpoint_of(cfg, record, experiment, folder)
         with PeakMemory() as memory:
             scorer, log = _train(cfg, record, scene, method, skips, stages, checkpoint)
-        record.peak_rss_mb = memory.mb
+        record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
         _write_results(record, scene, method, scorer, log, folder, stages)
         checkpoint.discard()
         why = "" if existing is None else "; ".join(why_differs(existing, record))

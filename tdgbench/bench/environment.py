@@ -10,8 +10,7 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-import torch
-
+from tdgbench.bench.gpu import describe_gpu
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd import LANES
 
@@ -37,7 +36,7 @@ def describe_environment() -> dict[str, object]:
         "cores": os.cpu_count(),
         "threads": pool.get_threads(),
         "simd_lanes": LANES,
-        "gpu": torch.cuda.get_device_name(0) if torch.cuda.is_available() else None,
+        "gpu": describe_gpu(),
         "git": git_state(),
     }
 

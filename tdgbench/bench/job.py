@@ -42,9 +42,11 @@ def run_job(cfg: DictConfig) -> None:
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
     """Threads of one cell when a launcher runs several at once, so that together they use the cores once.
 
-    joblib says how many workers there are (a negative number: as many as cores), submitit how many cores each gets.
-    None: the cell has the machine to itself.
+    joblib says how many workers there are (a negative number: as many as cores), submitit and ray how many cores each
+    gets. None: the cell has the machine to itself.
     """
+    if launcher.get("ray") is not None:
+        return max(1, int(launcher.ray.remote.get("num_cpus", 1)))
     if launcher.get("cpus_per_task") is not None:
         return int(launcher.cpus_per_task)
     if launcher.get("n_jobs") is not None:

@@ -1,10 +1,12 @@
-"""The peak memory of one cell, though many cells run in one process."""
+"""The peak memory of one cell, on the machine and on its GPU, though many cells run in one process."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
 from pathlib import Path
+
+import torch
 
 STATUS = Path("/proc/self/status")
 SAMPLE_SECONDS = 0.02
@@ -14,16 +16,21 @@ ROUNDING_MB = 16.0
 class PeakMemory:
     """Largest resident size (MB) between entering and leaving; `mb` is None where the platform does not tell.
 
+    `gpu_mb` is the largest size of what torch held of the GPU in use; None without one.
+
     Linux keeps the peak itself and lets a process reset it; where the reset has no effect (some sandboxes), a thread
     samples the current size instead.
     """
 
     def __init__(self) -> None:
         self.mb: float | None = None
+        self.gpu_mb: float | None = None
         self._stop = threading.Event()
         self._sampler: threading.Thread | None = None
 
     def __enter__(self) -> PeakMemory:
+        if torch.cuda.is_available():
+            torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
         peak, now = _read("VmHWM"), _read("VmRSS")
@@ -34,6 +41,8 @@ class PeakMemory:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if torch.cuda.is_available():
+            self.gpu_mb = round(torch.cuda.max_memory_reserved() / 2**20, 1)
         if self._sampler is not None:
             self._stop.set()
             self._sampler.join()

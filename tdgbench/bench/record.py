@@ -53,6 +53,7 @@ class Record:
     seconds: dict[str, float] = field(default_factory=dict)
     gaussians: dict[str, int] = field(default_factory=dict)
     peak_rss_mb: float | None = None  # of the process that finished the cell
+    peak_gpu_mb: float | None = None  # what torch held of the GPU; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
     backend: str = ""

@@ -179,7 +179,7 @@ def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
         commit = git.get("commit", "not from a checkout") + (" with changes" if git.get("dirty") else "")
         rows = [
             ("processor", f"{e.get('cpu')}, {e.get('cores')} cores, {e.get('threads')} threads"),
-            ("GPU", str(e.get("gpu") or "none")),
+            ("GPU", ", ".join(f"{name} {value}" for name, value in (e.get("gpu") or {}).items()) or "none"),
             ("platform", f"{e.get('platform')}, Python {e.get('python')}"),
             ("packages", packages),
             ("commit", commit),

@@ -18,7 +18,7 @@ def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
 @pytest.mark.parametrize(
     ("launcher", "threads"),
     [({}, None), ({"n_jobs": 2}, 4), ({"n_jobs": -1}, 1), ({"n_jobs": 16}, 1), ({"n_jobs": 3}, 2),
-     ({"cpus_per_task": 3}, 3)],
+     ({"cpus_per_task": 3}, 3), ({"ray": {"remote": {}}}, 1), ({"ray": {"remote": {"num_cpus": 4}}}, 4)],
 )  # fmt: skip
 def test_workers_share_the_cores(launcher, threads):
     assert worker_threads(OmegaConf.create(launcher), 8) == threads

@@ -1,6 +1,11 @@
-"""Two workers at once, each in a process of its own."""
+"""Two workers at once, each in a process of its own; on a cluster as far as one can go without it."""
 
 from __future__ import annotations
+
+import os
+import re
+import sys
+import textwrap
 
 import pytest
 
@@ -8,21 +13,78 @@ from tdgbench.bench.record import read_all
 from tdgbench.splats.cpu import pool
 from tests.test_main import QUICK, command
 
+CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
+
 
 @pytest.mark.parametrize(
     ("launcher", "options", "threads"),
     [
         ("joblib", ("hydra.launcher.n_jobs=2",), max(1, pool.available_cores() // 2)),
         ("submitit_local", ("hydra.launcher.timeout_min=10", "hydra.launcher.cpus_per_task=1"), 1),
+        ("ray", ("hydra.launcher.ray.init.num_cpus=2",), 1),
     ],
 )
 def test_cells_side_by_side(tmp_path, data_root, launcher, options, threads):
     pytest.importorskip(f"hydra_plugins.hydra_{launcher.split('_')[0]}_launcher")
-    sweep = ("-m", f"hydra/launcher={launcher}", *options, "method=splat,tdg", "scene=turntable",
-             f"data.root={data_root}", *QUICK)  # fmt: skip
-    run = command(tmp_path, *sweep)
+    options = tuple(f"+{o}" if launcher == "ray" else o for o in options)
+    run = command(tmp_path, "-m", f"hydra/launcher={launcher}", *options, f"data.root={data_root}", *CELLS)
     assert run.returncode == 0, run.stderr[-3000:]
     assert "2 cells run" in run.stdout
     records = read_all(tmp_path / "results" / "single")
     assert [r.status for r in records] == ["ok", "ok"]
     assert {r.environment["threads"] for r in records} == {threads}
+
+
+SBATCH = """
+    # Keeps the script and runs the tasks of its array at once, as a cluster with free nodes would.
+    import os, re, subprocess, sys
+    from pathlib import Path
+    script = Path(sys.argv[-1]).read_text()
+    Path(os.environ["SLURM_STANDS_IN"], "script.sh").write_text(script)
+    last = int(re.search(r"#SBATCH --array=0-([0-9]+)", script).group(1))
+    for task in range(last + 1):
+        own = {
+            "SLURM_JOB_ID": str(77 + task), "SLURM_ARRAY_JOB_ID": "77", "SLURM_ARRAY_TASK_ID": str(task),
+            "SLURM_PROCID": "0", "SLURM_LOCALID": "0", "SLURM_NODEID": "0", "SLURM_NTASKS": "1",
+            "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "here",
+        }
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        subprocess.Popen(["bash", "-c", script], env={**os.environ, **own}, start_new_session=True, **quiet)
+    print("Submitted batch job 77")
+"""
+SRUN = """
+    import os, sys
+    command = sys.argv[1:]
+    while command[0].startswith("--"):
+        command = command[1 if command[0] == "--unbuffered" else 2 :]
+    os.execvp(command[0], command)
+"""
+SACCT = """
+    print("JobID|State|NodeList")
+    print("77_0|RUNNING|here")
+    print("77_1|RUNNING|here")
+"""
+
+
+def test_slurm_by_its_script(tmp_path, data_root, monkeypatch):
+    """The script that would be submitted asks for what the options say, and does the cells when it runs."""
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, text in (("sbatch", SBATCH), ("srun", SRUN), ("sacct", SACCT)):
+        (programs / name).write_text(f"#!{sys.executable}\n{textwrap.dedent(text)}")
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("SLURM_STANDS_IN", str(tmp_path))
+    launcher = ("cpus_per_task=1", "timeout_min=600", "gpus_per_node=1", "partition=gpu", "array_parallelism=2",
+                "max_num_timeout=3")  # fmt: skip
+    run = command(
+        tmp_path, "-m", "hydra/launcher=submitit_slurm", *(f"hydra.launcher.{o}" for o in launcher),
+        f"data.root={data_root}", *CELLS,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert "2 cells run" in run.stdout
+    assert {r.environment["threads"] for r in read_all(tmp_path / "results" / "single")} == {1}
+    asked = dict(re.findall(r"^#SBATCH --([a-z-]+)=(.*)$", (tmp_path / "script.sh").read_text(), re.MULTILINE))
+    assert (asked["cpus-per-task"], asked["time"], asked["gpus-per-node"]) == ("1", "600", "1")
+    assert (asked["partition"], asked["array"]) == ("gpu", "0-1%2")
