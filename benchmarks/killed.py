@@ -14,12 +14,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tdgbench.bench.record import FILE, Record, read_all
 
 ROOT = Path(__file__).resolve().parents[1]
+MAY_DIFFER = ("seconds", "peak_rss_mb", "peak_gpu_mb", "environment", "resumed")
 
 
 @dataclass
@@ -31,13 +32,16 @@ class Kill:
     checkpoints: int
 
 
-def contents(experiment: Path) -> dict[str, tuple[object, ...]]:
-    """What must not depend on kills, by cell: everything of a record but times, memory and the machine."""
+def contents(experiment: Path) -> dict[str, dict[str, object]]:
+    """What must not depend on kills, by cell: everything of a record but times, memory, the machine, and whether a
+    prior was in the cache."""
     return {record.title: _content(record) for record in read_all(experiment)}
 
 
-def _content(r: Record) -> tuple[object, ...]:
-    return r.status, r.key, r.scores, r.hashes, r.gaussians, r.iterations, r.channels, r.views, r.skips
+def _content(record: Record) -> dict[str, object]:
+    content = {name: value for name, value in asdict(record).items() if name not in MAY_DIFFER}
+    content["skips"] = [skip for skip in record.skips if skip["name"] != "prior"]
+    return content
 
 
 def start(sweep: list[str], results: Path) -> subprocess.Popen[bytes]:
@@ -77,7 +81,9 @@ def run_killed(sweep: list[str], results: Path, name: str, kills: int, pause: tu
 def compare(calm: Path, killed: Path) -> list[str]:
     """How a killed experiment differs from one that was left alone, and what it left lying about."""
     a, b = contents(calm), contents(killed)
-    wrong = [f"{title} differs" for title in sorted({*a, *b}) if a.get(title) != b.get(title)]
+    wrong = [f"{title} is only in one of them" for title in sorted(set(a) ^ set(b))]
+    for title in sorted(set(a) & set(b)):
+        wrong += [f"{title}: {name} differs" for name, value in a[title].items() if b[title][name] != value]
     left = [*(killed / "cells").rglob(".*"), *(killed / "checkpoints").glob("*")]
     return wrong + [f"{path} is left over" for path in left]
 
@@ -85,7 +91,7 @@ def compare(calm: Path, killed: Path) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.killed", description=__doc__)
     parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--pause", type=float, nargs=2, default=(5.0, 40.0), help="shortest and longest, in seconds")
+    parser.add_argument("--pause", type=float, nargs=2, default=(5.0, 30.0), help="shortest and longest, in seconds")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     parser.add_argument("--name", default="demo", help="the experiment's folder")
     parser.add_argument("sweep", nargs="*", default=["+experiment=demo", "checkpoint=2"], help="Hydra overrides")

@@ -28,7 +28,14 @@ def test_a_difference_is_told(tmp_path, data_root):
     assert command(tmp_path, *quick, "seed=1", "name=other").returncode == 0
     results = tmp_path / "results"
     assert compare(results / "single", results / "single") == []
-    assert len(compare(results / "single", results / "other")) == 2
+    assert len(compare(results / "single", results / "other")) == 2  # each has a cell that the other has not
+    record = read_all(results / "other")[0]
+    record.seed, record.experiment = 0, "single"
+    record.write(results / "other" / "cells" / "splat" / "synthetic" / "turntable" / "colmap" / "seed1")
+    assert {one.split(": ")[1].split()[0] for one in compare(results / "single", results / "other")} >= {
+        "hashes",
+        "key",
+    }
     (results / "other" / "checkpoints").mkdir()
     (results / "other" / "checkpoints" / "a.pt").touch()
     assert any("left over" in one for one in compare(results / "other", results / "other"))

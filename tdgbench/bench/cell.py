@@ -258,6 +258,8 @@ def _write_results(
                 view.name: scorer.score(scene, view, image, depth)
                 for view, (image, depth) in zip(scene.test, renders, strict=True)
             }
+        with stages("score_train"):
+            record.train_scores = output.score_training_views(method, scene, scorer)
         record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
         with stages("write"):
             for name, model in method.models().items():

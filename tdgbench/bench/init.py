@@ -16,7 +16,7 @@ class InitialPoints(Protocol):
         """The points of a scene. Raises SceneError."""
 
     def describe(self, scene: Scene) -> dict[str, object]:
-        """What the record says about them."""
+        """What the record says about them: kind, number, and how they were made."""
 
 
 class ColmapPoints:
@@ -28,7 +28,8 @@ class ColmapPoints:
         return scene.points
 
     def describe(self, scene: Scene) -> dict[str, object]:
-        return {"kind": "colmap", "points": 0 if scene.points is None else len(scene.points.points)}
+        count = 0 if scene.points is None else len(scene.points.points)
+        return {"kind": "colmap", "points": count, "how": "the sparse points of the COLMAP model"}
 
 
 class RandomPoints:
@@ -46,7 +47,11 @@ class RandomPoints:
         return PointCloud(points, rng.uniform(0, 1, (self.count, 3)).astype(np.float32))
 
     def describe(self, scene: Scene) -> dict[str, object]:
-        return {"kind": "random", "points": self.count, "box": self._box(scene).tolist()}
+        how = (
+            f"{self.count} points, uniform in a cube of half side {self.half_side:g} × extent around the mean training "
+            "camera, with random colours"
+        )
+        return {"kind": "random", "points": self.count, "box": self._box(scene).tolist(), "how": how}
 
     def _box(self, scene: Scene) -> np.ndarray:
         centre = np.mean([view.camera.center for view in scene.train], axis=0)

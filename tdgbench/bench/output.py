@@ -18,7 +18,7 @@ from PIL import Image
 
 from tdgbench.files import to_disk, write_text
 from tdgbench.scenes import Camera, Scene, View
-from tdgbench.scoring import METRICS, Scorer, to_8bit
+from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores, to_8bit
 from tdgbench.splats import Gaussians
 from tdgbench.splats.rasterization import render_view
 from tdgbench.splats.view import RenderedView
@@ -72,6 +72,12 @@ def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple
 def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
     """The scores of a scene's test views as the method renders them now."""
     return {view.name: scorer.score(scene, view, *_seen(method, view)) for view in scene.test}
+
+
+def score_training_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, float | None]:
+    """Mean PSNR and SSIM of the training views: far above those of the test views where a model overfits."""
+    scores = {view.name: scorer.score_train(view, _seen(method, view)[0]) for view in scene.train}
+    return mean_scores(scores, TRAIN_METRICS)
 
 
 def _seen(method: Method, view: View) -> tuple[np.ndarray, np.ndarray]:

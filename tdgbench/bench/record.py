@@ -49,6 +49,7 @@ class Record:
     temperature: list[float] | None = None  # °C that image values 0 and 1 stand for, where they do
     views: dict[str, int] = field(default_factory=dict)
     scores: dict[str, float | None] = field(default_factory=dict)
+    train_scores: dict[str, float | None] = field(default_factory=dict)  # of the training views
     missing: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     gaussians: dict[str, int] = field(default_factory=dict)

@@ -17,11 +17,18 @@ from tdgbench.bench.output import read_cameras
 from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.report import views
-from tdgbench.tables.build import Tables
-from tdgbench.tables.results import METRICS, decimals, method_label
+from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
+from tdgbench.tables.results import METRICS, OVERALL, decimals, method_label
 
 FILE = "report.html"
-TITLES = {"psnr": "PSNR ↑", "ssim": "SSIM ↑", "lpips": "LPIPS ↓", "hours": "time, h ↓"}
+TITLES = {
+    "psnr": "PSNR ↑",
+    "ssim": "SSIM ↑",
+    "lpips": "LPIPS ↓",
+    "hours": "time, h ↓",
+    "train_psnr": "PSNR ↑, training views",
+    "train_ssim": "SSIM ↑, training views",
+}
 CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians": "Gaussians"}
 
 
@@ -63,12 +70,12 @@ def write_report(experiment: Path, tables: Tables) -> Path:
 
 def _table(tables: Tables) -> dict[str, Any]:
     """Columns, and rows of cells: text, value to sort by, whether bold, difference to the published number, verdict."""
-    keys = ["method", "dataset", "scene", "metric"]
+    keys = ["method", "dataset", "scene", "metric"] if tables.kind == "main" else ABLATION_KEYS
     published = {}
-    if tables.difference is not None and tables.kind == "main":
+    if tables.difference is not None:
         published = {tuple(getattr(r, k) for k in keys): r for r in tables.difference.itertuples()}
-    metrics = [m for m in METRICS if m in set(tables.main["metric"])]
-    rows = []
+    metrics = list(METRICS if tables.kind == "main" else ABLATION_METRICS)
+    titles, rows = [TITLES[m] for m in metrics], []
     if tables.kind == "main":
         values = {tuple(getattr(r, k) for k in keys): r for r in tables.main.itertuples()}
         places = tables.main[["dataset", "scene", "method"]].drop_duplicates()
@@ -81,10 +88,14 @@ def _table(tables: Tables) -> dict[str, Any]:
                     "cells": [_number(values[key], published.get(key)) for key in own],
                 }
             )
-        return {"heads": ["data set", "scene", "method"], "metrics": [TITLES[m] for m in metrics], "rows": rows}
-    for (method, init), own in tables.main.groupby(["method", "init"], sort=False):
-        rows.append({"head": [method, init], "cells": [_number(r, None) for r in own.assign(scene="").itertuples()]})
-    return {"heads": ["method", "first points"], "metrics": [TITLES[m] for m in metrics], "rows": rows}
+        return {"heads": ["data set", "scene", "method"], "metrics": titles, "rows": rows, "notes": []}
+    for (method, init), own in tables.main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
+        by_metric = {row.metric: row for row in own.itertuples()}
+        cells = [_number(by_metric[m], published.get((method, init, m))) for m in metrics]
+        rows.append({"head": [method, init], "cells": cells})
+    hows = tables.main.groupby("init", sort=False)["points"].first()
+    notes = [f"{init}: {how}" for init, how in hows.items() if how]
+    return {"heads": ["method", "first points"], "metrics": titles, "rows": rows, "notes": notes}
 
 
 def _number(row: Any, published: Any) -> dict[str, Any]:

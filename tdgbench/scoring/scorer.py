@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from tdgbench.scoring.psnr import psnr
 from tdgbench.scoring.ssim import Border, ssim
 
 METRICS = ("psnr", "ssim", "lpips", "mae_degC", "depth_abs_rel")
+TRAIN_METRICS = ("psnr", "ssim")
 
 
 @dataclass(frozen=True)
@@ -58,15 +59,20 @@ class Scorer:
 
         rendered: (H, W, C) uint8. depth: (H, W) expected z, 0 where nothing was rendered.
         """
-        image = rendered.astype(np.float32) / np.float32(255)
-        target = to_8bit(view.thermal).astype(np.float32) / np.float32(255)
+        image, target = _pair(rendered, view)
         return {
-            "psnr": psnr(image, target),
-            "ssim": ssim(image, target, self.ssim_border),
+            **self._cheap(image, target),
             "lpips": self.lpips(image, target),
             "mae_degC": self._mae_degC(scene, image, target),
             "depth_abs_rel": self._depth_abs_rel(view, depth),
         }
+
+    def score_train(self, view: View, rendered: np.ndarray) -> dict[str, float | None]:
+        """PSNR and SSIM alone, which tell a training view's score from a test view's well enough."""
+        return self._cheap(*_pair(rendered, view))
+
+    def _cheap(self, image: np.ndarray, target: np.ndarray) -> dict[str, float | None]:
+        return {"psnr": psnr(image, target), "ssim": ssim(image, target, self.ssim_border)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float | None:
         """LPIPS of two images (H, W, C) in [0, 1]; None without a backbone."""
@@ -93,10 +99,17 @@ class Scorer:
         return float((np.abs(depth - truth) / truth).mean())
 
 
-def mean_scores(views: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
+def _pair(rendered: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """A render (uint8) and its view's thermal image as 8-bit images in [0, 1]."""
+    return tuple(p.astype(np.float32) / np.float32(255) for p in (rendered, to_8bit(view.thermal)))  # type: ignore[return-value]
+
+
+def mean_scores(
+    views: Mapping[str, Mapping[str, float | None]], metrics: Sequence[str] = METRICS
+) -> dict[str, float | None]:
     """Mean over the views of each metric; None where any view lacks it."""
     means: dict[str, float | None] = {}
-    for metric in METRICS:
+    for metric in metrics:
         values = [scores.get(metric) for scores in views.values()]
         present = [v for v in values if v is not None]
         means[metric] = float(np.mean(present)) if values and len(present) == len(values) else None

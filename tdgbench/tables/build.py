@@ -19,6 +19,7 @@ from tdgbench.tables.results import (
     KEYS,
     METHOD_ORDER,
     OVERALL,
+    TRAIN_METRICS,
     scene_rows,
     with_averages,
     with_bold,
@@ -26,7 +27,8 @@ from tdgbench.tables.results import (
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios, verdict
 
 INITS = ("random", "colmap")
-ABLATION_METRICS = ("psnr", "ssim")
+ABLATION_METRICS = ("psnr", "ssim", *TRAIN_METRICS)
+ABLATION_KEYS = ["method", "init", "metric"]
 
 
 @dataclass
@@ -50,14 +52,14 @@ def build_tables(experiment: Path) -> Tables:
     folder = experiment / "tables"
     if plan.table == "ablation":
         main = ablation_rows(records, plan)
-        against = difference(main, published_ablation(), ["method", "init", "metric"])
+        against = with_verdicts(difference(main, published_ablation(), ABLATION_KEYS), main, ABLATION_KEYS)
         tables = Tables("ablation", main, ablation_table(main), against, folder)
     elif plan.table == "main":
         bold = with_bold(with_averages(scene_rows(records, plan)))
         main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
         main = main.merge(intervals(records, experiment), on=KEYS, how="left")
         of_paper = main["dataset"].isin(DATASETS.values()).any()
-        against = with_verdicts(difference(main, published_main(), KEYS), main) if of_paper else None
+        against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
         tables = Tables("main", main, main_table(main), against, folder, paired_tests(main), speed_table(main))
     else:
         raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main or ablation")
@@ -72,13 +74,14 @@ def build_tables(experiment: Path) -> Tables:
     return tables
 
 
-def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
+def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """The differences with std and number of seeds of ours, and the verdict on each published number."""
-    merged = differences.merge(main[[*KEYS, "std", "seeds"]], on=KEYS, how="left")
+    merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
     merged["verdict"] = [
-        verdict(r.metric, r.scene, r.ours, r.published, r.std, r.seeds) for r in merged.itertuples()
-    ]  # fmt: skip
+        verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
+        for r in merged.itertuples()
+    ]
     return merged
 
 
@@ -108,20 +111,22 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
-    """method, init, metric, value, bold, reason: means over all scenes, per init; the better init is bold."""
+    """method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init; the better init
+    is bold. points: how the first points were made. The training views' scores show what overfits."""
     parts = []
     for init in INITS:
         rows = with_averages(scene_rows(records, plan, init))
+        rows = rows.merge(over_seeds([r for r in records if r.init == init], plan, init), on=KEYS, how="left")
+        hows = dict.fromkeys(r.init_points["how"] for r in records if r.init == init and "how" in r.init_points)
         names = set(rows["dataset"]) - {""}
         chosen = rows[rows["scene"] == (OVERALL if len(names) > 1 else "Average")]
-        parts.append(chosen[chosen["metric"].isin(ABLATION_METRICS)].assign(init=init))
+        parts.append(chosen[chosen["metric"].isin(ABLATION_METRICS)].assign(init=init, points="; ".join(hows)))
     table = pd.concat(parts, ignore_index=True)
     order = {m: i for i, m in enumerate((*METHOD_ORDER, *table["method"].unique()[::-1]))}
     table = table.sort_values("method", key=lambda c: c.map(order), kind="stable").reset_index(drop=True)
-    best = table.groupby(["method", "metric"])["value"].transform("max")
-    alone = table.groupby(["method", "metric"])["value"].transform("count") > 1
-    table["bold"] = (table["value"] == best) & alone
-    return table[["method", "init", "metric", "value", "bold", "reason"]]
+    groups = table.groupby(["method", "metric"])["value"]
+    table["bold"] = (table["value"] == groups.transform("max")) & (groups.transform("nunique") > 1)
+    return table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason"]]
 
 
 def to_csv(table: pd.DataFrame) -> str:

@@ -62,23 +62,32 @@ def main_table(rows: pd.DataFrame) -> str:
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
-    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2; rows: method, init, metric, value, bold."""
+    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, and those of the training views beside them.
+
+    rows: method, init, metric, value, bold, points.
+    """
+    hows = rows.groupby("init", sort=False)["points"].first()
     lines = [
-        r"\begin{tabular}{lccc}",
+        *(f"% {init}: {how}" for init, how in hows.items() if how),
+        r"\begin{tabular}{lcccc}",
         r"\toprule",
-        r" & Random & COLMAP & PSNR / SSIM \\",
+        r" & Random & COLMAP & PSNR / SSIM & training views \\",
     ]
     for method, own in rows.groupby("method", sort=False):
         lines.append(r"\midrule")
         for init in dict.fromkeys(own["init"]):
             values = own[own["init"] == init].set_index("metric")
-            psnr, ssim = (_number(values.loc[m, "value"], d, False) for m, d in (("psnr", 2), ("ssim", 4)))
-            text = f"{psnr} / {ssim}"
-            if bool(values["bold"].any()):
-                text = rf"\textbf{{{text}}}"
             marks = " & ".join(r"$\checkmark$" if init == i else r"$\times$" for i in ("random", "colmap"))
-            lines.append(f"{_method(str(method))} & {marks} & {text} \\\\")
+            pairs = " & ".join(_pair(values, part) for part in ("", "train_"))
+            lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _pair(values: pd.DataFrame, part: str) -> str:
+    """PSNR / SSIM of test views or, with the part `train_`, of training views; bold if one of them is."""
+    names = [f"{part}psnr", f"{part}ssim"]
+    text = " / ".join(_number(values.loc[name, "value"], decimals(name, OVERALL), False) for name in names)
+    return rf"\textbf{{{text}}}" if bool(values.loc[names, "bold"].any()) else text
 
 
 def _method(label: str) -> str:

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from tdgbench.tables.build import Tables
+from tdgbench.tables.build import ABLATION_METRICS, Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.results import METRICS, decimals
+from tdgbench.tables.results import METRICS, OVERALL, decimals
 from tdgbench.tables.statistics import BETTER, REPRODUCED, WORSE
 from tdgbench.tables.statistics import UNDECIDED as NOT_SAID
 
@@ -107,12 +107,15 @@ def _text(value: float, metric: str, scene: str) -> str:
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:
-    table = Table("method", "init", "PSNR↑", "SSIM↑")
+    table = Table("method", "first points", "PSNR↑", "SSIM↑", "PSNR↑, training views", "SSIM↑, training views")
     for (method, init), own in tables.main.groupby(["method", "init"], sort=False):
         values = own.set_index("metric")["value"]
-        texts = ["n/a" if np.isnan(values[m]) else f"{values[m]:.{d}f}" for m, d in (("psnr", 2), ("ssim", 4))]
+        texts = ["n/a" if np.isnan(values[m]) else _text(values[m], m, OVERALL) for m in ABLATION_METRICS]
         table.add_row(method, init, *texts)
     console.print(table)
+    for init, how in tables.main.groupby("init", sort=False)["points"].first().items():
+        if how:
+            console.print(f"{init}: {how}", highlight=False, soft_wrap=True)
 
 
 def _show_reasons(tables: Tables, console: Console) -> None:

@@ -19,6 +19,7 @@ from tdgbench.tables.results import (
     HIGHER_IS_BETTER,
     KEYS,
     OVERALL,
+    TRAIN_METRICS,
     decimals,
     method_label,
     scene_rows,
@@ -31,10 +32,10 @@ COVERAGE = 0.95
 REPRODUCED, BETTER, WORSE, UNDECIDED = "reproduced", "better", "worse", "undecided"
 
 
-def over_seeds(records: list[Record], plan: Plan) -> pd.DataFrame:
+def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
     """KEYS, seeds, std: the sample standard deviation over seeds of each number, averages included (NaN below two)."""
     seeds = sorted({record.seed for record in records})
-    parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan)) for seed in seeds]
+    parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan, init)) for seed in seeds]
     if not parts:
         return pd.DataFrame(columns=[*KEYS, "seeds", "std"])
     grouped = pd.concat(parts, ignore_index=True).groupby(KEYS, sort=False)["value"]
@@ -125,7 +126,7 @@ def paired_tests(main: pd.DataFrame) -> pd.DataFrame:
     """metric, scenes, better, p: Wilcoxon's signed-rank test over scenes that TDg beats MSMG (one-sided)."""
     single = main[~main["scene"].isin((AVERAGE, OVERALL))]
     rows = []
-    for metric, own in single.groupby("metric", sort=False):
+    for metric, own in single[~single["metric"].isin(TRAIN_METRICS)].groupby("metric", sort=False):
         wide = own.pivot_table(index=["dataset", "scene"], columns="method", values="value", sort=False)
         if not {"tdg", "msmg"} <= set(wide):
             continue

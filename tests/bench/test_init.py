@@ -10,7 +10,8 @@ from tdgbench.scenes import SceneError
 def test_colmap(small_scene):
     init = ColmapPoints()
     assert init.points(small_scene) is small_scene.points
-    assert init.describe(small_scene) == {"kind": "colmap", "points": len(small_scene.points.points)}
+    said = init.describe(small_scene)
+    assert (said["kind"], said["points"]) == ("colmap", len(small_scene.points.points))
     with pytest.raises(SceneError, match="use init=random"):
         init.points(dataclasses.replace(small_scene, points=None))
 
@@ -19,6 +20,7 @@ def test_random_points_fill_their_cube(small_scene):
     init = RandomPoints(5000, 2.0, seed=0)
     cloud = init.points(small_scene)
     low, high = np.array(init.describe(small_scene)["box"])
+    assert "5000 points, uniform in a cube of half side 2 × extent" in init.describe(small_scene)["how"]
     assert np.allclose(high - low, 4 * small_scene.extent)
     assert (cloud.points >= low).all() and (cloud.points <= high).all()
     assert np.allclose(cloud.points.mean(axis=0), (low + high) / 2, atol=0.1 * small_scene.extent)

@@ -31,6 +31,14 @@ def test_gray_scene(small_gray_scene):
     assert values["lpips"] is None and "download is false" in scoring.missing["lpips"]
 
 
+def test_training_views_get_the_cheap_scores(small_gray_scene):
+    view = small_gray_scene.train[0]
+    wrong = to_8bit(view.thermal) // 2
+    scoring = scorer()
+    full = scoring.score(small_gray_scene, view, wrong, view.true_depth)
+    assert scoring.score_train(view, wrong) == {m: full[m] for m in ("psnr", "ssim")}
+
+
 def test_pseudo_color_has_no_temperature(small_scene):
     view = small_scene.test[0]
     scoring = scorer()

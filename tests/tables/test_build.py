@@ -64,12 +64,20 @@ def test_ablation(tmp_path):
         for init in ("random", "colmap"):
             for s in SCENES:
                 scores = {m: float(values[method, init, m]) for m in ("psnr", "ssim")}
-                write(tmp_path, method, s.name, DATASETS[s.dataset], s.group, init, scores=scores)
+                overfit = {"psnr": 40.0 if init == "random" else 30.0, "ssim": 0.9}
+                points = {"how": "somewhere"} if init == "random" else {}
+                write(
+                    tmp_path, method, s.name, DATASETS[s.dataset], s.group, init, scores=scores, train_scores=overfit,
+                    init_points=points,
+                )  # fmt: skip
     Plan("ablation").write(tmp_path)
     tables = build_tables(tmp_path)
-    assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 8
-    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} \\" in tables.latex
-    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 \\" in tables.latex
+    assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 16
+    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} & 30.00 / 0.9000 \\" in tables.latex
+    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 & \textbf{40.00 / 0.9000} \\" in tables.latex
+    assert "% random: somewhere" in tables.latex
+    assert (tables.main[tables.main["init"] == "random"]["points"] == "somewhere").all()
+    assert (tables.difference["verdict"] == "undecided").all()
 
 
 def test_ablation_with_a_missing_scene_is_na(tmp_path):

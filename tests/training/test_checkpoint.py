@@ -17,7 +17,7 @@ ITERATIONS = 60
 RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)
 
 
-class Killed(Exception):
+class KilledError(Exception):
     pass
 
 
@@ -68,10 +68,10 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
             checkpoint.after_step(log)
             checkpoint._next = 0.0
             if log.iterations == stop < ITERATIONS:
-                raise Killed
+                raise KilledError
 
         if stop < ITERATIONS:
-            with pytest.raises(Killed):
+            with pytest.raises(KilledError):
                 train(method, ITERATIONS, plateau=plateau, on_step=killed, log=log)
         else:
             log = train(method, ITERATIONS, plateau=plateau, on_step=killed, log=log)
