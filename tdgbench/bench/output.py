@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from tdgbench.bench.record import Record
 from tdgbench.files import to_disk, write_text
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores, to_8bit
@@ -24,6 +25,14 @@ from tdgbench.splats.rasterization import render_view
 from tdgbench.splats.view import RenderedView
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
+
+
+def cell_folder_of(experiment: Path, record: Record) -> Path:
+    """<experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<other overrides>]."""
+    last = f"seed{record.seed}" + (f",{record.variant}" if record.variant else "")
+    parts = [record.method, record.dataset or "unknown", record.scene, record.init, last]
+    safe = ["".join(c if c.isalnum() or c in "-_.,=+" else "_" for c in part) for part in parts]
+    return experiment / "cells" / Path(*safe)
 
 
 def short_name(experiment: Path, folder: Path) -> str:

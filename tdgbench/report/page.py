@@ -12,8 +12,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from tdgbench.bench.cell import cell_folder_of
-from tdgbench.bench.output import read_cameras
+from tdgbench.bench.output import cell_folder_of, read_cameras
 from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.report import views

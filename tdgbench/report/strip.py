@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tdgbench.bench.cell import cell_folder_of
+from tdgbench.bench.output import cell_folder_of
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import save_figure
 

@@ -7,8 +7,9 @@ from PIL import Image
 from rich.console import Console
 
 from methods.splat import Splat
-from tdgbench.bench.cell import cell_folder_of, run_cell
+from tdgbench.bench.cell import run_cell
 from tdgbench.bench.lock import cell_lock
+from tdgbench.bench.output import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.splats.ply import load_ply

@@ -1,0 +1,67 @@
+"""The stages of a cell beyond what test_cell.py sees from outside."""
+
+import pytest
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import read_all
+from tdgbench.training import checkpoint as checkpoints
+from tests.conftest import SMALL, config
+
+ITERATIONS = 40
+
+
+@pytest.fixture
+def run(data_root):
+    def cell(results, *overrides):
+        cfg = config(
+            *SMALL, "budget=demo", f"budget.iterations={ITERATIONS}", "prior=synthetic", f"data.root={data_root}",
+            f"results={results}", *overrides,
+        )  # fmt: skip
+        return run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+
+    return cell
+
+
+class PulledPlugError(BaseException):
+    """Nothing catches it, as nothing catches SIGKILL."""
+
+
+def killed_at(iteration, monkeypatch):
+    """Every checkpoint is written; the process ends after that of an iteration."""
+    after_step = checkpoints.Checkpoint.after_step
+
+    def write_and_die(self, log):
+        self._next = 0.0
+        after_step(self, log)
+        if log.iterations == iteration:
+            raise PulledPlugError
+
+    monkeypatch.setattr(checkpoints.Checkpoint, "after_step", write_and_die)
+
+
+def test_a_killed_cell_goes_on(run, tmp_path, monkeypatch):
+    assert run(tmp_path / "calm").status == "ok"
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at(23, patch)
+        run(tmp_path / "killed", "checkpoint=0")
+    assert len(list((tmp_path / "killed" / "single" / "checkpoints").iterdir())) == 1
+    assert run(tmp_path / "killed").status == "ok"
+    (calm,), (killed,) = (read_all(tmp_path / name / "single") for name in ("calm", "killed"))
+    assert (calm.resumed, killed.resumed) == ([], [23])
+    assert (calm.key, calm.hashes, calm.scores) == (killed.key, killed.hashes, killed.scores)
+    assert not list((tmp_path / "killed" / "single" / "checkpoints").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "noted"), [("overwrite=always", False), ("method.method.lambda_ssim=0.3", True)]
+)  # fmt: skip
+def test_a_checkpoint_of_other_settings_is_not_used(run, tmp_path, monkeypatch, change, noted):
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at(5, patch)
+        run(tmp_path, "checkpoint=0")
+    assert run(tmp_path, change).status == "ok"
+    (record,) = read_all(tmp_path / "single")
+    assert record.resumed == []
+    assert any("not used: other settings, data or code" in note for note in record.notes) == noted
