@@ -9,7 +9,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
+from rich.console import Console
 
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import ReadOptions, Scene
 from tdgbench.scenes.synthetic import SyntheticDataset
 
@@ -71,6 +74,19 @@ SMALL = (
     "dataset.loader.points=300",
     "metrics.lpips.download=false",
 )
+
+
+@pytest.fixture(scope="session")
+def small_results(tmp_path_factory, data_root) -> Path:
+    """An experiment's folder with three finished cells, gray and coloured, and a failed one; only to be read."""
+    results = tmp_path_factory.mktemp("results")
+    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
+              f"results={results}")  # fmt: skip
+    progress = CellProgress(Console(quiet=True), 30)
+    for own in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
+        assert run_cell(config(*common, *own), "", progress).status == "ok"
+    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
+    return results / "single"
 
 
 def random_gaussians(count: int, seed: int, degree: int | None, channels: int) -> list[torch.Tensor]:

@@ -8,43 +8,26 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
-from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
-from tdgbench.bench.progress import CellProgress
 from tdgbench.verify import main, verify
-from tests.conftest import SMALL, config
-
-
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory, data_root):
-    """Two finished cells, one gray and one in colour, and a failed one."""
-    results = tmp_path_factory.mktemp("verify")
-    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
-              f"results={results}")  # fmt: skip
-    progress = CellProgress(Console(quiet=True), 30)
-    for own in (["scene=turntable"], ["scene=orbit", "method=msmg"]):
-        assert run_cell(config(*common, *own), "", progress).status == "ok"
-    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
-    return results / "single"
 
 
 @pytest.fixture
-def spoiled(sound, tmp_path):
+def spoiled(small_results, tmp_path):
     """A copy to spoil, and the folder of its gray cell."""
-    copy = shutil.copytree(sound, tmp_path / "single")
+    copy = shutil.copytree(small_results, tmp_path / "single")
     return copy, copy / "cells" / "tdg" / "synthetic" / "turntable" / "colmap" / "seed0"
 
 
-def test_sound_results(sound, capsys, monkeypatch):
-    assert verify(sound) == (3, [])
-    monkeypatch.setattr("sys.argv", ["verify", str(sound)])
-    assert main() == 0 and "3 cells, 0 problems" in capsys.readouterr().out
+def test_sound_results(small_results, capsys, monkeypatch):
+    assert verify(small_results) == (4, [])
+    monkeypatch.setattr("sys.argv", ["verify", str(small_results)])
+    assert main() == 0 and "4 cells, 0 problems" in capsys.readouterr().out
 
 
 def only_problem(experiment) -> str:
     count, problems = verify(experiment)
-    assert count == 3 and len(problems) >= 1
+    assert count == 4 and len(problems) >= 1
     assert all(p.startswith("tdg/synthetic/turntable/colmap/seed0: ") for p in problems)
     return "\n".join(problems)
 
@@ -67,9 +50,9 @@ def test_a_changed_target_changes_the_scores(spoiled):
     assert "record.json: psnr is" in only_problem(experiment)
 
 
-def test_another_model(spoiled, sound):
+def test_another_model(spoiled, small_results):
     experiment, cell = spoiled
-    other = sound / "cells" / "msmg" / "synthetic" / "orbit" / "colmap" / "seed0" / "model.ply"
+    other = small_results / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0" / "model.ply"
     shutil.copy(other, cell / "model.ply")
     problem = only_problem(experiment)
     assert "model.ply has changed" in problem and "the model gives (36, 48, 3)" in problem

@@ -136,6 +136,16 @@ def test_non_finite_training_is_recorded(run, monkeypatch):
     assert failure.stage == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
 
 
+def test_no_memory_left_is_recorded(run, monkeypatch):
+    def huge(self, context):
+        np.empty((2**50,), np.float64)
+
+    monkeypatch.setattr(Splat, "setup", huge)
+    outcome = run("method=splat")
+    failure = read_all(run.experiment)[0].failure
+    assert outcome.status == "failed" and failure.stage == "init" and "MemoryError: Unable to allocate" in failure.error
+
+
 def test_missing_scenes_leave_nothing(run, tmp_path):
     cfg = config("dataset=rgbt_scenes", f"data.root={tmp_path}", f"results={tmp_path / 'results'}")
     outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 1))

@@ -9,14 +9,11 @@ import subprocess
 from html.parser import HTMLParser
 
 import pytest
-from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
-from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.plan import Plan
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
-from tests.conftest import SMALL, config
-from tests.tables.test_build import published_as_records
+from tests.tables.test_build import published_as_records, write_ablation
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 PROBE = """
@@ -45,16 +42,10 @@ document.body.innerHTML = `<pre id="result">${JSON.stringify(result)}</pre>`;
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory, data_root):
+def page(tmp_path_factory, small_results):
     """The report of three finished cells and a failed one."""
-    results = tmp_path_factory.mktemp("page")
-    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
-              f"results={results}")  # fmt: skip
-    progress = CellProgress(Console(quiet=True), 30)
-    for own in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
-        assert run_cell(config(*common, *own), "", progress).status == "ok"
-    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
-    return write_report(results / "single", build_tables(results / "single"))
+    experiment = shutil.copytree(small_results, tmp_path_factory.mktemp("page") / "single")
+    return write_report(experiment, build_tables(experiment))
 
 
 class Sources(HTMLParser):
@@ -88,6 +79,16 @@ def test_differences_to_published_numbers(tmp_path):
     (tmp_path / "cells").rename(tmp_path / "hidden")  # numbers alone: there are no pictures
     text = write_report(tmp_path, tables).read_text()
     assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
+
+
+def test_an_ablation(tmp_path):
+    write_ablation(tmp_path)
+    Plan("ablation").write(tmp_path)
+    tables = build_tables(tmp_path)
+    (tmp_path / "cells").rename(tmp_path / "hidden")
+    text = write_report(tmp_path, tables).read_text()
+    assert "PSNR ↑, training views" in text and "random: somewhere" in text
+    assert text.count('class="note undecided"') == 8 and "40.00" in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
