@@ -58,9 +58,15 @@ def kernel(inline: bool = False, free_sums: bool = False) -> Callable[[Callable[
 
     def decorate(function: Callable[..., Any]) -> Any:
         fastmath = FASTMATH | {"reassoc"} if free_sums else FASTMATH
-        options: dict[str, Any] = {"fastmath": fastmath, "error_model": "numpy", "boundscheck": False, "nogil": True}
+        options: dict[str, Any] = {
+            "fastmath": fastmath,
+            "error_model": "numpy",
+            "boundscheck": False,
+            "nogil": True,
+            "no_cfunc_wrapper": True,
+        }
         if inline:
-            return njit(inline="always", **options)(function)
+            return njit(forceinline=True, **options)(function)
         previous = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = _CACHE_DIR
         try:

@@ -14,16 +14,20 @@ def permute_rows(matrix, order):
     """matrix[i] = matrix[order[i]] for i < len(order), a permutation, cycle by cycle; other rows stay."""
     done = np.zeros(order.shape[0], np.uint8)
     held = np.empty(matrix.shape[1], matrix.dtype)
+    columns = range(U(matrix.shape[1]))
     for start in range(U(order.shape[0])):
         if done[start] != 0:
             continue
-        held[:] = matrix[start]
+        for j in columns:
+            held[j] = matrix[start, j]
         here = start
         while True:
             done[here] = 1
             source = U(order[here])
             if source == start:
-                matrix[here, :] = held
+                for j in columns:
+                    matrix[here, j] = held[j]
                 break
-            matrix[here, :] = matrix[source]
+            for j in columns:
+                matrix[here, j] = matrix[source, j]
             here = source

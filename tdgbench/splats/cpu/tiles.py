@@ -71,7 +71,8 @@ def list_tiles(n_pairs, u, v, A, B, C, det, cut, hw, hh, slope, x0, x1, y0, y1, 
 def count_digits(start, stop, keys, lowest, shift, histogram):
     """How often each digit occurs among keys [start, stop)."""
     mask = histogram.shape[0] - 1
-    histogram[:] = 0
+    for digit in range(U(histogram.shape[0])):
+        histogram[digit] = 0
     for i in range(U(start), U(stop)):
         histogram[((keys[i] - lowest) >> shift) & mask] += 1
 
@@ -127,7 +128,8 @@ def look_ahead(order, k, last, pairs, tile_of_pair):
 @kernel()
 def count_pairs(start, stop, order, pairs, tile_of_pair, counts):
     """counts[tile] = pairs of the records order[start:stop]."""
-    counts[:] = 0
+    for tile in range(U(counts.shape[0])):
+        counts[tile] = 0
     last = U(order.shape[0] - 1)
     for k in range(U(start), U(stop)):
         look_ahead(order, k, last, pairs, tile_of_pair)
