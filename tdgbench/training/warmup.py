@@ -6,7 +6,9 @@ import numpy as np
 import torch
 
 from tdgbench.scenes import Camera
+from tdgbench.splats.cpu.ahead import compiled_alongside
 from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
 from tdgbench.training.method import training_device
@@ -17,6 +19,14 @@ SIZE = 16
 
 def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
     """Take one step on a toy scene for each channel count, with and without depth."""
+    if choose_backend(backend, training_device(backend), torch.float32) != "cpu":
+        _take_steps(channels, budget, backend)
+        return
+    with compiled_alongside(channels):
+        _take_steps(channels, budget, backend)
+
+
+def _take_steps(channels: set[int], budget: Budget, backend: str) -> None:
     pose = np.eye(4)
     pose[2, 3] = 2.0
     K = np.array([[SIZE, 0, SIZE / 2], [0, SIZE, SIZE / 2], [0, 0, 1.0]])

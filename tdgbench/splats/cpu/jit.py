@@ -41,12 +41,13 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_dir() -> Path:
+def cache_dir() -> Path:
+    """Where machine code of these sources for this kind of processor is kept."""
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(home) / "tdgbench" / "numba" / f"{_fingerprint()}-{lanes()}"
 
 
-_CACHE_DIR = str(_cache_dir())
+CACHE_DIR = cache_dir()
 
 
 def kernel(inline: bool = False, free_sums: bool = False) -> Callable[[Callable[..., Any]], Any]:
@@ -68,7 +69,7 @@ def kernel(inline: bool = False, free_sums: bool = False) -> Callable[[Callable[
         if inline:
             return njit(forceinline=True, **options)(function)
         previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = _CACHE_DIR
+        numba.config.CACHE_DIR = str(CACHE_DIR)
         try:
             return njit(cache=True, **options)(function)
         finally:

@@ -169,15 +169,7 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     tile_start, gaussian_of, slot_of = list_by_tile(
         sorted_records, pairs, tile_of_pair.reshape(-1), n_tiles, lease.take
     )
-    size = (settings.height, settings.width)
-    image = np.empty((*size, channels), np.float32)
-    depth = np.empty(size if settings.depth_channel else (0, 0), np.float32)
-    transmittance, reached = np.empty(size, np.float32), np.empty(n_tiles, np.int32)
-    arguments = (
-        np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
-        settings.background, settings.limits, image, depth, transmittance, reached,
-    )  # fmt: skip
-    pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
+    image, depth, transmittance, reached = blend(settings, records, tile_start, gaussian_of)
     if counts[:, 3].any():  # nobody can say where that Gaussian would have been
         for result in (image, depth, transmittance):
             result[:] = np.nan
@@ -186,6 +178,20 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
         image, depth, transmittance, projected, records, owners, pairs, kept, len(spans) * pair_room,
         tile_start, gaussian_of, slot_of, reached, lease,
     )  # fmt: skip
+
+
+def blend(settings: Settings, records, tile_start, gaussian_of) -> tuple[np.ndarray, ...]:
+    """Image, depth (empty if not asked for), transmittance, and how many pairs of each tile were looked at."""
+    size, channels = (settings.height, settings.width), len(settings.background)
+    image = np.empty((*size, channels), np.float32)
+    depth = np.empty(size if settings.depth_channel else (0, 0), np.float32)
+    transmittance, reached = np.empty(size, np.float32), np.empty(len(tile_start) - 1, np.int32)
+    arguments = (
+        np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
+        settings.background, settings.limits, image, depth, transmittance, reached,
+    )  # fmt: skip
+    pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
+    return image, depth, transmittance, reached
 
 
 def backward(

@@ -18,13 +18,13 @@ def test_lanes_can_be_forced(monkeypatch):
 
 def test_the_cache_follows_the_sources_and_the_lanes(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    before = jit._cache_dir()
+    before = jit.cache_dir()
     assert before.is_relative_to(tmp_path)
     monkeypatch.setenv("TDGBENCH_LANES", "8" if jit.lanes() == 16 else "16")
-    assert jit._cache_dir() != before
+    assert jit.cache_dir() != before
     monkeypatch.delenv("TDGBENCH_LANES")
     monkeypatch.setattr(jit, "_fingerprint", lambda: "other")
-    assert jit._cache_dir() != before
+    assert jit.cache_dir() != before
 
 
 def test_two_processes_may_compile_at_once(tmp_path):
