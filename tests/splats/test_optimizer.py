@@ -71,6 +71,32 @@ def test_is_torch_adam(share, channels):
     assert torch.allclose(moments, peer.state[theirs.means]["exp_avg_sq"], rtol=1e-4, atol=1e-12)
 
 
+def test_gradients_too_small_to_be_squared_move_nothing_far():
+    """Their second moment is 0 in float32, their first one is not."""
+    state = TrainingState(model(1, 0, count=60))
+    start, optimizer = state.values.clone(), Adam(state, RATES, EXTENT)
+    theirs = start.double().requires_grad_()
+    peer = torch.optim.Adam([theirs], lr=RATES.opacity, betas=(BETA1, BETA2), eps=EPS)
+    column, sizes = state.column_of("opacity_logits"), torch.logspace(-30, -2, 60)
+    for step in range(1, 40):
+        dense = torch.zeros(60, state.values.shape[1])
+        index = torch.arange(60, dtype=torch.int32)
+        if step == 1:
+            dense[:, column] = sizes[:, None]
+        else:
+            index, dense = index[:0], dense[:0]
+        pieces = [(0, len(index))]
+        optimizer.step(Gradients(pieces, index, dense.clone(), torch.zeros(60, 5), [], index, index), step)
+        theirs.grad = torch.zeros_like(theirs)
+        theirs.grad[: len(dense)] = dense.double()
+        peer.step()
+    optimizer.settle()
+    moved, wanted = ((p[:, column] - start[:, column]).double().squeeze(1) for p in (state.values, theirs.detach()))
+    assert torch.allclose(moved[sizes > 1e-11], wanted[sizes > 1e-11], rtol=1e-3)
+    assert moved[sizes < 1e-18].abs().max() < 0.05 * RATES.opacity
+    assert (moved - wanted).abs().max() < 0.2 * wanted.abs().max()  # where eps weighs as much as √v
+
+
 def test_a_look_brings_only_candidates_up_to_date():
     state = TrainingState(model(1, 0, count=40))
     optimizer = Adam(state, RATES, EXTENT)

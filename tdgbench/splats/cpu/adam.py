@@ -2,7 +2,8 @@
 
 An untouched row goes on moving: its moments fade, m ← β1 m and v ← β2 v, and it coasts by  c_s ρ^j m / √v  at the j-th
 such step s, with ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). Those steps are summed when the row is next
-looked at. What differs from torch.optim.Adam is rounding, and eps = 1e-15 beside a √v of that size while coasting.
+looked at. What differs from torch.optim.Adam is rounding, and while coasting eps = 1e-15 beside a √v of that size: then
+it is `still` = eps √(1 − β2^now). It cannot be left out: where g² is too small for float32, v is 0 and m is not.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from tdgbench.splats.cpu.simd import LANES, divide, is_finite, maximum, select, 
 
 F, U = np.float32, np.uint64
 AHEAD = 6  # rows for which memory is asked before they are worked on
-TINY = F(1e-30)  # keeps 0 / 0 from being NaN where a parameter never had a gradient
 
 
 @kernel(inline=True)
@@ -40,7 +40,7 @@ def prefetch_row_of_each(i, columns, stride, parameters, first_moments, second_m
 
 
 @kernel(inline=True)
-def coast(row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers):
+def coast(row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers, still):
     """Move one row to where it is at `now`; its moments stay as they are."""
     behind = now - clocks[i, U(1)]
     faded = clocks[i, U(1)] - clocks[i, U(0)]
@@ -48,14 +48,15 @@ def coast(row, i, columns, stride, parameters, first_moments, second_moments, cl
         share = rho_powers[U(faded)]
         for j in range(0, columns, LANES):
             o = row + U(j)
-            speed = divide(load(first_moments, o), square_root(load(second_moments, o)) + TINY)
+            speed = divide(load(first_moments, o), square_root(load(second_moments, o)) + still)
             store(parameters, o, load(parameters, o) - speed * (load(drift, behind * stride + j) * share))
     clocks[i, U(1)] = now
 
 
 @kernel()
 def touched_rows(first, count, index, gradients, stride, parameters, first_moments, second_moments, bounds, clocks,
-                 now, drift, rho_powers, powers1, powers2, step_sizes, per_bias2, rest1, rest2, eps):  # fmt: skip
+                 now, drift, rho_powers, still, powers1, powers2, step_sizes, per_bias2, rest1, rest2,
+                 eps):  # fmt: skip
     """One step, the `now`-th, for the rows named by index[first : first + count]; drift is that of the step before.
 
     gradients (rows, g) with g ≤ stride, columns beyond being zero; parameters and moments flat, `stride` floats a row;
@@ -76,7 +77,8 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
         row, source = i * U(stride), r * U(columns)
         if clocks[i, U(1)] < now - 1:
             coast(
-                row, i, columns, stride, parameters, first_moments, second_moments, clocks, now - 1, drift, rho_powers
+                row, i, columns, stride, parameters, first_moments, second_moments, clocks, now - 1, drift, rho_powers,
+                still,
             )  # fmt: skip
         for j in range(0, columns, LANES):
             g = load(flat, source + U(j))
@@ -96,7 +98,7 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
 
 @kernel()
 def coast_candidates(first, count, candidates, columns, stride, parameters, first_moments, second_moments, clocks, now,
-                     drift, rho_powers):  # fmt: skip
+                     drift, rho_powers, still):  # fmt: skip
     """Bring the parameters of candidates[first : first + count] up to date; `columns` of them are in use."""
     last = U(first + count - 1)
     for k in range(U(first), U(first + count)):
@@ -106,18 +108,18 @@ def coast_candidates(first, count, candidates, columns, stride, parameters, firs
         if clocks[i, U(1)] < now:
             coast(
                 i * U(stride), i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift,
-                rho_powers,
+                rho_powers, still,
             )  # fmt: skip
 
 
 @kernel()
 def settle_rows(start, stop, columns, stride, parameters, first_moments, second_moments, bounds, clocks, now, drift,
-                rho_powers, powers1, powers2):  # fmt: skip
+                rho_powers, still, powers1, powers2):  # fmt: skip
     """Bring parameters and moments of rows [start, stop) up to date."""
     for i in range(U(start), U(stop)):
         row = i * U(stride)
         coast(
-            row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers
+            row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers, still
         )  # fmt: skip
         behind = U(now - clocks[i, U(0)])
         if behind > U(0):
