@@ -76,7 +76,9 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
         run.write()
         why = "" if existing is None else "; ".join(why_differs(existing, record))
-        return Outcome("ok", record.title, f"made anew: {why}" if why else "")
+        said = [f"made anew: {why}"] if why else []
+        said += [f"went on after iteration {record.resumed[-1]}"] if record.resumed else []
+        return Outcome("ok", record.title, "; ".join(said))
     except MissingScenesError as error:
         return Outcome("missing", record.title, str(error))
     except Exception as error:

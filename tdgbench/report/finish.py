@@ -13,7 +13,6 @@ from rich.markup import escape
 
 from tdgbench.bench.job import read_outcomes
 from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
-from tdgbench.bench.record import read_all
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.scenes import SceneError
@@ -93,7 +92,7 @@ def _write_all(experiment: Path, console: Console) -> None:
     tables = build_tables(experiment)
     show(tables, console)
     console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
-    if draw_strip(read_all(experiment), experiment, experiment / "strip.png"):
+    if draw_strip(tables.records, experiment, experiment / "strip.png"):
         console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
     page = write_report(experiment, tables)
     console.print(f"report: {page}", highlight=False, soft_wrap=True)

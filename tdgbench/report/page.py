@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from tdgbench.bench.output import cell_folder_of, read_cameras
-from tdgbench.bench.record import Record, read_all
+from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.report import views
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
@@ -45,7 +45,7 @@ class Cell:
 
 def write_report(experiment: Path, tables: Tables) -> Path:
     """Write the page of an experiment from what is on disk; returns its path."""
-    records = read_all(experiment)
+    records = tables.records
     cells = [Cell(r, cell_folder_of(experiment, r)) for r in records if r.failure is None]
     scenes: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:

@@ -40,6 +40,7 @@ class Tables:
     latex: str
     difference: pd.DataFrame | None
     folder: Path
+    records: list[Record]  # of which it was built
     paired: pd.DataFrame | None = None
     speed: pd.DataFrame | None = None
 
@@ -56,14 +57,15 @@ def build_tables(experiment: Path) -> Tables:
         of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
         differences = difference(main, published_ablation(), ABLATION_KEYS)
         against = with_verdicts(differences, main, ABLATION_KEYS) if of_paper else None
-        tables = Tables("ablation", main, ablation_table(main), against, folder)
+        tables = Tables("ablation", main, ablation_table(main), against, folder, records)
     elif plan.table == "main":
         bold = with_bold(with_averages(scene_rows(records, plan)))
         main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
         main = main.merge(intervals(records, experiment), on=KEYS, how="left")
         of_paper = main["dataset"].isin(DATASETS.values()).any()
         against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-        tables = Tables("main", main, main_table(main), against, folder, paired_tests(main), speed_table(main))
+        tested, faster = paired_tests(main), speed_table(main)
+        tables = Tables("main", main, main_table(main), against, folder, records, tested, faster)
     else:
         raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main or ablation")
     folder.mkdir(parents=True, exist_ok=True)

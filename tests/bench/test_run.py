@@ -47,7 +47,8 @@ def test_a_killed_cell_goes_on(run, tmp_path, monkeypatch):
         killed_at(23, patch)
         run(tmp_path / "killed", "checkpoint=0")
     assert len(list((tmp_path / "killed" / "single" / "checkpoints").iterdir())) == 1
-    assert run(tmp_path / "killed").status == "ok"
+    outcome = run(tmp_path / "killed")
+    assert (outcome.status, outcome.message) == ("ok", "went on after iteration 23")
     (calm,), (killed,) = (read_all(tmp_path / name / "single") for name in ("calm", "killed"))
     assert (calm.resumed, killed.resumed) == ([], [23])
     assert (calm.key, calm.hashes, calm.scores) == (killed.key, killed.hashes, killed.scores)

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -75,8 +76,7 @@ def test_everything_is_in_the_file(page):
 
 def test_differences_to_published_numbers(tmp_path):
     published_as_records(tmp_path)
-    tables = build_tables(tmp_path)
-    (tmp_path / "cells").rename(tmp_path / "hidden")  # numbers alone: there are no pictures
+    tables = replace(build_tables(tmp_path), records=[])  # numbers alone: there are no pictures
     text = write_report(tmp_path, tables).read_text()
     assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
 
@@ -84,8 +84,7 @@ def test_differences_to_published_numbers(tmp_path):
 def test_an_ablation(tmp_path):
     write_ablation(tmp_path)
     Plan("ablation").write(tmp_path)
-    tables = build_tables(tmp_path)
-    (tmp_path / "cells").rename(tmp_path / "hidden")
+    tables = replace(build_tables(tmp_path), records=[])
     text = write_report(tmp_path, tables).read_text()
     assert "PSNR ↑, training views" in text and "random: somewhere" in text
     assert text.count('class="note undecided"') == 8 and "40.00" in text

@@ -3,15 +3,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra.utils import instantiate
 
-from tdgbench.priors import estimate_all
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.method import Context
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import config
+from tests.conftest import ready_to_train
 
 ITERATIONS = 60
 RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)
@@ -21,18 +18,13 @@ class KilledError(Exception):
     pass
 
 
-def set_up(scene, name: str, *overrides: str):
+def set_up(scene, name: str):
     """A method that is ready to train, its context and a plateau that is watched but never reached."""
-    cfg = config(
-        f"method={name}", "prior=synthetic", "budget=demo", f"budget.iterations={ITERATIONS}",
+    often = (
         "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
-        "budget.sh_every=12", *overrides,
+        "budget.sh_every=12",
     )  # fmt: skip
-    method = instantiate(cfg.method.method)
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    points = instantiate(cfg.init.points).points(scene)
-    context = Context(scene, points, priors, instantiate(cfg.budget), "auto", 0, Skips(sh=False))
-    method.setup(context)
+    method, context = ready_to_train(scene, name, ITERATIONS, *often, skips=Skips(sh=False))
     return method, context, Plateau(RULE, len(scene.train))
 
 

@@ -4,32 +4,23 @@ import time
 import numpy as np
 import pytest
 import torch
-from hydra.utils import instantiate
 
-from tdgbench.priors import estimate_all
 from tdgbench.splats.cpu import pool
 from tdgbench.training import method as method_module
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
-from tdgbench.training.method import Context
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import config
+from tests.conftest import ready_to_train
 
 METHODS = ["tdg", "msmg", "splat"]
 
 
 def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides):
     """A method trained for a while, with its log."""
+    often = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
     extra = [f"{k}={v}" for k, v in overrides.items()]
-    cfg = config(
-        f"method={method_name}", "prior=synthetic", "budget=demo", f"budget.iterations={iterations}",
-        "budget.density.start=20", "budget.density.every=20", "budget.sh_every=25", *extra,
-    )  # fmt: skip
-    method = instantiate(cfg.method.method)
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    points = instantiate(cfg.init.points).points(scene)
-    method.setup(Context(scene, points, priors, instantiate(cfg.budget), "auto", seed, skips or Skips()))
+    method, _ = ready_to_train(scene, method_name, iterations, *often, *extra, seed=seed, skips=skips)
     return method, train(method, iterations)
 
 
