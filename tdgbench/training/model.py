@@ -80,7 +80,7 @@ class SplatModel:
         self.skips = skips or Skips()
         self.work = Work()
         self.view_dependence: float | None = None  # as it was last measured
-        self._view_dependence = view_dependence
+        self._measure_view_dependence = view_dependence
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -139,8 +139,8 @@ class SplatModel:
 
     def _grow_degree(self) -> None:
         """Take in the next band of harmonics, unless training views show that direction explains nothing."""
-        if self.skips.sh.allowed and self._view_dependence is not None:
-            self.view_dependence = self._view_dependence(self.gaussians.detach())
+        if self.skips.sh.allowed and self._measure_view_dependence is not None:
+            self.view_dependence = self._measure_view_dependence(self.gaussians.detach())
             if self.view_dependence < MIN_VIEW_DEPENDENCE:
                 return
         self.degree += 1
