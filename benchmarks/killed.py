@@ -48,18 +48,21 @@ def start(sweep: list[str], results: Path) -> subprocess.Popen[bytes]:
     """The sweep in a process group of its own."""
     call = [sys.executable, "-m", "tdgbench", *sweep, f"results={results}"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    out = (results.parent / f"{results.name}.log").open("ab")
-    return subprocess.Popen(
-        call, cwd=results.parent, env=environment, start_new_session=True, stdout=out, stderr=subprocess.STDOUT
-    )  # fmt: skip
+    with (results.parent / f"{results.name}.log").open("ab") as out:
+        return subprocess.Popen(
+            call, cwd=results.parent, env=environment, start_new_session=True, stdout=out, stderr=subprocess.STDOUT
+        )  # fmt: skip
 
 
-def run_killed(sweep: list[str], results: Path, name: str, kills: int, pause: tuple[float, float], seed: int = 0):
+def run_killed(
+    sweep: list[str], results: Path, name: str, kills: int, pause: tuple[float, float], seed: int = 0
+) -> tuple[list[Kill], list[str]]:
     """Start the sweep and kill it, again and again, each time after a random pause; then let it end.
 
     Returns the kills and what went wrong: finished cells that were lost or made again, a status that is not 0.
     """
-    chance, seen, told, wrong = random.Random(seed), {}, [], []
+    chance, seen = random.Random(seed), dict[Path, int]()
+    told, wrong = list[Kill](), list[str]()
     for _ in range(kills):
         process, seconds = start(sweep, results), chance.uniform(*pause)
         try:
@@ -67,15 +70,23 @@ def run_killed(sweep: list[str], results: Path, name: str, kills: int, pause: tu
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-        there = {str(p): p.stat().st_mtime_ns for p in (results / name / "cells").rglob(FILE)}
-        wrong += [f"{path} was made again" for path, time_ns in seen.items() if there.get(path) != time_ns]
+        there = _made(results / name)
+        wrong += _made_again(seen, there)
         seen = there
         told.append(Kill(seconds, len(there), len(list((results / name / "checkpoints").glob("[!.]*.pt")))))
     if start(sweep, results).wait() != 0:
         wrong.append("the last run did not end with status 0")
-    after = {str(p): p.stat().st_mtime_ns for p in (results / name / "cells").rglob(FILE)}
-    wrong += [f"{path} was made again" for path, time_ns in seen.items() if after.get(path) != time_ns]
+    wrong += _made_again(seen, _made(results / name))
     return told, wrong
+
+
+def _made(experiment: Path) -> dict[Path, int]:
+    """When each record was written."""
+    return {path: path.stat().st_mtime_ns for path in (experiment / "cells").rglob(FILE)}
+
+
+def _made_again(before: dict[Path, int], after: dict[Path, int]) -> list[str]:
+    return [f"{path} was made again" for path, time_ns in before.items() if after.get(path) != time_ns]
 
 
 def compare(calm: Path, killed: Path) -> list[str]:

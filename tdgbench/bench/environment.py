@@ -41,10 +41,9 @@ def describe_environment() -> dict[str, object]:
     }
 
 
-def same_bytes_on() -> dict[str, object]:
-    """What of the environment decides whether the same training gives the same bytes: all but how many threads."""
-    said = describe_environment()
-    return {name: said[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
+def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
+    """What of an environment decides whether the same training gives the same bytes: all but how many threads."""
+    return {name: environment[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
 
 
 @cache

@@ -7,11 +7,13 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
-from filelock import FileLock, Timeout
+
+from tdgbench.bench.lock import file_lock
 
 LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # for all results folders of a machine
 ASK_AGAIN_SECONDS = 0.5
@@ -23,17 +25,12 @@ def a_gpu_of_its_own(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
 
     The system lets go of it when its holder ends, however that happens.
     """
-    locks.mkdir(parents=True, exist_ok=True)
     while True:
         for index, gpu in enumerate(gpus):
-            lock = FileLock(locks / f"{gpu}.lock")
-            with contextlib.suppress(Timeout):
-                lock.acquire(timeout=0)
-                try:
+            with file_lock(locks / f"{gpu}.lock") as mine:
+                if mine:
                     yield index
-                finally:
-                    lock.release()
-                return
+                    return
         time.sleep(ASK_AGAIN_SECONDS)
 
 
@@ -55,6 +52,7 @@ def describe_gpu() -> dict[str, Any] | None:
     }
 
 
+@cache
 def _driver() -> str | None:
     """The driver's version, as its own tool tells it."""
     command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]

@@ -18,7 +18,13 @@ def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
     The system lets go of a lock when its process ends, however that happens. Lock files stay where they are:
     removing one while another process waits for it would give both of them the lock.
     """
-    path = experiment / "locks" / f"{short_name(experiment, folder)}.lock"
+    with file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock") as mine:
+        yield mine
+
+
+@contextmanager
+def file_lock(path: Path) -> Iterator[bool]:
+    """True while this process alone holds the lock of a file; False if another one does."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path)
     try:

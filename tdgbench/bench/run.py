@@ -119,7 +119,6 @@ class CellRun:
     def write(self) -> None:
         """Render and score; write the cell's folder whole or not at all."""
         record, scene, method, scorer = self.record, self.scene, self.method, self.scorer
-        self.folder.parent.mkdir(parents=True, exist_ok=True)
         with output.whole_folder(self.folder) as part:
             with self.stage("render"):
                 renders = output.write_renders(method, scene.test, part)
@@ -183,7 +182,7 @@ class CellRun:
     def _checkpoint(self) -> Checkpoint:
         """Where this cell's training is kept while it runs."""
         path = self.experiment / "checkpoints" / f"{output.short_name(self.experiment, self.folder)}.pt"
-        made_with = {"settings, data or code": self.record.key, **same_bytes_on()}
+        made_with = {"settings, data or code": self.record.key, **same_bytes_on(self.record.environment)}
         checkpoint = Checkpoint(path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
             checkpoint.discard()

@@ -17,7 +17,7 @@ from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.report import views
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
-from tdgbench.tables.results import METRICS, OVERALL, decimals, method_label
+from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label
 
 FILE = "report.html"
 TITLES = {
@@ -92,9 +92,8 @@ def _table(tables: Tables) -> dict[str, Any]:
         by_metric = {row.metric: row for row in own.itertuples()}
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in metrics]
         rows.append({"head": [method, init], "cells": cells})
-    hows = tables.main.groupby("init", sort=False)["points"].first()
-    notes = [f"{init}: {how}" for init, how in hows.items() if how]
-    return {"heads": ["method", "first points"], "metrics": titles, "rows": rows, "notes": notes}
+    heads, notes = ["method", "first points"], first_points(tables.main)
+    return {"heads": heads, "metrics": titles, "rows": rows, "notes": notes}
 
 
 def _number(row: Any, published: Any) -> dict[str, Any]:

@@ -82,7 +82,7 @@ class Adam:
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
         self._coefficients[state.now % SETTLE_EVERY] = rates * np.sqrt(bias2) / bias1
-        constants = (self._drift, self._rho_powers, self._still(), *self._powers, step_sizes.numpy(), per_bias2.numpy())
+        constants = (*self._coasting(), *self._powers, step_sizes.numpy(), per_bias2.numpy())
         small = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
         arrays = (gradients.index.numpy(), gradients.values.numpy(), *self._arrays())
         fine = pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])
@@ -104,8 +104,7 @@ class Adam:
             return
         stride, values, first, second, _, clocks = self._arrays()
         arrays = (candidates, self._used, stride, values, first, second, clocks)
-        coasting = (self._drift, self._rho_powers, self._still())
-        pool.run(coast_candidates, [(*s, *arrays, self.state.now, *coasting) for s in _cut(spans)])
+        pool.run(coast_candidates, [(*s, *arrays, self.state.now, *self._coasting()) for s in _cut(spans)])
 
     def settle(self) -> None:
         """Bring every row up to date."""
@@ -113,8 +112,7 @@ class Adam:
         if state.now == self._settled:
             return
         if self.is_sparse:
-            coasting = (self._drift, self._rho_powers, self._still())
-            arrays = (self._used, *self._arrays(), state.now, *coasting, *self._powers)
+            arrays = (self._used, *self._arrays(), state.now, *self._coasting(), *self._powers)
             pieces = pool.chunks(len(state), pool.get_threads())
             pool.run(settle_rows, [(*piece, *arrays) for piece in pieces])
         self._settled = state.now
@@ -153,9 +151,10 @@ class Adam:
         flat = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
         return (state.values.shape[1], *flat, state.bounds.numpy(), state.clocks.numpy())
 
-    def _still(self) -> np.float32:
-        """eps as it stands beside a √v without bias correction."""
-        return np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
+    def _coasting(self) -> tuple[np.ndarray, np.ndarray, np.float32]:
+        """How rows move while they are not touched: drift, powers of ρ, and eps beside a √v without bias correction."""
+        still = np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
+        return self._drift, self._rho_powers, still
 
     def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Learning rate, 1 − β1^t and 1 − β2^t of each column."""

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
-from tdgbench.tables.results import AVERAGE, METRICS, OVERALL, decimals
+from tdgbench.tables.results import AVERAGE, METRICS, OVERALL, decimals, first_points
 
 HEADERS = {
     "psnr": r"PSNR $\uparrow$",
@@ -66,9 +66,8 @@ def ablation_table(rows: pd.DataFrame) -> str:
 
     rows: method, init, metric, value, bold, points.
     """
-    hows = rows.groupby("init", sort=False)["points"].first()
     lines = [
-        *(f"% {init}: {how}" for init, how in hows.items() if how),
+        *(f"% {how}" for how in first_points(rows)),
         r"\begin{tabular}{lcccc}",
         r"\toprule",
         r" & Random & COLMAP & PSNR / SSIM & training views \\",

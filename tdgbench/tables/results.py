@@ -102,6 +102,12 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
+def first_points(ablation: pd.DataFrame) -> list[str]:
+    """How the first points of each init of an ablation were made, in words, where it is known."""
+    hows = ablation.groupby("init", sort=False)["points"].first()
+    return [f"{init}: {how}" for init, how in hows.items() if how]
+
+
 def decimals(metric: str, scene: str) -> int:
     """Digits after the point, as the paper prints them (its overall SSIM has four)."""
     return 4 if metric.endswith("ssim") and scene == OVERALL else DECIMALS[metric]

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from tdgbench.tables.build import ABLATION_METRICS, Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.results import METRICS, OVERALL, decimals
+from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points
 from tdgbench.tables.statistics import BETTER, REPRODUCED, WORSE
 from tdgbench.tables.statistics import UNDECIDED as NOT_SAID
 
@@ -113,9 +113,8 @@ def _show_ablation(tables: Tables, console: Console) -> None:
         texts = ["n/a" if np.isnan(values[m]) else _text(values[m], m, OVERALL) for m in ABLATION_METRICS]
         table.add_row(method, init, *texts)
     console.print(table)
-    for init, how in tables.main.groupby("init", sort=False)["points"].first().items():
-        if how:
-            console.print(f"{init}: {how}", highlight=False, soft_wrap=True)
+    for how in first_points(tables.main):
+        console.print(how, highlight=False, soft_wrap=True)
 
 
 def _show_reasons(tables: Tables, console: Console) -> None:
