@@ -25,11 +25,10 @@ from tdgbench.bench.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.bench.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.splats import cuda
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.records import FIRST_Y, LAST_Y
-from tdgbench.splats.cpu.tiles import TILE
+from tdgbench.splats.cpu.simd import LANES
 from tdgbench.splats.rasterization import render_view
 
-FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that the blend looks at
+FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
 
 
@@ -95,24 +94,15 @@ def prototype(cloud: Cloud, channels: int, depth: bool, folder: Path) -> Callabl
     return run
 
 
-def looked_at(cloud: Cloud) -> int:
-    """Pixel-Gaussian pairs that the forward blend computes: in each tile, 16 columns of the rows that a box covers.
-
-    Rows whose pixels have all stopped are skipped too, which this does not know: it is an upper bound, and a close one.
-    """
+def pairs_with_weight(cloud: Cloud) -> int:
+    """Pixel-Gaussian pairs that a blend cannot do without, in registers of 8 or 16 pixels in which any has weight."""
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
     leaves = [t.clone().requires_grad_() for t in given]
     view = render_view(*leaves, cloud.viewmat, cloud.K, cloud.width, cloud.height, backend="cpu")
     lists = view.image.grad_fn.saved[2]  # type: ignore[union-attr]
-    reached = lists.reached
-    tiles_x = -(-cloud.width // TILE)
-    tile = np.repeat(np.arange(len(reached)), np.diff(lists.tile_start))
-    place = np.arange(len(tile)) - lists.tile_start[tile]
-    seen = place < reached[tile]
-    top = (tile[seen] // tiles_x) * TILE
-    own = lists.records[lists.gaussian_of[seen]]
-    rows = np.minimum(own[:, LAST_Y] - top, TILE - 1) - np.maximum(own[:, FIRST_Y] - top, 0) + 1
-    return int(rows.sum() * TILE)
+    place = np.arange(len(lists.lit)) - np.repeat(lists.tile_start[:-1], np.diff(lists.tile_start))
+    seen = place < np.repeat(lists.reached, np.diff(lists.tile_start))
+    return int(np.bitwise_count(lists.lit[seen]).sum()) * LANES
 
 
 def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, peer: Path | None,
@@ -121,7 +111,7 @@ def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, pee
     peak = fma_peak_gflops()
     rows = []
     for name, cloud in clouds.items():
-        flops = looked_at(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
+        flops = pairs_with_weight(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
         for variant in variants:
             channels, depth = VARIANTS[variant]
             candidates = {

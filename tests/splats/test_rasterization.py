@@ -269,8 +269,13 @@ def test_wrong_arguments_are_named():
 
 @pytest.mark.parametrize(
     "blending",
-    [Blending(min_alpha=1e-3), Blending(min_alpha=0.05, min_transmittance=0.01), Blending(max_alpha=0.5)],
-    ids=["fainter", "coarser", "capped"],
+    [
+        Blending(min_alpha=1e-3),
+        Blending(min_alpha=0.05, min_transmittance=0.01),
+        Blending(max_alpha=0.5),
+        Blending(min_alpha=1e-30, min_transmittance=0.0),
+    ],
+    ids=["fainter", "coarser", "capped", "without thresholds"],
 )
 def test_other_constants_agree_with_reference(blending):
     compare(

@@ -63,11 +63,12 @@ def blend_nothing(colors: int, depth: bool) -> None:
         centres=(nothing, 0, 0),
     )  # fmt: skip
     records, indices, starts = np.empty((0, RECORD), np.float32), np.empty(0, np.int32), np.zeros(1, np.int64)
-    image, depth_map, transmittance, reached = blend(settings, records, starts, indices)
+    lit = np.empty(0, np.uint32)
+    image, depth_map, transmittance, reached = blend(settings, records, starts, indices, lit)
     done = ForwardPass(
         image, depth_map, transmittance, Projected([], indices, indices, np.empty((0, 2), np.float32)), records,
         owners=indices, pairs=np.empty((0, 2), np.int32), kept=[(0, 0)], pair_room=0, tile_start=starts,
-        gaussian_of=indices, slot_of=indices, reached=reached, lease=Lease(),
+        gaussian_of=indices, slot_of=indices, reached=reached, lit=lit, lease=Lease(),
     )  # fmt: skip
     backward(source, settings, done, None, None, None)
 

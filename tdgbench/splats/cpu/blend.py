@@ -1,4 +1,4 @@
-"""Alpha blending of a tile, front to back (3DGS, eq. 3), LANES pixels of a row at a time.
+"""Alpha blending of a tile, front to back (3DGS, eq. 3), a block of LANES pixels at a time.
 
     image_c = Σ_k c_k w_k + T background_c,  w_k = alpha_k T_k,  T_{k+1} = T_k (1 − alpha_k)
 
@@ -12,31 +12,33 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import int64
 
+from tdgbench.splats.cpu.blocks import (
+    ACROSS,
+    ALL,
+    BLOCKS,
+    HEIGHT,
+    NONE,
+    OWN,
+    WIDTH,
+    T,
+    block_centres,
+    form_of,
+    log2_alpha_in,
+    lowest,
+    within_reach,
+    write_centres,
+    write_transmittance,
+)
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.limits import END_EARLY, LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE
 from tdgbench.splats.cpu.memory import aligned_floats, load, prefetch_row, store, take_next
-from tdgbench.splats.cpu.records import (
-    A_,
-    B_,
-    C_,
-    CHANNELS,
-    FIRST_X,
-    FIRST_Y,
-    LAST_X,
-    LAST_Y,
-    LOG2_OPACITY,
-    U_,
-    V_,
-)
-from tdgbench.splats.cpu.reductions import any_positive
+from tdgbench.splats.cpu.powers import exp2_exactly, exp2_roughly
+from tdgbench.splats.cpu.records import CHANNELS
+from tdgbench.splats.cpu.reductions import any_bit, any_positive
 from tdgbench.splats.cpu.simd import (
     LANES,
-    exp2,
-    exp2_rough,
     greater_equal,
-    lane_index,
     maximum,
     minimum,
     negative_abs,
@@ -46,18 +48,20 @@ from tdgbench.splats.cpu.simd import (
 from tdgbench.splats.cpu.tiles import TILE
 
 F, U = np.float32, np.uint64
-ZERO, HALF, ONE, DEAD = F(0), F(0.5), F(1), F(-0.0)
-BLOCKS = TILE // LANES  # registers per row of a tile
-LOOK_AHEAD = 4
-CHECK_EVERY = 16
+ZERO, ONE = F(0), F(1)
+TOGETHER = 16  # Gaussians whose blocks are found before they are blended; then stopped blocks are looked for
+LOOK_AHEAD = 16
 
 
 @kernel(inline=True)
-def row_alive(pixels, offset, stride):
-    """True while any pixel of a row of the tile still lets light through."""
-    alive = any_positive(load(pixels, offset))
-    if BLOCKS == 2:
-        alive = alive or any_positive(load(pixels, offset + stride))
+def still_alive(alive, pixels, size):
+    """Those of the blocks `alive` in which some pixel still lets light through."""
+    left = alive
+    while left != NONE:
+        block = lowest(left)
+        left &= left - U(1)
+        if not any_positive(load(pixels, block * U(size) + T)):
+            alive &= ~(U(1) << block)
     return alive
 
 
@@ -65,99 +69,92 @@ def row_alive(pixels, offset, stride):
 def make_blend(colors: int, depth: bool, rough_exp: bool):
     """The forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
     channels = colors + depth
-    block = (1 + channels) * LANES  # per register: T, then the channels
-    row = BLOCKS * block
+    size = (3 + channels) * LANES  # of a block: x, y, T, then the channels
+    exp2 = exp2_roughly if rough_exp else exp2_exactly
 
     @kernel()
-    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits,
-              image, depth_map, transmittance, reached):  # fmt: skip
-        """Blend tiles until none is left. reached[tile]: how many of its Gaussians were looked at."""
+    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits, powers,
+              image, depth_map, transmittance, reached, lit):  # fmt: skip
+        """Blend tiles until none is left.
+
+        reached[tile]: how many of its Gaussians were looked at; lit: in which blocks each of those has any weight.
+        """
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tile_start.shape[0] - 1
         max_alpha, log2_min_alpha = limits[MAX_ALPHA], limits[LOG2_MIN_ALPHA]
         min_transmittance, end_early = limits[MIN_TRANSMITTANCE], limits[END_EARLY] > ZERO
-        pixels = aligned_floats(TILE * row + 2 * TILE)
-        row_b = pixels[TILE * row :]
-        row_c = row_b[TILE:]
+        pixels, centres = aligned_floats(BLOCKS * size), block_centres()
+        write_centres(pixels, size)
         zero = splat(ZERO)
-        centre = lane_index() + HALF
         while True:
             tile = take_next(counter)
             if tile >= n_tiles:
                 break
             left = (tile % tiles_x) * TILE
             top = (tile // tiles_x) * TILE
-            for y in range(TILE):
-                for part in range(BLOCKS):
-                    o = y * row + part * block
-                    for i in range(LANES):
-                        inside = left + part * LANES + i < width and top + y < height
-                        pixels[U(o + i)] = ONE if inside else DEAD
-                    for i in range(LANES, block):
-                        pixels[U(o + i)] = ZERO
+            write_transmittance(pixels, size, width - left, height - top)
+            for block in range(U(BLOCKS)):
+                for c in range(U(channels)):
+                    store(pixels, block * U(size) + OWN + U(LANES) * c, zero)
+            alive = ALL
             begin, end = tile_start[tile], tile_start[tile + 1]
-            first_row, last_row = 0, TILE - 1
-            k = begin
             done = end
-            while k < end:
-                i = U(gaussian_of[U(k)])
-                if k + LOOK_AHEAD < end:
-                    prefetch_row(records, U(gaussian_of[U(k + LOOK_AHEAD)]))
-                y0 = max(int64(records[i, FIRST_Y]) - top, first_row)
-                y1 = min(int64(records[i, LAST_Y]) - top, last_row)
-                dx0 = (F(left) - records[i, FIRST_X]) - records[i, U_]
-                dy0 = (F(top) - records[i, FIRST_Y]) - records[i, V_]
-                for h in range(0, TILE, LANES):
-                    dy = centre + (dy0 + F(h))
-                    store(row_b, h, dy * records[i, B_])
-                    store(row_c, h, dy * dy * records[i, C_])
-                c0 = splat(records[i, CHANNELS])
-                c1 = splat(records[i, CHANNELS + 1])
-                c2 = splat(records[i, CHANNELS + 2])
-                c3 = splat(records[i, CHANNELS + 3])
-                for part in range(BLOCKS):
-                    x = left + part * LANES
-                    if BLOCKS == 2 and (records[i, LAST_X] < F(x) or records[i, FIRST_X] >= F(x + LANES)):
-                        continue
-                    dx = centre + (dx0 + F(part * LANES))
-                    along_x = dx * dx * records[i, A_] + records[i, LOG2_OPACITY]
-                    for y in range(y0, y1 + 1):
-                        o = y * row + part * block
-                        log2_alpha = dx * row_b[U(y)] + (along_x + row_c[U(y)])
-                        alpha = minimum(exp2_rough(log2_alpha) if rough_exp else exp2(log2_alpha), max_alpha)
-                        t = load(pixels, o)
+            for first in range(begin, end, TOGETHER):
+                last = min(first + TOGETHER, end)
+                for k in range(U(first), U(last)):
+                    i = U(gaussian_of[k])
+                    ahead = min(k + U(LOOK_AHEAD), U(end - 1))
+                    prefetch_row(records, U(gaussian_of[ahead]))
+                    lit[k] = within_reach(centres, form_of(records, i, left, top), log2_min_alpha) & alive
+                for k in range(U(first), U(last)):
+                    blocks = U(lit[k])
+                    i = U(gaussian_of[k])
+                    form = form_of(records, i, left, top)
+                    c0 = splat(records[i, CHANNELS])
+                    c1 = splat(records[i, CHANNELS + 1])
+                    c2 = splat(records[i, CHANNELS + 2])
+                    c3 = splat(records[i, CHANNELS + 3])
+                    own = NONE
+                    while blocks != NONE:
+                        block = lowest(blocks)
+                        blocks &= blocks - U(1)
+                        o = block * U(size)
+                        log2_alpha = log2_alpha_in(pixels, o, form)
+                        alpha = minimum(exp2(log2_alpha, powers), max_alpha)
+                        t = load(pixels, o + T)
                         t_alive = maximum(t, zero)
                         weight = select(greater_equal(log2_alpha, log2_min_alpha), alpha * t_alive, zero)
+                        own |= U(any_bit(weight)) << block
                         t_next = t_alive - weight
                         goes_on = greater_equal(t_next, min_transmittance)
-                        store(pixels, o, select(goes_on, t_next, negative_abs(t)))
+                        store(pixels, o + T, select(goes_on, t_next, negative_abs(t)))
                         weight = select(goes_on, weight, zero)
-                        store(pixels, o + LANES, load(pixels, o + LANES) + weight * c0)
+                        o0, o1, o2, o3 = o + OWN, o + OWN + U(LANES), o + OWN + U(2 * LANES), o + OWN + U(3 * LANES)
+                        store(pixels, o0, load(pixels, o0) + weight * c0)
                         if channels > 1:
-                            store(pixels, o + 2 * LANES, load(pixels, o + 2 * LANES) + weight * c1)
+                            store(pixels, o1, load(pixels, o1) + weight * c1)
                         if channels > 2:
-                            store(pixels, o + 3 * LANES, load(pixels, o + 3 * LANES) + weight * c2)
+                            store(pixels, o2, load(pixels, o2) + weight * c2)
                         if channels > 3:
-                            store(pixels, o + 4 * LANES, load(pixels, o + 4 * LANES) + weight * c3)
-                k += 1
-                if end_early and (k - begin) % CHECK_EVERY == 0:
-                    while first_row <= last_row and not row_alive(pixels, first_row * row, block):
-                        first_row += 1
-                    while last_row >= first_row and not row_alive(pixels, last_row * row, block):
-                        last_row -= 1
-                    if first_row > last_row:
-                        done = k
+                            store(pixels, o3, load(pixels, o3) + weight * c3)
+                    lit[k] = own
+                if end_early:
+                    alive = still_alive(alive, pixels, size)
+                    if alive == NONE:
+                        done = last
                         break
             reached[tile] = done - begin
-            for y in range(U(min(TILE, height - top))):
-                for x in range(U(min(TILE, width - left))):
-                    o = y * U(row) + (x // U(LANES)) * U(block) + x % U(LANES)
-                    t_left = abs(pixels[o])
-                    transmittance[U(top) + y, U(left) + x] = t_left
-                    for c in range(U(colors)):
-                        light = pixels[o + U(LANES) * (c + U(1))]
-                        image[U(top) + y, U(left) + x, c] = light + t_left * background[c]
-                    if depth:
-                        depth_map[U(top) + y, U(left) + x] = pixels[o + U(LANES * channels)]
+            for block in range(U(BLOCKS)):
+                for lane in range(U(LANES)):
+                    y = U(top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH)
+                    x = U(left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH)
+                    if y < U(height) and x < U(width):
+                        o = block * U(size) + lane
+                        t_left = abs(pixels[o + T])
+                        transmittance[y, x] = t_left
+                        for c in range(U(colors)):
+                            image[y, x, c] = pixels[o + OWN + U(LANES) * c] + t_left * background[c]
+                        if depth:
+                            depth_map[y, x] = pixels[o + OWN + U(LANES * colors)]
 
     return blend

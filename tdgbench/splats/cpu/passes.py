@@ -17,6 +17,7 @@ from tdgbench.splats.cpu.blend import make_blend
 from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
 from tdgbench.splats.cpu.culling import find_candidates
 from tdgbench.splats.cpu.limits import REACH
+from tdgbench.splats.cpu.powers import coefficients
 from tdgbench.splats.cpu.projection_backward import projection_backward
 from tdgbench.splats.cpu.projection_forward import project_and_list
 from tdgbench.splats.cpu.records import RECORD
@@ -84,6 +85,7 @@ class ForwardPass:
     gaussian_of: np.ndarray  # (pairs,): the record
     slot_of: np.ndarray  # (pairs,)
     reached: np.ndarray  # (tiles,): how many pairs were looked at
+    lit: np.ndarray  # (pairs,) uint32: in which blocks of its tile a pair has any weight, if it was looked at
     lease: Lease  # owns the arrays above
 
     def count_pairs(self) -> int:
@@ -169,18 +171,19 @@ def _project_and_blend(source, settings, candidates, spans, lease, passing) -> F
     tile_start, gaussian_of, slot_of = list_by_tile(
         sorted_records, pairs, tile_of_pair.reshape(-1), n_tiles, lease.take
     )
-    image, depth, transmittance, reached = blend(settings, records, tile_start, gaussian_of)
+    lit = lease.take("lit", len(gaussian_of), np.uint32)
+    image, depth, transmittance, reached = blend(settings, records, tile_start, gaussian_of, lit)
     if counts[:, 3].any():  # nobody can say where that Gaussian would have been
         for result in (image, depth, transmittance):
             result[:] = np.nan
     projected = Projected(list(zip(firsts, counts[:, 2].tolist())), index, radii, means2d)
     return ForwardPass(
         image, depth, transmittance, projected, records, owners, pairs, kept, len(spans) * pair_room,
-        tile_start, gaussian_of, slot_of, reached, lease,
+        tile_start, gaussian_of, slot_of, reached, lit, lease,
     )  # fmt: skip
 
 
-def blend(settings: Settings, records, tile_start, gaussian_of) -> tuple[np.ndarray, ...]:
+def blend(settings: Settings, records, tile_start, gaussian_of, lit) -> tuple[np.ndarray, ...]:
     """Image, depth (empty if not asked for), transmittance, and how many pairs of each tile were looked at."""
     size, channels = (settings.height, settings.width), len(settings.background)
     image = np.empty((*size, channels), np.float32)
@@ -188,7 +191,8 @@ def blend(settings: Settings, records, tile_start, gaussian_of) -> tuple[np.ndar
     transmittance, reached = np.empty(size, np.float32), np.empty(len(tile_start) - 1, np.int32)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
-        settings.background, settings.limits, image, depth, transmittance, reached,
+        settings.background, settings.limits, coefficients(settings.rough_exp),
+        image, depth, transmittance, reached, lit,
     )  # fmt: skip
     pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
     return image, depth, transmittance, reached
@@ -207,11 +211,11 @@ def backward(
     ]  # fmt: skip
     lease, passing = Lease(), Lease()
     size = slot_size(channels + settings.depth_channel, settings.absgrad)
-    slots = passing.take("slots", done.pair_room * size, np.float32)
+    slots, written = passing.take("slots", done.pair_room * size, np.float32), np.zeros(done.pair_room, np.bool_)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, done.records, done.tile_start,
-        done.gaussian_of, done.slot_of, settings.limits, done.image, done.depth, done.transmittance, *gradients,
-        done.reached, slots,
+        done.gaussian_of, done.slot_of, settings.limits, coefficients(settings.rough_exp),
+        done.image, done.depth, done.transmittance, *gradients, done.reached, done.lit, slots, written,
     )  # fmt: skip
     variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad, settings.rough_exp)
     pool.run(variant, [arguments] * pool.get_threads())
@@ -226,7 +230,7 @@ def backward(
         [
             (
                 *piece, done.owners, *source.arrays, source.layout, source.raw, channels, settings.degree,
-                settings.camera, settings.depth_channel, done.records, done.pairs, slots, size,
+                settings.camera, settings.depth_channel, done.records, done.pairs, slots, written, size,
                 settings.absgrad, stride, index, values, image,
             )
             for piece in done.kept

@@ -72,7 +72,7 @@ def quaternion_gradient(w, x, y, z, n, g0, g1, g2):
 @kernel()
 def projection_backward(
     first, count, owners, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
-    depth_channel, records, pairs, slots, slot_size, absgrad, stride, touched, gradients, image_gradients,
+    depth_channel, records, pairs, slots, written, slot_size, absgrad, stride, touched, gradients, image_gradients,
 ):  # fmt: skip
     """Gradients of records [first, first + count), for those that have any; returns how many rows that is.
 
@@ -93,8 +93,9 @@ def projection_backward(
             for j in range(U(slot_size)):
                 own[j] = ZERO
             for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
-                for j in range(U(slot_size)):
-                    own[j] += slots[U(slot) * U(slot_size) + j]
+                if written[U(slot)]:
+                    for j in range(U(slot_size)):
+                        own[j] += slots[U(slot) * U(slot_size) + j]
             pulled = False
             for j in range(U(slot_size)):
                 pulled = pulled or own[j] != ZERO

@@ -6,7 +6,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tdgbench.splats.cpu.simd import LANES, constant, vec
+from tdgbench.splats.cpu.simd import LANES, constant, mask, vec
 
 _INDEX = ir.IntType(32)
 
@@ -24,6 +24,27 @@ def any_positive(typing_context, x):
         return builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0))
 
     return types.boolean(vec), generate
+
+
+@intrinsic
+def any_bit(typing_context, x):
+    """True unless all bits of all lanes are zero."""
+
+    def generate(context, builder, signature, args):
+        whole = ir.IntType(32 * LANES)
+        return builder.icmp_unsigned("!=", builder.bitcast(args[0], whole), whole(0))
+
+    return types.boolean(vec), generate
+
+
+@intrinsic
+def lane_bits(typing_context, condition):
+    """A mask as a number: bit l is lane l."""
+
+    def generate(context, builder, signature, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), ir.IntType(64))
+
+    return types.uint64(mask), generate
 
 
 @intrinsic

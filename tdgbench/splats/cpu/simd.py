@@ -208,38 +208,49 @@ def lane_index(typing_context):
     return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
 
 
-def _exp2(name: str, coefficients: tuple[float, ...], documentation: str):
-    """2^x: a whole part, which goes into the exponent bits, and a rest in [-1/2, 1/2], for a minimax polynomial."""
-
-    def operation(typing_context, x):
-        def generate(context, builder, signature, args):
-            exact = ("contract",)
-            magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
-            shifted = builder.fadd(args[0], magic)
-            exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
-            rest = builder.fsub(args[0], builder.fsub(shifted, magic))
-            result = constant(coefficients[0])
-            for coefficient in coefficients[1:]:
-                product = builder.fmul(result, rest, flags=exact)
-                result = builder.fadd(product, constant(coefficient), flags=exact)
-            return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
-
-        return vec(vec), generate
-
-    operation.__name__, operation.__doc__ = name, documentation
-    return intrinsic(operation)
+# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomials of 2^r, from the highest power down.
+EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)  # to 2.5e-7 relative
+EXP2_ROUGH = (0.0551714178, 0.24261117, 0.693261056, 0.999928073)  # to 7.5e-5 relative
 
 
-exp2 = _exp2(
-    "exp2",
-    (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007),
-    "2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.",
-)
-exp2_rough = _exp2(
-    "exp2_rough",
-    (0.0551714178, 0.24261117, 0.693261056, 0.999928073),
-    "2^x to a relative error of 7.5e-5; otherwise as `exp2`.",
-)
+def _power_of_two(builder, x, coefficients):
+    """2^x for |x| < 126, given the polynomial's coefficients as registers; out of range is garbage to be masked."""
+    exact = ("contract",)
+    magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+    shifted = builder.fadd(x, magic)
+    exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
+    rest = builder.fsub(x, builder.fsub(shifted, magic))
+    square = builder.fmul(rest, rest)
+    pairs = [
+        builder.fadd(builder.fmul(high, rest, flags=exact), low, flags=exact)
+        for high, low in zip(coefficients[::2], coefficients[1::2], strict=True)
+    ]
+    result = pairs[0]
+    for pair in pairs[1:]:
+        result = builder.fadd(builder.fmul(result, square, flags=exact), pair, flags=exact)
+    return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
+
+
+@intrinsic
+def exp2(typing_context, x):
+    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks."""
+    return vec(vec), lambda context, builder, signature, args: _power_of_two(
+        builder, args[0], [constant(value) for value in EXP2]
+    )
+
+
+@intrinsic
+def exp2_by(typing_context, x, coefficients):
+    """As `exp2`, with a tuple of registers for coefficients, from the highest power down.
+
+    What the compiler knows to be constant it broadcasts anew at every use; what it does not, it uses from memory.
+    """
+
+    def generate(context, builder, signature, args):
+        held = [builder.extract_value(args[1], i) for i in range(len(coefficients))]
+        return _power_of_two(builder, args[0], held)
+
+    return vec(vec, coefficients), generate
 
 
 @intrinsic

@@ -30,14 +30,21 @@ def test_sums_over_lanes():
 
 @kernel()
 def questions(values, out):
-    out[0] = reductions.any_positive(memory.load(values, 0))
+    v = memory.load(values, 0)
+    out[0] = reductions.any_positive(v)
+    out[1] = reductions.any_bit(v)
+    out[2] = reductions.lane_bits(simd.greater(v, simd.splat(F(0))))
 
 
-def test_any_positive():
-    out = np.zeros(1, np.int64)
-    values = aligned(np.full(LANES, -1, F))
-    questions(values, out)
-    assert out[0] == 0
-    values[LANES - 1] = 1e-30
-    questions(values, out)
-    assert out[0] == 1
+def asked(values) -> list[int]:
+    out = np.zeros(3, np.int64)
+    questions(aligned(np.array(values, F)), out)
+    return out.tolist()
+
+
+def test_questions_to_all_lanes():
+    assert asked([0] * LANES) == [False, False, 0]
+    assert asked([-1] * LANES) == [False, True, 0]
+    assert asked([0] * (LANES - 1) + [-0.0]) == [False, True, 0]
+    assert asked([-1] * (LANES - 1) + [1e-30]) == [True, True, 1 << (LANES - 1)]
+    assert asked([1, -1] * (LANES // 2)) == [True, True, sum(1 << lane for lane in range(0, LANES, 2))]
