@@ -52,8 +52,8 @@ class Gaussians:
         """The same function on every tensor."""
         return Gaussians(**{name: function(tensor) for name, tensor in self.items()})
 
-    def select(self, index: Tensor) -> Gaussians:
-        """The Gaussians at an index or mask."""
+    def select(self, index: Tensor | slice) -> Gaussians:
+        """The Gaussians at an index, in a slice, or where a mask holds."""
         return self.map(lambda tensor: tensor[index])
 
     def zeros_like(self) -> Gaussians:

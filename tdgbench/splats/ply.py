@@ -14,6 +14,8 @@ from plyfile import PlyData, PlyElement
 from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 
+ROWS_AT_ONCE = 100_000
+
 
 def _columns(rest: int) -> list[str]:
     return [
@@ -27,25 +29,24 @@ def _columns(rest: int) -> list[str]:
 
 
 def save_ply(gaussians: Gaussians, path: Path) -> None:
-    """Write the model; the file appears whole or not at all."""
-    g = gaussians.detach().map(torch.Tensor.cpu)
+    """Write the model piece by piece; the file appears whole or not at all."""
+    rest = gaussians.sh.shape[1] - 1
+    kind = np.dtype([(name, "<f4") for name in _columns(rest)])
+    shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # what the header needs; holds one row
+    header = PlyData([PlyElement.describe(shape_only, "vertex")], byte_order="<").header
+    with whole_file(path) as part, part.open("wb") as file:
+        file.write(f"{header}\n".encode("ascii"))
+        for start in range(0, len(gaussians), ROWS_AT_ONCE):
+            some = gaussians.detach().select(slice(start, start + ROWS_AT_ONCE))
+            file.write(_rows(some).cpu().numpy().astype("<f4", copy=False).tobytes())
+
+
+def _rows(g: Gaussians) -> torch.Tensor:
+    """Gaussians as rows of the file's columns."""
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
-    columns = [
-        g.means,
-        torch.zeros_like(g.means),
-        sh[:, 0],
-        sh[:, 1:].transpose(1, 2).flatten(1),  # channel by channel, as 3DGS does
-        g.opacity_logits[:, None],
-        g.log_scales,
-        g.quats,
-    ]
-    names = _columns(sh.shape[1] - 1)
-    table = np.zeros(len(g), dtype=[(name, "f4") for name in names])
-    single = (column for part in columns for column in part.unbind(dim=1))  # no second copy of a large model
-    for name, column in zip(names, single, strict=True):
-        table[name] = column.numpy()
-    with whole_file(path) as part:
-        PlyData([PlyElement.describe(table, "vertex")]).write(str(part))
+    harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as 3DGS does
+    parts = (g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats)
+    return torch.cat(parts, dim=1).float()
 
 
 def load_ply(path: Path) -> Gaussians:

@@ -3,7 +3,7 @@ import pytest
 import torch
 from plyfile import PlyData
 
-from tdgbench.splats import Gaussians
+from tdgbench.splats import Gaussians, ply
 from tdgbench.splats.ply import load_ply, save_ply
 
 
@@ -29,6 +29,13 @@ def test_round_trip(tmp_path, channels, degree):
     for name, tensor in saved.items():
         assert torch.equal(tensor, getattr(loaded, name)), name
     assert [p.name for p in tmp_path.iterdir()] == ["model.ply"]
+
+
+def test_a_model_is_written_piece_by_piece(tmp_path, monkeypatch):
+    save_ply(model(3, 2, count=10), tmp_path / "whole.ply")
+    monkeypatch.setattr(ply, "ROWS_AT_ONCE", 4)
+    save_ply(model(3, 2, count=10), tmp_path / "pieces.ply")
+    assert (tmp_path / "pieces.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
 def test_columns_are_those_of_3dgs(tmp_path):
