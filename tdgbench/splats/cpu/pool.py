@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 _threads: int | None = None
@@ -40,12 +40,18 @@ def set_threads(count: int | None) -> None:
 
 
 def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Call `function` once per tuple of arguments, at the same time; the calling thread takes the first."""
+    """Call `function` once per tuple of arguments, at the same time; the calling thread takes the first.
+
+    Returns, or raises what one of them raised, when all have ended.
+    """
     if len(arguments) == 1:
         return [function(*arguments[0])]
     futures = [_executor(len(arguments) - 1).submit(function, *rest) for rest in arguments[1:]]
-    first = function(*arguments[0])
-    return [first, *(future.result() for future in futures)]
+    try:
+        return [function(*arguments[0]), *(future.result() for future in futures)]
+    except BaseException:
+        wait(futures)  # they work on the caller's arrays
+        raise
 
 
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:

@@ -1,4 +1,7 @@
+import os
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -21,6 +24,38 @@ def test_an_error_reaches_the_caller():
 
     with pytest.raises(RuntimeError, match="two"):
         pool.run(fail, [(i,) for i in range(4)])
+
+
+def test_after_an_error_nothing_runs_on():
+    ended = []
+
+    def slow(i):
+        if i == 0:
+            raise RuntimeError("the first")
+        time.sleep(0.05)
+        ended.append(i)
+
+    with pytest.raises(RuntimeError, match="the first"):
+        pool.run(slow, [(i,) for i in range(3)])
+    assert sorted(ended) == [1, 2]
+
+
+def test_many_threads_may_ask_at_once():
+    def ask(i):
+        return [pool.run(lambda a: a * a, [(a,) for a in range(i, i + 3)]) for _ in range(50)]
+
+    with ThreadPoolExecutor(4) as callers:
+        for i, results in enumerate(callers.map(ask, range(4))):
+            assert results == [[a * a for a in range(i, i + 3)]] * 50
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_has_workers_of_its_own():
+    pool.run(len, [("a",), ("b",)])
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if pool.run(len, [("a",), ("bb",)]) == [1, 2] else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_chunks_cover_everything_once():
