@@ -22,7 +22,6 @@ from tdgbench.splats.cpu.blocks import (
     OWN,
     WIDTH,
     T,
-    block_centres,
     form_of,
     log2_alpha_in,
     lowest,
@@ -73,7 +72,7 @@ def make_blend(colors: int, depth: bool, rough_exp: bool):
     exp2 = exp2_roughly if rough_exp else exp2_exactly
 
     @kernel()
-    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits, powers,
+    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits, powers, grid,
               image, depth_map, transmittance, reached, lit):  # fmt: skip
         """Blend tiles until none is left.
 
@@ -83,8 +82,8 @@ def make_blend(colors: int, depth: bool, rough_exp: bool):
         n_tiles = tile_start.shape[0] - 1
         max_alpha, log2_min_alpha = limits[MAX_ALPHA], limits[LOG2_MIN_ALPHA]
         min_transmittance, end_early = limits[MIN_TRANSMITTANCE], limits[END_EARLY] > ZERO
-        pixels, centres = aligned_floats(BLOCKS * size), block_centres()
-        write_centres(pixels, size)
+        pixels = aligned_floats(BLOCKS * size)
+        write_centres(pixels, size, grid)
         zero = splat(ZERO)
         while True:
             tile = take_next(counter)
@@ -105,7 +104,7 @@ def make_blend(colors: int, depth: bool, rough_exp: bool):
                     i = U(gaussian_of[k])
                     ahead = min(k + U(LOOK_AHEAD), U(end - 1))
                     prefetch_row(records, U(gaussian_of[ahead]))
-                    lit[k] = within_reach(centres, form_of(records, i, left, top), log2_min_alpha) & alive
+                    lit[k] = within_reach(grid, form_of(records, i, left, top), log2_min_alpha) & alive
                 for k in range(U(first), U(last)):
                     blocks = U(lit[k])
                     i = U(gaussian_of[k])

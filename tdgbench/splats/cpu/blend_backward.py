@@ -75,7 +75,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
     exp2 = exp2_roughly if rough_exp else exp2_exactly
 
     @kernel()
-    def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of, limits, powers,
+    def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of, limits, powers, grid,
                        image, depth_map, transmittance, grad_image, grad_depth, grad_transmittance, reached, lit,
                        slots, written):  # fmt: skip
         """Write the slots of every pair that has weight somewhere, and mark them as written."""
@@ -85,7 +85,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
         min_transmittance = limits[MIN_TRANSMITTANCE]
         pixels, alphas = aligned_floats(BLOCKS * block_size), aligned_floats(2 * BLOCKS * LANES)
         sums = aligned_floats(2 * LANES)
-        write_centres(pixels, block_size)
+        write_centres(pixels, block_size, grid)
         zero = splat(ZERO)
         while True:
             tile = take_next(counter)

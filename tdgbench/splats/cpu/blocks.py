@@ -11,9 +11,10 @@ from numba import types
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, load, store
+from tdgbench.splats.cpu.memory import load, store
 from tdgbench.splats.cpu.records import A_, B_, C_, FIRST_X, FIRST_Y, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.reductions import lane_bits
+from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd import LANES, absolute, greater, greater_equal, select, splat
 from tdgbench.splats.cpu.tiles import TILE
 
@@ -42,25 +43,27 @@ def lowest(typing_context, blocks):
     return types.uint64(types.uint64), generate
 
 
-@kernel(inline=True)
-def write_centres(pixels, size):
-    """The pixels' centres from the tile's corner, in blocks of `size` floats."""
-    for block in range(U(BLOCKS)):
-        x, y = block % U(ACROSS) * U(WIDTH), block // U(ACROSS) * U(HEIGHT)
-        for lane in range(U(LANES)):
-            o = block * U(size) + lane
-            pixels[o + X] = F(x + lane % U(WIDTH)) + F(0.5)
-            pixels[o + Y] = F(y + lane // U(WIDTH)) + F(0.5)
+def grid() -> np.ndarray:
+    """Centres from the corner of a tile, px: x of all blocks, y of all blocks, then x and y of each block's pixels."""
+    row, column = np.divmod(np.arange(BLOCKS), ACROSS)
+    blocks = np.stack([column * WIDTH + WIDTH / 2, row * HEIGHT + HEIGHT / 2])
+    down, along = np.divmod(np.arange(LANES), WIDTH)
+    pixels = np.stack([(column * WIDTH)[:, None] + along + 0.5, (row * HEIGHT)[:, None] + down + 0.5], axis=1)
+    table = empty_aligned((2 * BLOCKS + pixels.size,), np.float32)
+    table[:] = np.concatenate([blocks.ravel(), pixels.ravel()])
+    return table
+
+
+GRID = grid()
 
 
 @kernel(inline=True)
-def block_centres():
-    """x of the centres of all blocks from the tile's corner, then y."""
-    centres = aligned_floats(2 * BLOCKS)
+def write_centres(pixels, size, grid):
+    """The pixels' centres, in blocks of `size` floats."""
     for block in range(U(BLOCKS)):
-        centres[block] = F(block % U(ACROSS) * U(WIDTH)) + F(WIDTH / 2)
-        centres[U(BLOCKS) + block] = F(block // U(ACROSS) * U(HEIGHT)) + F(HEIGHT / 2)
-    return centres
+        o, given = block * U(size), U(2 * BLOCKS) + block * U(2 * LANES)
+        store(pixels, o + X, load(grid, given))
+        store(pixels, o + Y, load(grid, given + U(LANES)))
 
 
 @kernel(inline=True)
@@ -91,20 +94,20 @@ def log2_alpha_in(pixels, o, form):
 
 
 @kernel(inline=True)
-def within_reach(centres, form, log2_min_alpha):
+def within_reach(grid, form, log2_min_alpha):
     """The blocks in which log2(alpha) may reach log2_min_alpha.
 
     It is concave, so it lies below its tangent plane in the block's centre: below the value there and |slope| times the
     way to the outermost pixels.
     """
     dx0, dy0, A, B, C, log2_opacity = form
-    dx = load(centres, 0) + dx0  # all registers of blocks have the same columns
+    dx = load(grid, 0) + dx0  # all registers of blocks have the same columns
     a, b = dx * A, dx * B
     along_x = dx * a + log2_opacity
     least = log2_min_alpha - ROUNDING
     blocks = NONE
     for first in range(0, BLOCKS, LANES):
-        dy = load(centres, BLOCKS + first) + dy0
+        dy = load(grid, BLOCKS + first) + dy0
         c = dy * C
         middle = dy * (c + b) + along_x
         slope_x, slope_y = a * TWO + dy * B, c * TWO + b

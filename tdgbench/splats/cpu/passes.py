@@ -15,6 +15,7 @@ from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.blend import make_blend
 from tdgbench.splats.cpu.blend_backward import make_blend_backward, slot_size
+from tdgbench.splats.cpu.blocks import GRID
 from tdgbench.splats.cpu.culling import find_candidates
 from tdgbench.splats.cpu.limits import REACH
 from tdgbench.splats.cpu.powers import coefficients
@@ -191,7 +192,7 @@ def blend(settings: Settings, records, tile_start, gaussian_of, lit) -> tuple[np
     transmittance, reached = np.empty(size, np.float32), np.empty(len(tile_start) - 1, np.int32)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
-        settings.background, settings.limits, coefficients(settings.rough_exp),
+        settings.background, settings.limits, coefficients(settings.rough_exp), GRID,
         image, depth, transmittance, reached, lit,
     )  # fmt: skip
     pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
@@ -214,7 +215,7 @@ def backward(
     slots, written = passing.take("slots", done.pair_room * size, np.float32), np.zeros(done.pair_room, np.bool_)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, done.records, done.tile_start,
-        done.gaussian_of, done.slot_of, settings.limits, coefficients(settings.rough_exp),
+        done.gaussian_of, done.slot_of, settings.limits, coefficients(settings.rough_exp), GRID,
         done.image, done.depth, done.transmittance, *gradients, done.reached, done.lit, slots, written,
     )  # fmt: skip
     variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad, settings.rough_exp)

@@ -16,16 +16,16 @@ LOG2_MIN = F(np.log2(1 / 255))
 
 
 @kernel()
-def tile_of(columns, rows):
+def tile_of(columns, rows, grid):
     pixels = aligned_floats(blocks.BLOCKS * SIZE)
-    blocks.write_centres(pixels, SIZE)
+    blocks.write_centres(pixels, SIZE, grid)
     blocks.write_transmittance(pixels, SIZE, columns, rows)
     return pixels
 
 
 @kernel()
-def reached(record, left, top, least):
-    return blocks.within_reach(blocks.block_centres(), blocks.form_of(record, 0, left, top), least)
+def reached(record, left, top, least, grid):
+    return blocks.within_reach(grid, blocks.form_of(record, 0, left, top), least)
 
 
 def members(number: int) -> set[int]:
@@ -34,7 +34,7 @@ def members(number: int) -> set[int]:
 
 def pixels_of_blocks():
     """(blocks, 3, LANES): x, y and T of a tile of which 11 columns and 5 rows are inside the image."""
-    return tile_of(11, 5)[: blocks.BLOCKS * SIZE].reshape(blocks.BLOCKS, 3, LANES)
+    return tile_of(11, 5, blocks.GRID)[: blocks.BLOCKS * SIZE].reshape(blocks.BLOCKS, 3, LANES)
 
 
 def test_every_pixel_is_in_one_block():
@@ -74,7 +74,7 @@ def found_and_needed(u, v, deviations, angle, opacity):
     offset = np.stack([x - u, y - v], axis=-1)
     log2_alpha = np.log2(opacity) + np.einsum("...i,ij,...j", offset, form, offset)
     needed = np.flatnonzero((log2_alpha > LOG2_MIN + 1e-3).any(axis=1))
-    return members(int(reached(record, 0, 0, LOG2_MIN))), set(needed.tolist())
+    return members(int(reached(record, 0, 0, LOG2_MIN, blocks.GRID))), set(needed.tolist())
 
 
 @settings(deadline=None, max_examples=300)
@@ -103,4 +103,4 @@ def test_few_blocks_are_found_without_need():
 
 def test_a_gaussian_without_number_reaches_nothing():
     record = np.full((1, records.RECORD), np.nan, F)
-    assert reached(record, 0, 0, LOG2_MIN) == 0
+    assert reached(record, 0, 0, LOG2_MIN, blocks.GRID) == 0
