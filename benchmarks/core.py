@@ -30,6 +30,7 @@ from tdgbench.splats.rasterization import render_view
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
+MOST = "3+depth"  # what the others are held against
 
 
 def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
@@ -105,47 +106,59 @@ def pairs_with_weight(cloud: Cloud) -> int:
     return int(np.bitwise_count(lists.lit[seen]).sum()) * LANES
 
 
+def candidates_for(cloud: Cloud, variant: str, peer: Path | None, with_torch: bool) -> dict[str, Callable[[], float]]:
+    channels, depth = VARIANTS[variant]
+    candidates = {
+        "cpu": ours(cloud, channels, depth, "cpu", "both"),
+        "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
+        "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
+    }
+    if cuda.why_not() is None:
+        candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
+    if peer is not None:
+        candidates["prototype"] = prototype(cloud, channels, depth, peer)
+    if with_torch and variant == MOST:
+        candidates["torch"] = plain_torch(cloud)
+    return candidates
+
+
 def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, peer: Path | None,
             with_torch: bool) -> pd.DataFrame:  # fmt: skip
-    """One row per cloud, channels and candidate."""
+    """One row per cloud, channels and candidate; those of a cloud take turns, and ratios are medians over the turns.
+
+    cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over its own with 3 channels
+    and depth.
+    """
     peak = fma_peak_gflops()
     rows = []
     for name, cloud in clouds.items():
         flops = pairs_with_weight(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
-        for variant in variants:
-            channels, depth = VARIANTS[variant]
-            candidates = {
-                "cpu": ours(cloud, channels, depth, "cpu", "both"),
-                "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
-                "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
-            }
-            if cuda.why_not() is None:
-                candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
-            if peer is not None:
-                candidates["prototype"] = prototype(cloud, channels, depth, peer)
-            if with_torch and variant == "3+depth":
-                candidates["torch"] = plain_torch(cloud)
-            times = {key: median_ms(s) for key, s in interleave(candidates, repetitions).items()}
-            for key, ms in times.items():
-                rows.append(
-                    {
-                        "cloud": name, "size": f"{cloud.width}x{cloud.height}", "gaussians": len(cloud.means),
-                        "channels": variant, "candidate": key, "ms": ms, "cpu_ratio": times["cpu"] / ms,
-                        "peak_share": flops / (ms * 1e6) / peak if key in ("cpu", "prototype") else np.nan,
-                    }
-                )  # fmt: skip
-                print(_line(rows[-1]), flush=True)
+        runs = {(v, c): run for v in variants for c, run in candidates_for(cloud, v, peer, with_torch).items()}
+        seconds = {key: np.array(own) for key, own in interleave(runs, repetitions).items()}
+        for (variant, candidate), own in seconds.items():
+            ms, most = median_ms(own.tolist()), seconds.get((MOST, candidate))
+            rows.append(
+                {
+                    "cloud": name, "size": f"{cloud.width}x{cloud.height}", "gaussians": len(cloud.means),
+                    "channels": variant, "candidate": candidate, "ms": ms,
+                    "cpu_ratio": np.median(seconds[variant, "cpu"] / own),
+                    "most_ratio": np.nan if most is None else np.median(own / most),
+                    "peak_share": flops / (ms * 1e6) / peak if candidate in ("cpu", "prototype") else np.nan,
+                }
+            )  # fmt: skip
+            print(_line(rows[-1]), flush=True)
     table = pd.DataFrame(rows)
     table.attrs["peak"] = peak
     return table
 
 
 def _line(row: dict) -> str:
+    most = "" if np.isnan(row["most_ratio"]) else f"  this/{MOST} {row['most_ratio']:5.2f}"
     share = "" if np.isnan(row["peak_share"]) else f"  {100 * row['peak_share']:4.1f} % of FMA peak"
     return (
         f"{row['cloud'].split()[0]:<8} {row['size']:>8} {row['gaussians']:>8} {row['channels']:>8}"
         f"  {row['candidate']:<13}"
-        f"{row['ms']:9.2f} ms   cpu/this {row['cpu_ratio']:5.2f}{share}"
+        f"{row['ms']:9.2f} ms   cpu/this {row['cpu_ratio']:5.2f}{most}{share}"
     )
 
 

@@ -5,20 +5,22 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 import numpy as np
 
 from tdgbench.splats.cpu import pool, reductions, simd
 from tdgbench.splats.cpu.jit import kernel
 
+Key = TypeVar("Key")
 FMA_CHAINS, FMA_STEPS = 16, 1_000_000
 
 
-def interleave(candidates: Mapping[str, Callable[[], float]], repetitions: int) -> dict[str, list[float]]:
+def interleave(candidates: Mapping[Key, Callable[[], float]], repetitions: int) -> dict[Key, list[float]]:
     """Call every candidate once to warm it up, then in turns; each returns the seconds that count."""
     for run in candidates.values():
         run()
-    seconds: dict[str, list[float]] = {name: [] for name in candidates}
+    seconds: dict[Key, list[float]] = {name: [] for name in candidates}
     for _ in range(repetitions):
         for name, run in candidates.items():
             seconds[name].append(run())

@@ -7,7 +7,7 @@ from tests.conftest import ROOT
 
 
 def test_runs_small(tmp_path):
-    small = ["--counts", "300", "--sizes", "64x48", "--channels", "3+depth", "--repetitions", "2", "--torch"]
+    small = ["--counts", "300", "--sizes", "64x48", "--channels", "1", "3+depth", "--repetitions", "2", "--torch"]
     run = subprocess.run(
         [sys.executable, "-m", "benchmarks.core", *small, "--out", str(tmp_path)],
         cwd=ROOT, capture_output=True, text=True, timeout=300,
@@ -15,4 +15,6 @@ def test_runs_small(tmp_path):
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "core.csv")
     assert set(table["candidate"]) == {"cpu", "cpu forward", "cpu backward", "torch"}
+    whole = table[table["candidate"] == "cpu"].set_index("channels")
+    assert (whole["cpu_ratio"] == 1).all() and whole.loc["3+depth", "most_ratio"] == 1 != whole.loc["1", "most_ratio"]
     assert (table["ms"] > 0).all() and (tmp_path / "core.png").exists()

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import backend as cpu
-from tdgbench.splats.cpu import passes, pool
+from tdgbench.splats.cpu import blocks, passes, pool
 from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.passes import _pack
 from tdgbench.splats.cpu.simd import LANES
@@ -53,6 +55,33 @@ def test_only_candidates_are_updated_and_only_pulled_ones_get_rows():
     assert set(touched.tolist()) <= set(asked.tolist()) and len(set(touched.tolist())) == len(touched)
     values = np.concatenate([rows.values[a : a + n] for a, n in rows.pieces])
     assert np.abs(values[:, 11]).min() > 0 and not values[:, 12:].any()
+
+
+def test_the_forward_pass_tells_in_which_blocks_a_gaussian_has_weight():
+    """One small Gaussian before forty opaque layers, of which each pixel sees those down to a transmittance of 1e-4."""
+    layers = 40
+    means = torch.zeros(1 + layers, 3)
+    means[:, 2] = torch.linspace(1, 3, 1 + layers)
+    means[0, :2] = torch.tensor([-0.1, 0.2])
+    scales = torch.full((1 + layers, 3), 50.0)
+    scales[0] = 0.02
+    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(1 + layers, 1)
+    opacities = torch.full((1 + layers,), 0.9)
+    opacities[0] = 0.5
+    K = torch.tensor([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
+    source = cpu._arrays_of((means, scales, quats, opacities, torch.ones(1 + layers, 1, 1)))
+    settings = passes.Settings(
+        cpu.pack_camera(torch.eye(4), K, 16, 16, 0.2, 1e10, 0.3), 16, 16, -1, False, np.zeros(1, np.float32), LIMITS
+    )
+    first = replace(source, count=1)
+    seen = passes.forward(first, settings).transmittance < 1
+    rows, columns = np.nonzero(seen)
+    own = set((rows // blocks.HEIGHT * blocks.ACROSS + columns // blocks.WIDTH).tolist())
+    done = passes.forward(source, settings)
+    lit = [{b for b in range(blocks.BLOCKS) if int(number) >> b & 1} for number in done.lit[: done.reached[0]]]
+    assert done.owners[done.gaussian_of[0]] == 0 and lit[0] == own and 1 <= len(own) <= 4
+    assert all(len(some) == blocks.BLOCKS for some in lit[1:4]) and not any(lit[6:])
+    assert 6 < done.reached[0] < 1 + layers
 
 
 def test_the_same_on_any_number_of_threads():
