@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import load, prefetch, store
+from tdgbench.splats.cpu.memory import load, prefetch_columns, store
 from tdgbench.splats.cpu.reductions import any_positive
 from tdgbench.splats.cpu.simd import LANES, divide, is_finite, maximum, select, splat, square_root
 
@@ -32,11 +32,9 @@ def note_bounds(bounds, i, row, parameters):
 @kernel(inline=True)
 def prefetch_row_of_each(i, columns, stride, parameters, first_moments, second_moments):
     """Ask for the row of Gaussian i in all three arrays, cache line by cache line."""
-    for j in range(0, columns, 16):
-        o = U(i * stride + j)
-        prefetch(parameters, o)
-        prefetch(first_moments, o)
-        prefetch(second_moments, o)
+    prefetch_columns(parameters, i, stride, 0, columns)
+    prefetch_columns(first_moments, i, stride, 0, columns)
+    prefetch_columns(second_moments, i, stride, 0, columns)
 
 
 @kernel(inline=True)

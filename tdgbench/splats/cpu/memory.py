@@ -10,6 +10,8 @@ from numba.extending import intrinsic
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd import FLOATS, LANES, vec
 
+U = np.uint64
+LINE = 16  # floats of a cache line
 _INDEX = ir.IntType(32)
 _LONG = ir.IntType(64)
 
@@ -71,6 +73,13 @@ def _call_prefetch(builder, pointer):
     signature = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), _INDEX, _INDEX, _INDEX])
     function = builder.module.globals.get(name) or ir.Function(builder.module, signature, name)
     builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
+
+
+@kernel(inline=True)
+def prefetch_columns(values, row, stride, column, count):
+    """Ask for columns [column, column + count) of a row of a matrix that is given as flat float32 memory."""
+    for j in range(0, count, LINE):
+        prefetch(values, U(row * stride + column + j))
 
 
 def _element(builder, data, row, stride, column):

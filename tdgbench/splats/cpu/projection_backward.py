@@ -13,7 +13,16 @@ import numpy as np
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.harmonics import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import aligned_floats, gather, gather_3, load, put_column, store
+from tdgbench.splats.cpu.memory import (
+    aligned_floats,
+    gather,
+    gather_3,
+    load,
+    prefetch,
+    prefetch_columns,
+    put_column,
+    store,
+)
 from tdgbench.splats.cpu.projection import (
     along_axes,
     camera_point,
@@ -29,6 +38,7 @@ from tdgbench.splats.cpu.simd import LANES, divide, equal, greater, select, spla
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 LN_2 = F(math.log(2))
+LOOK_AHEAD = 16
 MAX_SLOT = 12  # floats: six moments, four channels, two absolute sums
 
 
@@ -90,6 +100,9 @@ def projection_backward(
     r = first
     while r < first + count or filled > 0:
         if r < first + count:
+            ahead = np.int64(owners[U(min(r + LOOK_AHEAD, first + count - 1))])
+            prefetch(means, U(ahead * layout[0] + layout[1]))
+            prefetch_columns(colors, ahead, layout[8], layout[9], n_bases * channels)
             for j in range(U(slot_size)):
                 own[j] = ZERO
             for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
