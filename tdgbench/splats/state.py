@@ -16,6 +16,7 @@ from tdgbench.splats.gaussians import Gaussians
 GROWTH = 3.0  # of the room, when it is used up; memory that was never written costs nothing
 ORDER_AGAIN = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
+ROWS_AT_ONCE = 100_000  # that are worked on in double precision
 ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # all have one row per Gaussian, and room for more
 
 
@@ -175,18 +176,27 @@ def _room(like: Tensor, shape: tuple[int, int]) -> Tensor:
 
 def _z_order(means: Tensor) -> Tensor:
     """The order (N,) of points (N, 3) along a Z-order (Morton) curve through their bounding box."""
-    points = np.nan_to_num(means.detach().cpu().numpy().astype(np.float64))
+    points = means.detach().cpu().numpy()
     if not len(points):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
-    low, high = points.min(axis=0), points.max(axis=0)
-    cells = (points - low) * ((2**AXIS_BITS - 1) / max((high - low).max(), 1e-300))
+    pieces = [slice(start, start + ROWS_AT_ONCE) for start in range(0, len(points), ROWS_AT_ONCE)]
+    low = np.min([_finite(points[piece]).min(axis=0) for piece in pieces], axis=0)
+    high = np.max([_finite(points[piece]).max(axis=0) for piece in pieces], axis=0)
+    scale = (2**AXIS_BITS - 1) / max((high - low).max(), 1e-300)
     code = np.zeros(len(points), np.uint64)
-    for axis in range(3):
-        bits = cells[:, axis].astype(np.uint64)
-        for shift, mask in _SPREAD:
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        code |= bits << np.uint64(axis)
+    for piece in pieces:
+        cells = (_finite(points[piece]) - low) * scale
+        for axis in range(3):
+            bits = cells[:, axis].astype(np.uint64)
+            for shift, mask in _SPREAD:
+                bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+            code[piece] |= bits << np.uint64(axis)
     return torch.from_numpy(np.argsort(code, kind="stable")).to(means.device)
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    """Points as float64, NaN as 0 and infinities as the largest numbers."""
+    return np.nan_to_num(points.astype(np.float64))
 
 
 # Steps that put two zero bits between the bits of a 21-bit number.
