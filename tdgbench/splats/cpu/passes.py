@@ -33,7 +33,7 @@ F = np.float32
 class Settings:
     """What a rendering needs besides Gaussians."""
 
-    camera: np.ndarray  # float32 (24,), see tdgbench.splats.cpu.projection
+    camera: np.ndarray  # float32 (27,), see tdgbench.splats.cpu.projection
     width: int
     height: int
     degree: int  # −1: colours as they are

@@ -5,6 +5,7 @@ import torch
 from tdgbench.splats.cpu.harmonics import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.memory import load, store
+from tdgbench.splats.cpu.projection import CAMERA_SIZE
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd import LANES
 from tdgbench.splats.harmonics import basis
@@ -58,7 +59,7 @@ def directions_from(means, camera, out):
 
 
 def test_view_direction():
-    means, out, camera = zeros(3), zeros(4), np.zeros(24, F)
+    means, out, camera = zeros(3), zeros(4), np.zeros(CAMERA_SIZE, F)
     points = np.random.default_rng(0).normal(size=(LANES, 3)).astype(F)
     means[:] = points.T.reshape(-1)
     camera[16:19] = 1, -2, 3
