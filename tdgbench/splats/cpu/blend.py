@@ -14,17 +14,15 @@ import functools
 import numpy as np
 
 from tdgbench.splats.cpu.blocks import (
-    ACROSS,
     ALL,
     BLOCKS,
-    HEIGHT,
     NONE,
     OWN,
-    WIDTH,
     T,
     form_of,
     log2_alpha_in,
     lowest,
+    pixel_of,
     within_reach,
     write_centres,
     write_transmittance,
@@ -145,8 +143,7 @@ def make_blend(colors: int, depth: bool, rough_exp: bool):
             reached[tile] = done - begin
             for block in range(U(BLOCKS)):
                 for lane in range(U(LANES)):
-                    y = U(top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH)
-                    x = U(left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH)
+                    y, x = pixel_of(block, lane, left, top)
                     if y < U(height) and x < U(width):
                         o = block * U(size) + lane
                         t_left = abs(pixels[o + T])

@@ -19,18 +19,16 @@ import numpy as np
 
 from tdgbench.splats.cpu.blend import ONE, ZERO
 from tdgbench.splats.cpu.blocks import (
-    ACROSS,
     BLOCKS,
-    HEIGHT,
     NONE,
     OWN,
-    WIDTH,
     T,
     X,
     Y,
     form_of,
     log2_alpha_in,
     lowest,
+    pixel_of,
     write_centres,
     write_transmittance,
 )
@@ -98,8 +96,8 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                 for lane in range(U(LANES)):
                     o = block * U(block_size) + lane + OWN
                     # pixels beyond the image take the values of its edge, but have no light behind
-                    y = min(U(top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH), U(height - 1))
-                    x = min(U(left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH), U(width - 1))
+                    y, x = pixel_of(block, lane, left, top)
+                    y, x = min(y, U(height - 1)), min(x, U(width - 1))
                     behind = transmittance[y, x] * grad_transmittance[y, x]
                     for c in range(U(colors)):
                         g = grad_image[y, x, c]

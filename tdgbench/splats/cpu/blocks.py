@@ -77,6 +77,14 @@ def write_transmittance(pixels, size, columns, rows):
 
 
 @kernel(inline=True)
+def pixel_of(block, lane, left, top):
+    """y and x in the image of a pixel of the tile that begins at (left, top)."""
+    y = U(top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH)
+    x = U(left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH)
+    return y, x
+
+
+@kernel(inline=True)
 def form_of(records, i, left, top):
     """dx0, dy0, A, B, C, o of log2(alpha) = o + A dx² + B dx dy + C dy²; (dx0, dy0) leads from the mean to the tile."""
     dx0 = splat((F(left) - records[i, FIRST_X]) - records[i, U_])

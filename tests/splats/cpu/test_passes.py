@@ -10,6 +10,7 @@ from tdgbench.splats.cpu.limits import pack_limits
 from tdgbench.splats.cpu.passes import _pack
 from tdgbench.splats.cpu.simd import LANES
 from tests.conftest import random_gaussians, turned_camera
+from tests.splats.cpu.test_blocks import members
 
 LIMITS = pack_limits(AS_3DGS)
 
@@ -78,7 +79,7 @@ def test_the_forward_pass_tells_in_which_blocks_a_gaussian_has_weight():
     rows, columns = np.nonzero(seen)
     own = set((rows // blocks.HEIGHT * blocks.ACROSS + columns // blocks.WIDTH).tolist())
     done = passes.forward(source, settings)
-    lit = [{b for b in range(blocks.BLOCKS) if int(number) >> b & 1} for number in done.lit[: done.reached[0]]]
+    lit = [members(int(number)) for number in done.lit[: done.reached[0]]]
     assert done.owners[done.gaussian_of[0]] == 0 and lit[0] == own and 1 <= len(own) <= 4
     assert all(len(some) == blocks.BLOCKS for some in lit[1:4]) and not any(lit[6:])
     assert 6 < done.reached[0] < 1 + layers
