@@ -39,7 +39,30 @@ class DensityRules:
     screen_radius_prune: bool
     opacity_reset_every: int
     opacity_reset_to: float
+    round_recovery: int  # × every: iterations that must follow a round of cloning, splitting and pruning
+    reset_recovery: int  # × every: and an opacity reset; what would come later in a training is left out
     max_gaussians: int | None = None  # no growth beyond this
+
+    def is_round(self, iteration: int, iterations: int) -> bool:
+        """Whether Gaussians are cloned, split and pruned at an iteration of a training of so many."""
+        on_time = self.start < iteration < self.stop and iteration % self.every == 0
+        return on_time and iterations - iteration >= self.round_recovery * self.every
+
+    def is_reset(self, iteration: int, iterations: int) -> bool:
+        """Whether opacities are reset at an iteration of a training of so many."""
+        on_time = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
+        return on_time and iterations - iteration >= self.reset_recovery * self.every
+
+    def is_settled(self, iteration: int, iterations: int) -> bool:
+        """Whether the model before this iteration's density control has recovered from all earlier rounds and resets.
+
+        Only such a model is worth saving: a reset costs more than 10 dB, a round some tenths.
+        """
+        rounds = range(max(1, iteration - self.round_recovery * self.every + 1), iteration)
+        resets = range(max(1, iteration - self.reset_recovery * self.every + 1), iteration)
+        return not (
+            any(self.is_round(i, iterations) for i in rounds) or any(self.is_reset(i, iterations) for i in resets)
+        )
 
 
 @dataclass
@@ -56,8 +79,9 @@ class DensityChange:
 class DensityControl:
     """Gathers gradients and radii view by view and changes the set of Gaussians when its rules say so."""
 
-    def __init__(self, rules: DensityRules, extent: float, state: TrainingState) -> None:
-        self.rules, self.extent, self.state = rules, extent, state
+    def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
+        """extent: of the scene, in world units. iterations: length of the training, which its end depends on."""
+        self.rules, self.extent, self.state, self.iterations = rules, extent, state, iterations
         self._clear()
 
     def _clear(self) -> None:
@@ -100,8 +124,8 @@ class DensityControl:
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
             return change
-        change.densified = iteration > rules.start and iteration % rules.every == 0
-        change.opacity_reset = iteration % rules.opacity_reset_every == 0
+        change.densified = rules.is_round(iteration, self.iterations)
+        change.opacity_reset = rules.is_reset(iteration, self.iterations)
         if change.densified or change.opacity_reset:
             optimizer.settle()
         if change.densified:

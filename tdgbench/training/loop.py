@@ -47,11 +47,17 @@ def train(
     plateau: Plateau | None = None,
     on_step: Callable[[TrainingLog], None] | None = None,
     log: TrainingLog | None = None,
+    on_model: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
     """Train a method that is set up, for so many iterations, or until its thermal loss is on a plateau.
 
-    on_step is given the log after each step; the clock stands still meanwhile. log: that of the iterations which the
-    method already has behind it, to go on from.
+    The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
+    density control, and take no optimiser step in it. A plateau ends training once the models have recovered from
+    their last density control.
+
+    on_step is given the log after each step, on_model before the models change in an iteration, when they are as they
+    would be saved; the clock stands still meanwhile. log: that of the iterations which the method already has behind
+    it, to go on from.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when no
     Gaussian is left.
@@ -59,50 +65,69 @@ def train(
     log = log or TrainingLog()
     every = max(1, iterations // LOG_LINES)
     smoothed = log.lines[-1].psnr if log.lines else None
-    start = time.perf_counter() - log.seconds
-    left = range(0) if log.ended else range(log.iterations + 1, iterations + 1)
-    for iteration in left:
+    clock = Clock(log.seconds)
+    remaining = range(0) if log.ended else range(log.iterations + 1, iterations + 1)
+    for iteration in remaining:
         models = method.models()
         for model in models.values():
             model.begin(iteration)
         step = method.step(iteration)
-        loss = step.loss.item()
-        if not math.isfinite(loss):
-            for name, model in models.items():
-                _check_parameters(name, model, iteration)
-            raise NonFiniteError(iteration, _first_bad(step))
-        step.loss.backward()
-        for name, model in models.items():
-            bad = model.finish(iteration)
-            if bad is not None:
-                raise NonFiniteError(iteration, f"gradient of {name} {bad}")
-            if len(model) == 0:
-                raise EmptyModelError(iteration, name)
-        ends = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
-        if iteration % every == 0 or iteration in (1, iterations) or ends:
+        loss = _finite_loss(step, models, iteration)
+        on_plateau = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
+        ends = iteration == iterations or (on_plateau and all(m.is_settled(iteration) for m in models.values()))
+        if on_model is not None:
+            log.iterations, log.seconds = iteration, clock.seconds()
+            on_model(log)
+            clock = Clock(log.seconds)
+        if not ends:
+            _update(step, models, iteration)
+        if iteration % every == 0 or iteration == 1 or ends:
             for name, model in models.items():
                 _check_parameters(name, model, iteration)
             psnr = _psnr(step)
             smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
-            line = LogLine(
-                iteration=iteration,
-                seconds=time.perf_counter() - start,
-                loss=loss,
-                psnr=smoothed,
-                gaussians=sum(len(model) for model in models.values()),
-                terms=step.terms,
-            )
+            gaussians = sum(len(model) for model in models.values())
+            line = LogLine(iteration, clock.seconds(), loss, smoothed, gaussians, step.terms)
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
-        log.iterations, log.seconds = iteration, time.perf_counter() - start
-        log.ended = ends or iteration == iterations
+        log.iterations, log.seconds, log.ended = iteration, clock.seconds(), ends
         if on_step is not None:
             on_step(log)
-            start = time.perf_counter() - log.seconds
-        if log.ended:
+            clock = Clock(log.seconds)
+        if ends:
             break
     return log
+
+
+class Clock:
+    """Seconds of training, counted on from those of before."""
+
+    def __init__(self, before: float) -> None:
+        self._start = time.perf_counter() - before
+
+    def seconds(self) -> float:
+        return time.perf_counter() - self._start
+
+
+def _finite_loss(step: Step, models: dict[str, SplatModel], iteration: int) -> float:
+    loss = step.loss.item()
+    if not math.isfinite(loss):
+        for name, model in models.items():
+            _check_parameters(name, model, iteration)
+        raise NonFiniteError(iteration, _first_bad(step))
+    return loss
+
+
+def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
+    """The backward pass, density control and Adam."""
+    step.loss.backward()
+    for name, model in models.items():
+        bad = model.finish(iteration)
+        if bad is not None:
+            raise NonFiniteError(iteration, f"gradient of {name} {bad}")
+        if len(model) == 0:
+            raise EmptyModelError(iteration, name)
 
 
 @torch.no_grad()

@@ -76,7 +76,7 @@ class SplatModel:
         self.backend = backend
         self.degree = 0
         self.optimizer = Adam(self.state, budget.rates, extent)
-        self.density = DensityControl(budget.density, extent, self.state)
+        self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
         self.view_dependence: float | None = None  # as it was last measured
@@ -148,6 +148,10 @@ class SplatModel:
     def forget_views(self) -> None:
         """Drop the gradients that were gathered since the last step."""
         self._gradients = []
+
+    def is_settled(self, iteration: int) -> bool:
+        """Whether the model is worth saving at an iteration: it has recovered from its last density control."""
+        return self.budget.density.is_settled(iteration, self.budget.iterations)
 
     def finish(self, iteration: int) -> str | None:
         """After the backward pass: density control, then Adam, which rests where parameters were just replaced.

@@ -42,7 +42,7 @@ def look(density: DensityControl, hot=(), radii=5) -> None:
 
 
 def control(rules, hot=(), radii=5, state=None) -> DensityControl:
-    density = DensityControl(rules, EXTENT, state or five())
+    density = DensityControl(rules, EXTENT, state or five(), iterations=30_000)
     look(density, hot, radii)
     return density
 

@@ -22,6 +22,7 @@ def set_up(scene, name: str):
     """A method that is ready to train, its context and a plateau that is watched but never reached."""
     often = (
         "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
+        "budget.density.reset_recovery=1",
         "budget.sh_every=12",
     )  # fmt: skip
     method, context = ready_to_train(scene, name, ITERATIONS, *often, skips=Skips(sh=False))

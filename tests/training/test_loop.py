@@ -104,9 +104,8 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
 
 
 def test_a_model_without_gaussians_stops(small_scene):
-    method, _ = trained(small_scene, "splat", 1, **{"budget.density.min_opacity": 0.9999})
     with pytest.raises(EmptyModelError, match="no Gaussian is left after density control at iteration 40"):
-        train(method, 60)
+        trained(small_scene, "splat", 60, **{"budget.density.min_opacity": 0.9999})
 
 
 def test_a_gradient_that_is_not_finite_is_named(small_scene):

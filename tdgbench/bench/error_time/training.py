@@ -49,7 +49,8 @@ def runs_of(cfg: DictConfig) -> list[Run]:
 def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
     """Train one link and score the test views at `samples` moments, evenly in the logarithm of the iteration.
 
-    The clock stands still while views are scored.
+    A moment right after density control is put off until the models have recovered: each point of the curve is a
+    model as it would be saved. The clock stands still while views are scored.
     """
     cfg = cfg.copy()
     cfg.scene = scene_name
@@ -61,7 +62,9 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     set_up(method, cfg, scene, budget, cfg.backend.name, skips)
     compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
     scorer: Scorer = instantiate(cfg.metrics)
-    moments = set(np.unique(np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)))
+    even = np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)
+    rules = budget.density
+    moments = {next(i for i in range(m, budget.iterations + 1) if rules.is_settled(i, budget.iterations)) for m in even}
     rows: list[dict[str, Any]] = []
 
     def look(log: TrainingLog) -> None:
@@ -77,7 +80,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )  # fmt: skip
 
-    train(method, budget.iterations, on_step=look)
+    train(method, budget.iterations, on_model=look)
     return pd.DataFrame(rows)
 
 

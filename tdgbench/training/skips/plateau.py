@@ -33,17 +33,20 @@ class Plateau:
     _count: int = 0
     _best: float = field(default=float("inf"))
     _without: int = 0
+    _reached: bool = False
 
     def state_dict(self) -> dict[str, Any]:
         """What was seen so far."""
-        return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without")}
+        return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Take over what `state_dict` gave."""
         vars(self).update(saved)
 
     def reached(self, iteration: int, loss: float) -> bool:
-        """Take in one iteration's loss; True once it is time to stop."""
+        """Take in one iteration's loss; True once it is time to stop, and from then on."""
+        if self._reached:
+            return True
         if iteration <= self.rule.after:
             return False
         self._sum, self._count = self._sum + loss, self._count + 1
@@ -55,4 +58,5 @@ class Plateau:
         else:
             self._without += 1
         self._best = min(self._best, mean)
-        return self._without >= self.rule.patience
+        self._reached = self._without >= self.rule.patience
+        return self._reached

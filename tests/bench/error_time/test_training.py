@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import pandas as pd
 import pytest
@@ -72,12 +73,29 @@ def experiment(data_root, *overrides):
 def test_a_curve_is_sampled_along_a_training(data_root):
     cfg = experiment(data_root)
     runs = runs_of(cfg)
-    assert [run.method for run in runs] == ["msmg", "thermal", "thermal", "tdg", "tdg"]
+    assert [run.method for run in runs] == ["msmg", "thermal", "thermal", "thermal", "tdg", "tdg"]
     found = sample_curve(cfg, "turntable", runs[-1], 3)
     assert list(found["iteration"]) == [7]  # a third of 20: fewer than the first sample
     found = sample_curve(cfg, "turntable", runs[2], 3)
     assert found["iteration"].iloc[-1] == 20 and found["seconds"].is_monotonic_increasing
     assert found["psnr"].between(5, 60).all() and found["depth_abs_rel"].between(0, 1).all()
+
+
+def test_each_link_changes_one_thing(data_root):
+    cfg = experiment(data_root)
+    chain = [{**cfg.job.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
+    for one in chain:
+        one.pop("_target_")
+        one.update({"weight": 1.0, "lambda_depth": 0.0, "decay_end": 0.0} | one)
+    changes = [{k for k in before if k in after and before[k] != after[k]} for before, after in pairwise(chain)]
+    assert changes[1:] == [{"weight"}, {"smooth"}, {"lambda_depth", "decay_end"}, {"share"}]
+
+
+def test_points_of_a_curve_are_models_that_could_be_saved(data_root):
+    often = ("budget.density.start=4", "budget.density.every=4", "budget.density.opacity_reset_every=1000")
+    cfg = experiment(data_root, *often, "budget.iterations=40", "job.samples=20")
+    found = sample_curve(cfg, "turntable", runs_of(cfg)[-2], 20)
+    assert set(found["iteration"]) == {20, 24, 28, 32, 36, 40}
 
 
 def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
@@ -90,7 +108,7 @@ def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
 
     monkeypatch.setattr(training, "sample_curve", failing)
     curves, failed = sample_all(experiment(data_root), lambda *seen: told.append(seen))
-    assert failed == 1 and isinstance(told[0][2], RuntimeError) and curves["label"].nunique() == 4
+    assert failed == 1 and isinstance(told[0][2], RuntimeError) and curves["label"].nunique() == 5
 
 
 def test_a_method_that_the_job_lacks_is_named(data_root):

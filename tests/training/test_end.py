@@ -1,0 +1,148 @@
+"""How a training ends: with the model before the last iteration's density control, whatever its length."""
+
+import hashlib
+
+import pytest
+from hydra.utils import instantiate
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tests.conftest import config, ready_to_train
+
+OFTEN = (
+    "budget.density.start=20", "budget.density.every=10", "budget.density.opacity_reset_every=60",
+    "budget.density.grad_threshold=1e-5", "budget.density.reset_recovery=3", "budget.density.stop=1000",
+)  # fmt: skip
+RULE = PlateauRule(rounds=1, patience=1, gain=0.9, after=10)
+
+
+def digest(method) -> str:
+    content = hashlib.sha256()
+    for model in method.models().values():
+        for _, tensor in model.gaussians.items():
+            content.update(tensor.detach().numpy().tobytes())
+    return content.hexdigest()
+
+
+class EnoughError(Exception):
+    pass
+
+
+def saved_at(scene, iteration: int) -> str:
+    """The model of a long training at an iteration, before its density control."""
+    method, _ = ready_to_train(scene, "splat", 1000, *OFTEN)
+    seen = []
+
+    def look(log: TrainingLog) -> None:
+        if log.iterations == iteration:
+            seen.append(digest(method))
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        train(method, 1000, on_model=look)
+    return seen[0]
+
+
+@pytest.mark.parametrize("length", [1, 2, 29, 30, 40, 60, 61, 70, 100])
+def test_the_last_iteration_changes_nothing(small_gray_scene, length):
+    """Like the released code: what is scored is the model before density control, without a last step."""
+    method, _ = ready_to_train(small_gray_scene, "splat", length, *OFTEN)
+    log = train(method, length)
+    assert log.ended and log.iterations == length == log.lines[-1].iteration
+    rules = instantiate(config("budget=demo", *OFTEN).budget.density)
+    same_so_far = all(
+        rules.is_round(i, length) == rules.is_round(i, 1000) and rules.is_reset(i, length) == rules.is_reset(i, 1000)
+        for i in range(1, length)
+    )
+    assert same_so_far == (length not in (61, 70))
+    assert (digest(method) == saved_at(small_gray_scene, length)) == same_so_far
+
+
+@pytest.mark.parametrize("name", ["tdg", "msmg", "splat"])
+def test_a_round_in_the_last_iteration_is_left_out(small_gray_scene, name):
+    """Length 60 is a multiple of both intervals: neither new Gaussians nor opacities of at most 0.01."""
+    method, _ = ready_to_train(small_gray_scene, name, 60, *OFTEN)
+    train(method, 60)
+    for model in method.models().values():
+        assert model.gaussians.opacities.max() > 0.1
+
+
+def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
+    """Reached at iteration 64, 4 after a reset; without density control it would end there."""
+    late = PlateauRule(rounds=1, patience=1, gain=0.9, after=32)
+    ends = {}
+    for recovery in (0, 3):
+        overrides = (
+            *OFTEN,
+            f"budget.density.reset_recovery={recovery}",
+            f"budget.density.round_recovery={recovery // 3}",
+        )
+        method, _ = ready_to_train(small_gray_scene, "splat", 1000, *overrides)
+        views = len(method.views._views)
+        log = train(method, 1000, plateau=Plateau(late, views))
+        ends[recovery] = log.iterations
+        assert log.ended and log.lines[-1].iteration == log.iterations
+    assert ends[0] == 32 + 2 * views
+    rules = instantiate(config("budget=demo", *OFTEN).budget.density)
+    assert ends[3] == next(i for i in range(ends[0], 1000) if rules.is_settled(i, 1000))
+
+
+def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
+    method, context = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
+    log = checkpoint.take_up(method, context, None)
+
+    def killed(log):
+        checkpoint._next = 0.0
+        checkpoint.after_step(log)
+        if log.iterations == 59:
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        train(method, 60, on_step=killed, log=log)
+    method, context = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, None)
+    assert log.iterations == 59
+    train(method, 60, log=log)
+    assert digest(method) == saved_at(small_gray_scene, 60)
+
+
+LENGTHS = st.builds(
+    lambda unit, times, beside: max(1, unit * times + beside),
+    st.sampled_from([100, 500, 3000]), st.integers(1, 12), st.integers(-120, 120),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("budget", ["paper", "short", "demo"])
+@given(length=LENGTHS)
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_no_length_is_a_bad_one(budget, length):
+    """Around multiples of 100, 500 and 3 000: the model that is scored has recovered from the last density control."""
+    rules = _rules(budget)
+    assert rules.is_settled(length, length)
+    rounds = [i for i in range(1, length + 1) if rules.is_round(i, length)]
+    resets = [i for i in range(1, length + 1) if rules.is_reset(i, length)]
+    assert all(length - i >= 100 for i in rounds) and all(length - i >= 500 for i in resets)
+    assert all(rules.start < i < rules.stop for i in rounds) and all(i < rules.stop for i in resets)
+
+
+@pytest.mark.parametrize("length", [7_000, 10_000, 20_000, 30_000])
+def test_the_published_lengths_follow_the_released_rules(length):
+    """No round or reset of the released code is left out, but for those of the last iteration."""
+    rules = _rules("paper")
+    released = [i for i in range(501, min(length, 15_000)) if i % 100 == 0]
+    assert [i for i in range(1, length + 1) if rules.is_round(i, length)] == released
+    resets = [i for i in range(1, min(length, 15_000)) if i % 3000 == 0]
+    assert [i for i in range(1, length + 1) if rules.is_reset(i, length)] == resets
+
+
+_cached = {}
+
+
+def _rules(budget: str):
+    if budget not in _cached:
+        _cached[budget] = instantiate(config(f"budget={budget}").budget.density)
+    return _cached[budget]
