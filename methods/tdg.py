@@ -1,6 +1,7 @@
 """TDg: one Gaussian model trained on thermal images, guided by a depth prior estimated from them.
 
-Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimation", section Method.
+Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimation", section Method, and the code that
+its authors released (HannahHaensen/TDg, commit b881cee). The two differ; `depth` and `smooth` choose between them.
 """
 
 from __future__ import annotations
@@ -11,12 +12,17 @@ import torch
 from torch import Tensor
 
 from tdgbench.priors import DepthPrior
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.rasterization import render_view
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
 from tdgbench.training.method import Context, Step, thermal_tensor
 from tdgbench.training.model import Render, SplatModel
 
 MIN_ALPHA = 1e-3  # where less light than this is stopped, there is no depth to invert
+RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
+DEPTHS = ("written", "released")
+DECAYS = ("linear", "switch")
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:
@@ -60,9 +66,44 @@ def _known(values: Tensor, valid: Tensor) -> Tensor:
     return torch.where(valid, values, values[valid][0].detach())
 
 
+@torch.no_grad()
+def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor:
+    """Rendered depth map (H, W) in [0, 1] as released (gaussian_renderer/__init__.py, from line 404).
+
+    Each Gaussian's z is min-max normalised over all Gaussians with z > 0 (the others get 0), blended, and divided by
+    alpha. z comes from the view matrix multiplied transposed: the camera's rotation is inverted and its position does
+    not enter.
+    """
+    view = torch.as_tensor(camera.world_to_camera).to(gaussians.means)
+    z = gaussians.means @ view[:3, 2] + view[3, 2]
+    valid = torch.isfinite(z) & (z > 0)
+    known = z[valid]
+    if not len(known):
+        normalised = torch.zeros_like(z)
+    elif known.max() - known.min() > 1e-9:
+        normalised = torch.where(valid, (z - known.min()) / (known.max() - known.min()), 0.0).clamp(0, 1)
+    else:
+        normalised = torch.where(valid, 0.5, 0.0)
+    rendered = render_view(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, normalised[:, None], view,
+        torch.as_tensor(camera.K).to(view), camera.width, camera.height, backend=backend,
+    )  # fmt: skip
+    return rendered.image[..., 0] / (1 - rendered.transmittance + RELEASED_EPSILON)
+
+
+def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
+    """Depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) over the whole image; unknown depth is 0."""
+    return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)
+
+
 def decay_weight(iteration: int, start: int, end: int) -> float:
     """Progressive weight (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`."""
     return max(0.0, 1.0 - (iteration - start) / max(end - start, 1))
+
+
+def switch_weight(iteration: int, end: int) -> float:
+    """The hard supervision switch that the paper decays to avoid: 1 before `end`, then 0."""
+    return float(iteration < end)
 
 
 class TDg:
@@ -73,40 +114,67 @@ class TDg:
     needs_prior = True
 
     def __init__(
-        self, lambda_ssim: float, lambda_smooth: float, smooth: str, lambda_depth: float, decay_end: float
+        self,
+        lambda_ssim: float,
+        lambda_smooth: float,
+        smooth: str,
+        lambda_depth: float,
+        depth: str,
+        decay: str,
+        decay_end: float,
     ) -> None:
-        """decay_end: where the depth loss has faded out, as a share of all iterations."""
+        """depth: `written` (accumulated z, eq. 3, with its gradient) or `released` (without any gradient).
+        decay: `linear` (eq. 7) or `switch`. decay_end: share of the iterations after which the depth loss weighs nothing.
+
+        Raises ValueError for another word.
+        """
+        if depth not in DEPTHS or decay not in DECAYS:
+            raise ValueError(f"depth is {depth!r} and decay {decay!r}; they must be among {DEPTHS} and {DECAYS}")
         self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
-        self.lambda_depth, self.decay_end = lambda_depth, decay_end
+        self.lambda_depth, self.depth, self.decay, self.decay_end = lambda_depth, depth, decay, decay_end
 
     def setup(self, context: Context) -> None:
         self.model = context.make_model(context.scene.channels, thermal_tensor)
         self.views = context.view_order()
         self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
-        self.last_depth_iteration = round(self.decay_end * context.budget.iterations)
-        without = max(0, context.budget.iterations - self.last_depth_iteration + 1)
-        if self.lambda_depth == 0:
-            without = context.budget.iterations
+        self.backend = context.backend
+        iterations = context.budget.iterations
+        self.last_depth_iteration = int(self.decay_end * iterations)
+        without, reason = max(0, iterations - self.last_depth_iteration + 1), ""
+        if self.lambda_depth == 0 or self.depth == "released":
+            without = iterations
+        if self.depth == "released":
+            reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
         self.skips_depth = context.skips.depth.decide(
             without > 0,
-            f"the depth loss weighs nothing from iteration {context.budget.iterations - without + 1} on",
-            f"depth and its loss in {without} of {context.budget.iterations} iterations",
+            reason or f"the depth loss weighs nothing from iteration {iterations - without + 1} on",
+            f"depth and its loss in {without} of {iterations} iterations",
         )
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        weight = self.lambda_depth * decay_weight(iteration, 1, self.last_depth_iteration)
-        needs_depth = weight > 0 or not self.skips_depth
-        render = self.model.render(view.camera, depth=needs_depth)
+        weight = self.lambda_depth * self._decay(iteration)
+        needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
+        render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
         target = thermal_tensor(view, render.image.device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
         terms = {"thermal": loss.item()}
         if needs_depth:
-            prior = self.targets[view.name]
-            depth = depth_loss(comparable_depth(render, prior.kind), prior)
+            depth = self._depth_loss(view, render)
             terms["depth"] = depth.item()
             loss = loss + weight * depth
         return Step(loss, terms, render, target)
+
+    def _decay(self, iteration: int) -> float:
+        if self.decay == "switch":
+            return switch_weight(iteration, self.last_depth_iteration)
+        return decay_weight(iteration, 1, self.last_depth_iteration)
+
+    def _depth_loss(self, view: View, render: Render) -> Tensor:
+        prior = self.targets[view.name]
+        if self.depth == "released":
+            return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
+        return depth_loss(comparable_depth(render, prior.kind), prior)
 
     def models(self) -> dict[str, SplatModel]:
         return {"thermal": self.model}

@@ -76,7 +76,7 @@ class CellRun:
             self.scene = dataset.load(cfg.scene)
             self.method = instantiate(cfg.method.method)
             record.config = relevant_config(cfg, self.method)
-            record.data, record.code = self.scene.fingerprint, code_version()
+            record.data, record.code = self._fingerprint(), code_version()
             record.key = cell_key(record)
 
     def train(self) -> None:
@@ -143,6 +143,13 @@ class CellRun:
             record.write(part)
         self.checkpoint.discard()
 
+    def _fingerprint(self) -> str:
+        """Of the scene's files, and of those that its prior is read from."""
+        if not self.method.needs_prior:
+            return self.scene.fingerprint
+        files = instantiate(self.cfg.prior.estimator).identity(self.scene).get("files")
+        return self.scene.fingerprint if files is None else f"{self.scene.fingerprint}-{files}"
+
     def close(self) -> None:
         """Let go of what is open."""
         if self._board is not None:
@@ -176,7 +183,7 @@ class CellRun:
             there = views - made
             reason = f"{there} of {views} training views were estimated before; test views need no prior"
             skip.decide(there > 0, reason, f"{there} estimates")
-            self.record.prior = {**estimator.identity(), "kind": next(iter(priors.values())).kind}
+            self.record.prior = {**estimator.identity(self.scene), "kind": next(iter(priors.values())).kind}
         return priors
 
     def _checkpoint(self) -> Checkpoint:

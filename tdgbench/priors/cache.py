@@ -19,19 +19,22 @@ def estimate_all(
 ) -> tuple[dict[str, DepthPrior], int]:
     """The priors of the training views by name, and how many were estimated now; `report` is told (done, of)."""
     priors, made = {}, 0
+    identity = json.dumps(estimator.identity(scene), sort_keys=True)
     for index, view in enumerate(scene.train, start=1):
-        prior, is_new = _cached(estimator, scene, view, cache)
+        prior, is_new = _cached(estimator, identity, scene, view, cache)
         priors[view.name], made = prior.check(view), made + is_new
         if report is not None:
             report(index, len(scene.train))
     return priors, made
 
 
-def _cached(estimator: DepthEstimator, scene: Scene, view: View, cache: Path | None) -> tuple[DepthPrior, bool]:
+def _cached(
+    estimator: DepthEstimator, identity: str, scene: Scene, view: View, cache: Path | None
+) -> tuple[DepthPrior, bool]:
     """A view's prior, and whether it was estimated now."""
     if cache is None:
         return estimator.estimate(scene, view), True
-    digest = hashlib.sha256(json.dumps(estimator.identity(), sort_keys=True).encode())
+    digest = hashlib.sha256(identity.encode())
     digest.update(f"{scene.fingerprint}/{view.name}/{view.camera.width}x{view.camera.height}".encode())
     digest.update(np.ascontiguousarray(view.thermal).tobytes())
     path = cache / f"{digest.hexdigest()[:32]}.npz"

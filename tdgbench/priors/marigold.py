@@ -22,7 +22,7 @@ class MarigoldPrior:
         self.model, self.steps, self.ensemble, self.resolution = model, steps, ensemble, resolution
         self.device, self.seed = device, seed
 
-    def identity(self) -> dict[str, object]:
+    def identity(self, scene: Scene) -> dict[str, object]:
         names = ("model", "steps", "ensemble", "resolution", "seed")
         return {"estimator": "marigold", **{name: getattr(self, name) for name in names}}
 

@@ -45,8 +45,11 @@ class DepthPrior:
 class DepthEstimator(Protocol):
     """D = f(I_thermal): TDg, eq. 2."""
 
-    def identity(self) -> dict[str, object]:
-        """What the result depends on besides the image; part of the cache key and of the record."""
+    def identity(self, scene: Scene) -> dict[str, object]:
+        """What the result depends on besides the images; part of the cache key and of the record.
+
+        `files`: a hash of the files that it reads, if it reads any.
+        """
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         """The prior of one view. Raises PriorError."""

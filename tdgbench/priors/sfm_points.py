@@ -28,7 +28,7 @@ class SfmPointsPrior:
     def __init__(self, grid_width: int, edge: float, smoothness: float, occlusion: float) -> None:
         self.grid_width, self.edge, self.smoothness, self.occlusion = grid_width, edge, smoothness, occlusion
 
-    def identity(self) -> dict[str, object]:
+    def identity(self, scene: Scene) -> dict[str, object]:
         return {"estimator": "sfm_points", **vars(self)}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:

@@ -21,7 +21,7 @@ class SyntheticPrior:
         self.kind = kind
         self.blur_px, self.noise, self.bumps, self.bump_px, self.seed = blur_px, noise, bumps, bump_px, seed
 
-    def identity(self) -> dict[str, object]:
+    def identity(self, scene: Scene) -> dict[str, object]:
         return {"estimator": "synthetic", **vars(self)}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:

@@ -103,6 +103,7 @@ def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadO
         fingerprint=_fingerprint(folder, [*thermal.values(), *rgb.values()], model_folder),
         channels=channels,
         notes=notes,
+        folder=folder,
     )
 
 

@@ -112,6 +112,7 @@ class Scene:
     fingerprint: str  # of the files' names, sizes and the COLMAP model
     channels: int  # of the thermal images: 1 (gray) or 3 (pseudo-colour)
     notes: list[str] = field(default_factory=list)
+    folder: Path | None = None  # where its files are
 
     @property
     def views(self) -> list[View]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -94,6 +95,12 @@ class SplatModel:
         """The Gaussians as they are now; they share memory with the model."""
         self.optimizer.settle()
         return self.state.split(self.state.values)
+
+    def copy(self) -> Gaussians:
+        """A copy of the Gaussians as they are now. Unlike `gaussians`, it leaves the model as it is to the last bit."""
+        state, optimizer = copy.deepcopy((self.state, self.optimizer))
+        optimizer.settle()
+        return state.split(state.values)
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
         """Render at the degree in use, colour and depth in one pass. With gradients it counts for density control."""

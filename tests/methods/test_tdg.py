@@ -1,12 +1,15 @@
 import pytest
 import torch
 
-from methods.tdg import DepthTarget, comparable_depth, decay_weight
+from methods.tdg import DepthTarget, TDg, comparable_depth, decay_weight, released_depth, switch_weight
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
+from tdgbench.splats import Gaussians
 from tdgbench.training.losses import ssim_map
 from tdgbench.training.model import Render
-from tests.training.test_loop import trained
+from tdgbench.training.skips import Skips
+from tests.conftest import random_gaussians
+from tests.training.test_loop import digest, trained
 
 
 def depth_loss(rendered, prior):
@@ -81,3 +84,49 @@ def test_total_is_the_sum_of_its_terms(small_scene):
     step = method.step(5)
     weight = method.lambda_depth * decay_weight(5, 1, 20)
     assert step.loss.item() == pytest.approx(step.terms["thermal"] + weight * step.terms["depth"], rel=1e-5)
+
+
+def test_a_switch_is_hard():
+    assert [switch_weight(t, 501) for t in (1, 500, 501)] == [1.0, 1.0, 0.0]
+
+
+def test_a_word_that_is_no_reading_is_refused():
+    with pytest.raises(ValueError, match="depth is 'printed'"):
+        TDg(0.2, 0.6, "paper", 0.2, "printed", "linear", 0.5)
+    with pytest.raises(ValueError, match="decay 'cubic'"):
+        TDg(0.2, 0.6, "paper", 0.2, "written", "cubic", 0.5)
+
+
+@pytest.mark.parametrize("scene_of", ["small_scene", "small_gray_scene"])
+def test_the_released_depth_loss_moves_nothing(request, scene_of):
+    """TDg as released ends with the bytes of 3DGS with the same smoothness, whether its depth is rendered or not."""
+    scene = request.getfixturevalue(scene_of)
+    released, log = trained(scene, "tdg_released", 60)
+    rendered, logged = trained(scene, "tdg_released", 60, skips=Skips(depth=False))
+    plain, _ = trained(scene, "splat", 60, **{"method.method.lambda_smooth": 0.6, "method.method.smooth": "reference"})
+    assert digest(released) == digest(plain) == digest(rendered)
+    written, _ = trained(scene, "tdg", 60)
+    assert digest(written) != digest(plain)
+    assert all("depth" in line.terms and 0 < line.terms["depth"] < 3 for line in logged.lines)
+    assert not any("depth" in line.terms for line in log.lines)
+
+
+def test_released_depth_by_hand(small_scene):
+    """One opaque Gaussian fills the view: the map is its normalised z, with the view matrix multiplied transposed."""
+    camera = small_scene.train[0].camera
+    means, quats, scales, opacities, colors = random_gaussians(200, 3, 0, 1)
+    world_to_camera = torch.as_tensor(camera.world_to_camera).float()
+    means = (means - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
+    means[0] = (
+        torch.tensor([0.0, 0.0, 1.0]) @ world_to_camera[:3, :3] - world_to_camera[:3, 3] @ world_to_camera[:3, :3]
+    )
+    scales[0], opacities[0] = 5.0, 0.999999
+    cloud = Gaussians(means, scales.log(), quats, opacities.logit(), colors)
+    z = torch.cat([means, torch.ones(200, 1)], dim=1) @ world_to_camera
+    z = z[:, 2]
+    known = z[z > 0]
+    expected = ((z[0] - known.min()) / (known.max() - known.min())).clamp(0, 1) if z[0] > 0 else torch.tensor(0.0)
+    found = released_depth(cloud, camera, "auto")
+    others = opacities.new_tensor(0.02)  # at most 1 % of what is behind shines through, or stands before
+    assert found.shape == (36, 48) and found.min() >= 0 and found.max() <= 1 + 1e-5
+    assert (found.median() - expected).abs() < others

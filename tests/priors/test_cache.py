@@ -7,7 +7,7 @@ class Counting:
     def __init__(self, name: str = "a") -> None:
         self.calls, self.name = 0, name
 
-    def identity(self):
+    def identity(self, scene):
         return {"estimator": self.name}
 
     def estimate(self, scene, view):

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.priors import PriorError
+from tdgbench.priors import PriorError, estimate_all
 from tdgbench.priors.files import FilePrior
 
 
@@ -20,3 +22,44 @@ def test_files(small_scene, tmp_path):
     assert np.isnan(read.values[0, 0]) and np.allclose(read.values[1:], values[1:], atol=1e-4)
     with pytest.raises(PriorError, match=r"view view002 has no depth prior; expected .*view002\.npy"):
         FilePrior(str(tmp_path), "depth").estimate(small_scene, small_scene.train[1])
+
+
+@pytest.mark.parametrize("part", ["train", "test", ""])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_maps_beside_the_scene_as_tdg_was_released(small_scene, tmp_path, part, bits):
+    scene, view = replace(small_scene, folder=tmp_path), small_scene.train[0]
+    (tmp_path / "depthesti" / part).mkdir(parents=True)
+    most = 2**bits - 1
+    values = np.random.default_rng(0).integers(0, most, (36, 48), endpoint=True).astype(f"uint{bits}")
+    values[3:5, 7] = 0
+    Image.fromarray(values).save(tmp_path / "depthesti" / part / f"{view.name}.png")
+    read = FilePrior(None, "depth").estimate(scene, view).check(view).values
+    assert np.isnan(read[3:5, 7]).all() and np.array_equal(np.isnan(read), values == 0)
+    assert np.allclose(read[values > 0], values[values > 0] / most, atol=1e-6)
+
+
+def test_a_map_of_another_size_is_resized(small_scene, tmp_path):
+    view = small_scene.train[0]
+    ramp = np.repeat(np.linspace(10, 250, 24).astype(np.uint8)[None], 18, axis=0)
+    Image.fromarray(ramp).save(tmp_path / f"{view.name}.png")
+    read = FilePrior(str(tmp_path), "depth").estimate(small_scene, view).check(view).values
+    assert read.shape == (36, 48) and (np.diff(read[0]) >= 0).all()
+    assert np.allclose(read.reshape(18, 2, 24, 2).mean(axis=(1, 3))[:, 1:-1], (ramp / 255)[:, 1:-1], atol=5e-3)
+
+
+def test_a_coloured_picture_is_no_depth_map(small_scene, tmp_path):
+    view = small_scene.train[0]
+    Image.new("RGB", (48, 36)).save(tmp_path / f"{view.name}.png")
+    with pytest.raises(PriorError, match=r"view001\.png cannot be read as a depth map: it has mode RGB"):
+        FilePrior(str(tmp_path), "depth").estimate(small_scene, view)
+
+
+def test_a_map_that_changed_is_read_again(small_scene, tmp_path):
+    for view in small_scene.train:
+        np.save(tmp_path / f"{view.name}.npy", np.full((36, 48), 1.0, np.float32))
+    prior, name = FilePrior(str(tmp_path), "depth"), small_scene.train[0].name
+    before = prior.identity(small_scene)
+    estimate_all(prior, small_scene, tmp_path / "cache")
+    np.save(tmp_path / f"{name}.npy", np.full((36, 48), 2.0, np.float32))
+    assert prior.identity(small_scene)["files"] != before["files"]
+    assert estimate_all(prior, small_scene, tmp_path / "cache")[0][name].values[0, 0] == 2.0

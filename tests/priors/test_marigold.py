@@ -69,5 +69,5 @@ def test_same_seed_same_map(tiny_model, small_scene):
 
 
 def test_the_identity_names_the_model(tiny_model):
-    assert make(tiny_model).identity()["model"] == tiny_model
-    assert make(tiny_model).identity() != make(tiny_model, seed=1).identity()
+    assert make(tiny_model).identity(None)["model"] == tiny_model
+    assert make(tiny_model).identity(None) != make(tiny_model, seed=1).identity(None)
