@@ -124,7 +124,7 @@ class TDg:
         decay_end: float,
     ) -> None:
         """depth: `written` (accumulated z, eq. 3, with its gradient) or `released` (without any gradient).
-        decay: `linear` (eq. 7) or `switch`. decay_end: share of the iterations after which the depth loss weighs nothing.
+        decay: `linear` (eq. 7) or `switch`. decay_end: share of the iterations after which depth weighs nothing.
 
         Raises ValueError for another word.
         """

@@ -24,6 +24,7 @@ from rich.markup import escape
 
 from tdgbench.bench.output import hashes, read_cameras, render_model
 from tdgbench.bench.record import FILE
+from tdgbench.scenes import Camera
 from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
 from tdgbench.scoring.psnr import psnr
 from tdgbench.scoring.ssim import ssim
@@ -75,23 +76,30 @@ def _files(folder: Path, content: dict[str, Any]) -> Iterator[str]:
 
 
 def _renders(folder: Path) -> Iterator[str]:
-    """Pictures that the model does not give."""
+    """Pictures that the models do not give."""
     try:
-        gaussians, cameras = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")
+        cameras = read_cameras(folder / "cameras.json", "test")
+        for model, renders in (("model.ply", "renders"), ("model_rgb.ply", "renders_rgb")):
+            if model == "model.ply" or (folder / renders).exists():
+                yield from _renders_of(folder, model, renders, cameras)
     except (OSError, ValueError) as error:
         yield f"cannot be rendered again: {error}"
-        return
+
+
+def _renders_of(folder: Path, model: str, renders: str, cameras: dict[str, Camera]) -> Iterator[str]:
+    gaussians = load_ply(folder / model)
     for name, camera in cameras.items():
-        path = folder / "renders" / f"{name}.png"
+        path = folder / renders / f"{name}.png"
         if not path.exists():
             continue  # told as missing
         stored, again = _picture(path), to_8bit(render_model(gaussians, camera).image.numpy())
         if stored.shape != again.shape:
-            yield f"renders/{name}.png is {stored.shape}, the model gives {again.shape}"
+            yield f"{renders}/{name}.png is {stored.shape}, the model gives {again.shape}"
             continue
         off = np.abs(stored.astype(int) - again.astype(int))
         if off.max() > 1 or (off > 0).mean() > MOST_OFF:
-            yield f"renders/{name}.png is not what model.ply gives: {(off > 0).mean():.1%} differ, by up to {off.max()}"
+            share = f"{(off > 0).mean():.1%} differ, by up to {off.max()}"
+            yield f"{renders}/{name}.png is not what {model} gives: {share}"
 
 
 def _picture(path: Path) -> np.ndarray:
@@ -107,29 +115,36 @@ def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
     metrics = content["config"]["metrics"]
     options = LPIPSOptions(metrics["lpips"]["net"], metrics["lpips"]["weights"], download=False)
     scorer = Scorer(metrics["convention"], metrics["ssim_border"], metrics["lpips_range"], options)
-    found: dict[str, list[float]] = {"psnr": [], "ssim": [], "lpips": []}
+    found: dict[str, list[float]] = {}
     for name, row in rows.items():
-        pair = [folder / sub / f"{name}.png" for sub in ("renders", "targets")]
-        if not all(path.exists() for path in pair):
-            return  # told as missing
-        image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
-        again: dict[str, float | None] = {
-            "psnr": psnr(image, target),
-            "ssim": ssim(image, target, scorer.ssim_border),
-            "lpips": None if row["lpips"] == "n/a" else scorer.lpips(image, target),
-        }
-        for metric, value in again.items():
-            if value is None:
-                continue
-            found[metric].append(value)
-            if not math.isclose(value, float(row[metric]), rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE):
+        for metric, value in _scores_of(folder, name, row, scorer).items():
+            found.setdefault(metric, []).append(value)
+            if not _is_close(value, float(row[metric])):
                 yield f"views.csv: {metric} of {name} is {row[metric]}, its pictures give {value:.6f}"
     for metric, values in found.items():
         said = content["scores"].get(metric)
-        if len(values) == len(rows) and rows:
-            mean = float(np.mean(values))
-            if said is None or not math.isclose(mean, said, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE):
-                yield f"{FILE}: {metric} is {said}, the pictures give {mean:.6f}"
+        if len(values) == len(rows) and (said is None or not _is_close(float(np.mean(values)), said)):
+            yield f"{FILE}: {metric} is {said}, the pictures give {np.mean(values):.6f}"
+
+
+def _scores_of(folder: Path, name: str, row: dict[str, str], scorer: Scorer) -> dict[str, float]:
+    """A view's scores from its pictures, of the thermal and of an RGB model; pictures that are missing are told so."""
+    found = {}
+    for suffix, prefix in (("", ""), ("_rgb", "rgb_")):
+        pair = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
+        if not all(path.exists() for path in pair):
+            continue
+        image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
+        found[f"{prefix}psnr"] = psnr(image, target)
+        found[f"{prefix}ssim"] = ssim(image, target, scorer.ssim_border)
+        if row[f"{prefix}lpips"] != "n/a":
+            lpips = scorer.lpips(image, target)
+            found |= {} if lpips is None else {f"{prefix}lpips": lpips}
+    return found
+
+
+def _is_close(a: float, b: float) -> bool:
+    return math.isclose(a, b, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE)
 
 
 def main() -> int:

@@ -5,9 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, config
 
 
 @pytest.mark.parametrize(
@@ -30,7 +29,8 @@ def test_imports_point_one_way():
 def test_every_plug_in_has_its_yaml():
     """A method, estimator or experiment is one file of code and one of configuration."""
     methods = {p.stem for p in (ROOT / "methods").glob("*.py")} - {"__init__"}
-    named = {p.stem: OmegaConf.load(p).method._target_ for p in (ROOT / "conf" / "method").glob("*.yaml")}
+    files = (ROOT / "conf" / "method").glob("*.yaml")
+    named = {p.stem: config(f"method={p.stem}").method.method._target_ for p in files}
     assert methods <= set(named)
     assert {target.split(".")[1] for target in named.values()} == methods  # one method, several sets of constants
     priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {"__init__", "prior", "cache"}

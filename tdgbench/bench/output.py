@@ -19,7 +19,7 @@ from PIL import Image
 from tdgbench.bench.record import Record
 from tdgbench.files import to_disk, write_text
 from tdgbench.scenes import Camera, Scene, View
-from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores, to_8bit
+from tdgbench.scoring import METRICS, TRAIN_METRICS, RenderedImages, Scorer, mean_scores, to_8bit
 from tdgbench.splats import Gaussians
 from tdgbench.splats.rasterization import render_view
 from tdgbench.splats.view import RenderedView
@@ -65,36 +65,47 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def write_renders(method: Method, views: list[View], folder: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Write each view's render and ground truth as PNG; returns render (H, W, C) uint8 and expected depth (H, W)."""
-    for sub in ("renders", "targets"):
-        (folder / sub).mkdir()
-    results = []
+def render_views(method: Method, views: list[View]) -> dict[str, RenderedImages]:
+    """What the method shows of each view, by name; with its RGB model if it trains one."""
+    return {view.name: _render(method, view, with_rgb=True) for view in views}
+
+
+def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
+    """Write each view's render and ground truth as PNG: renders/, targets/, and of an RGB model *_rgb/."""
     for view in views:
-        image, depth = _seen(method, view)
-        for sub, pixels in (("renders", image), ("targets", to_8bit(view.thermal))):
-            Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(folder / sub / f"{view.name}.png")
-        results.append((image, depth))
-    return results
+        shown = renders[view.name]
+        _write_pair(folder, "", view.name, shown.image, view.thermal)
+        if shown.rgb is not None and view.load_rgb is not None:
+            _write_pair(folder, "_rgb", view.name, shown.rgb, view.rgb)
+
+
+def _write_pair(folder: Path, suffix: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
+    for sub, values in (("renders", image), ("targets", target)):
+        path = folder / f"{sub}{suffix}" / f"{name}.png"
+        path.parent.mkdir(exist_ok=True)
+        pixels = to_8bit(values)
+        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)
 
 
 def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
     """The scores of a scene's test views as the method renders them now."""
-    return {view.name: scorer.score(scene, view, *_seen(method, view)) for view in scene.test}
+    return scorer.score(scene, render_views(method, scene.test))
 
 
 def score_training_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, float | None]:
     """Mean PSNR and SSIM of the training views: far above those of the test views where a model overfits."""
-    scores = {view.name: scorer.score_train(view, _seen(method, view)[0]) for view in scene.train}
+    scores = {view.name: scorer.score_train(view, _render(method, view, with_rgb=False)) for view in scene.train}
     return mean_scores(scores, TRAIN_METRICS)
 
 
-def _seen(method: Method, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """A view's render (H, W, C) uint8 and expected depth (H, W)."""
+@torch.no_grad()
+def _render(method: Method, view: View, *, with_rgb: bool) -> RenderedImages:
     render = method.render(view.camera).cpu()
     assert render.depth is not None
     depth = render.depth / render.alpha.clamp_min(1e-6)
-    return to_8bit(render.image.numpy()), depth.numpy().astype(np.float64)
+    model = method.models().get("rgb") if with_rgb else None
+    rgb = None if model is None else model.render(view.camera).cpu().image.numpy()
+    return RenderedImages(render.image.numpy(), depth.numpy(), rgb)
 
 
 def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:

@@ -53,6 +53,7 @@ class Record:
     missing: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     gaussians: dict[str, int] = field(default_factory=dict)
+    density: dict[str, dict[str, int]] = field(default_factory=dict)  # Gaussians cloned, split and pruned, by model
     peak_rss_mb: float | None = None  # of the process that finished the cell
     peak_gpu_mb: float | None = None  # what torch held of the GPU; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)

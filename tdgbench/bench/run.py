@@ -22,7 +22,7 @@ from tdgbench.bench.setup import loader_of
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.priors import DepthPrior, estimate_all
 from tdgbench.scenes import Dataset, Scene, View
-from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.scoring import Scorer, mean_scores, to_8bit
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.checkpoint import Checkpoint
@@ -115,18 +115,17 @@ class CellRun:
         note_training(skips, scene, method, budget, self.log)
         record.skips = [asdict(skip) for skip in skips.all()]
         record.gaussians = {name: len(model) for name, model in method.models().items()}
+        record.density = {name: model.work.density() for name, model in method.models().items()}
 
     def write(self) -> None:
         """Render and score; write the cell's folder whole or not at all."""
         record, scene, method, scorer = self.record, self.scene, self.method, self.scorer
         with output.whole_folder(self.folder) as part:
             with self.stage("render"):
-                renders = output.write_renders(method, scene.test, part)
+                renders = output.render_views(method, scene.test)
+                output.write_renders(renders, scene.test, part)
             with self.stage("score"):
-                scores = {
-                    view.name: scorer.score(scene, view, image, depth)
-                    for view, (image, depth) in zip(scene.test, renders, strict=True)
-                }
+                scores = scorer.score(scene, renders)
             with self.stage("score_train"):
                 record.train_scores = output.score_training_views(method, scene, scorer)
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
@@ -137,7 +136,7 @@ class CellRun:
                 output.write_views(part / "views.csv", scores)
                 output.write_log(part / "log.csv", self.log)
                 if self._board is not None:
-                    images = {view.name: image for view, (image, _) in zip(scene.test, renders, strict=True)}
+                    images = {name: to_8bit(shown.image) for name, shown in renders.items()}
                     self._board.results(record.iterations, record.scores, images)
             record.hashes = output.hashes(part)
             record.write(part)
@@ -166,9 +165,10 @@ class CellRun:
         record.backend = choose_backend(backend, training_device(backend), torch.float32)
 
     def _rgb_views(self) -> list[View]:
-        """The training views whose RGB images are read: those that the method needs, or without the skip all."""
+        """The views whose RGB images are read: for a method that trains on RGB all training views and what test views
+        have, for its RGB scores; else none, or without the skip what training views have."""
         if self.method.needs_rgb:
-            return self.scene.train
+            return self.scene.train + [view for view in self.scene.test if view.load_rgb is not None]
         there = [view for view in self.scene.train if view.load_rgb is not None]
         needless = f"{self.method.name} trains on thermal images alone"
         return [] if self.skips.rgb.decide(bool(there), needless, f"{len(there)} images") else there

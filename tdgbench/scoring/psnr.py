@@ -13,3 +13,13 @@ def psnr(image: np.ndarray, target: np.ndarray) -> float:
         raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
     mse = float(np.mean((image.astype(np.float64) - target.astype(np.float64)) ** 2))
     return MAX_PSNR if mse <= 10 ** (-MAX_PSNR / 10) else -10 * float(np.log10(mse))
+
+
+def channel_psnr(image: np.ndarray, target: np.ndarray) -> float:
+    """The mean over channels of each channel's PSNR (dB) of images (H, W, C), clipped to [0, 1].
+
+    ThermalGaussian's and 3DGS's `training_report` gives this for float renders; their `metrics.py` pools channels. The
+    two are the same for gray images and some tenths to 1 dB apart for pseudo-colour.
+    """
+    image, target = np.clip(image, 0, 1), np.clip(target, 0, 1)
+    return float(np.mean([psnr(image[..., c], target[..., c]) for c in range(image.shape[2])]))

@@ -10,12 +10,29 @@ import numpy as np
 
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.backbones import BackboneUnavailableError
+from tdgbench.scoring.geometry import depth_abs_rel, depth_consistency, floater_share
 from tdgbench.scoring.lpips import LPIPS, Net, Range
-from tdgbench.scoring.psnr import psnr
+from tdgbench.scoring.psnr import channel_psnr, psnr
 from tdgbench.scoring.ssim import Border, ssim
 
-METRICS = ("psnr", "ssim", "lpips", "mae_degC", "depth_abs_rel")
+METRICS = (
+    "psnr", "ssim", "lpips", "channel_psnr", "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "depth_abs_rel",
+    "floaters", "depth_consistency",
+)  # fmt: skip
 TRAIN_METRICS = ("psnr", "ssim")
+
+
+@dataclass(frozen=True)
+class RenderedImages:
+    """What a method shows of one view.
+
+    image: (H, W, C) float32, not clipped. depth: (H, W) expected z, 0 where nothing was rendered. rgb: (H, W, 3)
+    float32 of the method's RGB model, None where it trains none.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    rgb: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -54,25 +71,41 @@ class Scorer:
             self.missing["lpips"] = str(error)
             return None
 
-    def score(self, scene: Scene, view: View, rendered: np.ndarray, depth: np.ndarray) -> dict[str, float | None]:
-        """All metrics of one view; None where one does not apply (the reason is in `missing`).
+    def score(self, scene: Scene, renders: Mapping[str, RenderedImages]) -> dict[str, dict[str, float | None]]:
+        """All metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
+        return {view.name: self._score(scene, view, renders) for view in scene.test}
 
-        rendered: (H, W, C) uint8. depth: (H, W) expected z, 0 where nothing was rendered.
-        """
-        image, target = _pair(rendered, view)
+    def _score(self, scene: Scene, view: View, renders: Mapping[str, RenderedImages]) -> dict[str, float | None]:
+        rendered = renders[view.name]
+        image, target = _as_saved(rendered.image), _as_saved(view.thermal)
         return {
             **self._cheap(image, target),
             "lpips": self.lpips(image, target),
+            "channel_psnr": channel_psnr(rendered.image, view.thermal),
+            **self._rgb(view, rendered),
             "mae_degC": self._mae_degC(scene, image, target),
-            "depth_abs_rel": self._depth_abs_rel(view, depth),
+            **self._depth_against_truth(view, rendered.depth),
+            "depth_consistency": self._depth_consistency(scene, view, renders),
         }
 
-    def score_train(self, view: View, rendered: np.ndarray) -> dict[str, float | None]:
+    def score_train(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
         """PSNR and SSIM alone, which tell a training view's score from a test view's well enough."""
-        return self._cheap(*_pair(rendered, view))
+        return self._cheap(_as_saved(rendered.image), _as_saved(view.thermal))
 
     def _cheap(self, image: np.ndarray, target: np.ndarray) -> dict[str, float | None]:
         return {"psnr": psnr(image, target), "ssim": ssim(image, target, self.ssim_border)}
+
+    def _rgb(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
+        names = ("rgb_psnr", "rgb_ssim", "rgb_lpips")
+        if rendered.rgb is None or view.load_rgb is None:
+            reason = "the method trains no RGB model" if rendered.rgb is None else "a test view has no RGB image"
+            self.missing |= dict.fromkeys(names, reason)
+            return dict.fromkeys(names)
+        image, target = _as_saved(rendered.rgb), _as_saved(view.rgb)
+        lpips = self.lpips(image, target)
+        if lpips is None:
+            self.missing["rgb_lpips"] = self.missing["lpips"]
+        return {f"rgb_{name}": v for name, v in {**self._cheap(image, target), "lpips": lpips}.items()}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float | None:
         """LPIPS of two images (H, W, C) in [0, 1]; None without a backbone."""
@@ -88,20 +121,36 @@ class Scorer:
         span = scene.temperature.max - scene.temperature.min
         return float(np.abs(image - target).mean(dtype=np.float64) * span)
 
-    def _depth_abs_rel(self, view: View, depth: np.ndarray) -> float | None:
+    def _depth_against_truth(self, view: View, depth: np.ndarray) -> dict[str, float | None]:
+        names, reason = ("depth_abs_rel", "floaters"), ""
         if view.true_depth is None:
-            self.missing["depth_abs_rel"] = "the scene has no true depth"
-            return None
+            reason = "the scene has no true depth"
+        elif view.true_depth.shape != depth.shape:
+            reason = "the true depth has another size than the images"
+        if reason or view.true_depth is None:
+            self.missing |= dict.fromkeys(names, reason)
+            return dict.fromkeys(names)
         truth = view.true_depth.astype(np.float64)
-        if truth.shape != depth.shape:
-            self.missing["depth_abs_rel"] = "the true depth has another size than the images"
+        return {"depth_abs_rel": depth_abs_rel(depth, truth), "floaters": floater_share(depth, truth)}
+
+    def _depth_consistency(self, scene: Scene, view: View, renders: Mapping[str, RenderedImages]) -> float | None:
+        """Against the nearest other test view."""
+        others = [other for other in scene.test if other.name != view.name]
+        if not others:
+            self.missing["depth_consistency"] = "the scene has one test view"
             return None
-        return float((np.abs(depth - truth) / truth).mean())
+        nearest = min(others, key=lambda other: float(np.linalg.norm(other.camera.center - view.camera.center)))
+        found = depth_consistency(
+            renders[view.name].depth, view.camera, renders[nearest.name].depth, nearest.camera
+        )  # fmt: skip
+        if found is None:
+            self.missing["depth_consistency"] = f"view {view.name} and its neighbour hardly overlap"
+        return found
 
 
-def _pair(rendered: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """A render (uint8) and its view's thermal image as 8-bit images in [0, 1]."""
-    return tuple(p.astype(np.float32) / np.float32(255) for p in (rendered, to_8bit(view.thermal)))  # type: ignore[return-value]
+def _as_saved(image: np.ndarray) -> np.ndarray:
+    """An image as its 8-bit file gives it back, float32 in [0, 1]."""
+    return to_8bit(image).astype(np.float32) / np.float32(255)
 
 
 def mean_scores(

@@ -10,10 +10,11 @@ import pandas as pd
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.scoring import METRICS as SCORES
 
 METRICS = ("psnr", "ssim", "lpips", "hours")  # of the published tables
 TRAIN_METRICS = ("train_psnr", "train_ssim")  # of the training views: what overfits is far better there
-EXTRA_METRICS = ("mae_degC", "depth_abs_rel", *TRAIN_METRICS)
+EXTRA_METRICS = (*(m for m in SCORES if m not in METRICS), *TRAIN_METRICS)
 HIGHER_IS_BETTER = {m: m.endswith(("psnr", "ssim")) for m in (*METRICS, *EXTRA_METRICS)}
 DECIMALS = {m: 2 if m.endswith("psnr") else 3 for m in (*METRICS, *EXTRA_METRICS)}
 KEYS = ["method", "dataset", "group", "scene", "metric"]

@@ -13,7 +13,7 @@ from torch import Tensor
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.density import DensityControl
+from tdgbench.splats.density import DensityChange, DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -32,12 +32,24 @@ class Work:
     touched: int = 0  # of them, with a gradient
     pairs: int = 0  # (tile, Gaussian) pairs listed
     blended: int = 0  # of them, looked at before their tile had ended
+    cloned: int = 0  # Gaussians
+    split: int = 0
+    pruned: int = 0
 
     def add(self, gradients: Gradients, count: int) -> None:
         self.rows += count
         self.touched += sum(n for _, n in gradients.pieces)
         self.pairs += gradients.pairs
         self.blended += gradients.blended
+
+    def add_change(self, change: DensityChange) -> None:
+        self.cloned += change.cloned
+        self.split += change.split
+        self.pruned += change.pruned
+
+    def density(self) -> dict[str, int]:
+        """How many Gaussians density control cloned, split and pruned."""
+        return {"cloned": self.cloned, "split": self.split, "pruned": self.pruned}
 
 
 @dataclass
@@ -167,6 +179,7 @@ class SplatModel:
         """
         parts, self._gradients = self._gradients, []
         change = self.density.update(self.optimizer, iteration, self._generator)
+        self.work.add_change(change)
         if parts and not change.densified:
             gradients = Gradients.total(parts, len(self.state))
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None)

@@ -2,9 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
 
-from tdgbench.bench.init import ColmapPoints, RandomPoints
+from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube
 from tdgbench.scenes import SceneError
+from tests.conftest import config
 
 
 def test_colmap(small_scene):
@@ -17,7 +19,7 @@ def test_colmap(small_scene):
 
 
 def test_random_points_fill_their_cube(small_scene):
-    init = RandomPoints(5000, 2.0, seed=0)
+    init = CubeAroundCameras(5000, 2.0, seed=0)
     cloud = init.points(small_scene)
     low, high = np.array(init.describe(small_scene)["box"])
     assert "5000 points, uniform in a cube of half side 2 × extent" in init.describe(small_scene)["how"]
@@ -25,7 +27,34 @@ def test_random_points_fill_their_cube(small_scene):
     assert (cloud.points >= low).all() and (cloud.points <= high).all()
     assert np.allclose(cloud.points.mean(axis=0), (low + high) / 2, atol=0.1 * small_scene.extent)
     assert cloud.colors.shape == (5000, 3) and cloud.colors.min() >= 0 and cloud.colors.max() <= 1
-    again, other = RandomPoints(5000, 2.0, 0).points(small_scene), RandomPoints(5000, 2.0, 1).points(small_scene)
+    again, other = (
+        CubeAroundCameras(5000, 2.0, 0).points(small_scene),
+        CubeAroundCameras(5000, 2.0, 1).points(small_scene),
+    )
     assert np.array_equal(cloud.points, again.points) and not np.array_equal(cloud.points, other.points)
     with pytest.raises(ValueError, match="count ≥ 1"):
-        RandomPoints(0, 1.0, 0)
+        CubeAroundCameras(0, 1.0, 0)
+
+
+def test_the_released_random_points_know_nothing_of_the_scene(small_scene):
+    init = ReleasedCube(2000, seed=0)
+    cloud = init.points(small_scene)
+    assert np.abs(cloud.points).max() <= 1.3 and np.allclose(np.ptp(cloud.points, axis=0), 2.6, atol=0.02)
+    assert np.allclose(cloud.colors, 127 / 255)  # SH2RGB of almost nothing, stored in 8 bits
+    assert "±" not in init.kind and init.describe(small_scene)["box"] == [[-1.3] * 3, [1.3] * 3]
+
+
+def test_random_points_in_the_box_of_the_sfm_points(small_scene):
+    points = np.concatenate([small_scene.points.points, [[1e6, 0, 0]]])  # one outlier
+    scene = dataclasses.replace(small_scene, points=dataclasses.replace(small_scene.points, points=points))
+    cloud = BoxAroundPoints(2000, seed=0).points(scene)
+    assert (cloud.points >= small_scene.points.points.min(axis=0)).all()
+    assert (cloud.points <= small_scene.points.points.max(axis=0)).all()
+    with pytest.raises(SceneError, match="which init=random_box needs"):
+        BoxAroundPoints(10, 0).points(dataclasses.replace(small_scene, points=None))
+
+
+@pytest.mark.parametrize("name", ["random", "random_released", "random_box"])
+def test_every_kind_of_random_points_can_be_asked_for(small_scene, name):
+    cloud = instantiate(config(f"init={name}", "init.points.count=50").init.points).points(small_scene)
+    assert cloud.points.shape == (50, 3) and cloud.colors.dtype == np.float32

@@ -2,12 +2,21 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.scoring import mean_scores, to_8bit
+from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
+from tdgbench.scoring.psnr import psnr
 from tests.conftest import config
 
 
 def scorer(*overrides):
     return instantiate(config("metrics.lpips.download=false", "metrics.lpips.net=alex", *overrides).metrics)
+
+
+def score(scoring, scene, pixels, depth, rgb=None):
+    """Scores of the first test view; the other views are shown as they are."""
+    view = scene.test[0]
+    renders = {v.name: RenderedImages(v.thermal, v.true_depth, v.rgb) for v in scene.test}
+    renders[view.name] = RenderedImages(pixels.astype(np.float32) / np.float32(255), depth, rgb)
+    return scoring.score(scene, renders)[view.name]
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +33,7 @@ def test_gray_scene(small_gray_scene):
     target = to_8bit(view.thermal)
     wrong = np.where(target < 128, target + 10, target - 10).astype(np.uint8)
     scoring = scorer()
-    values = scoring.score(small_gray_scene, view, wrong, view.true_depth * 1.1)
+    values = score(scoring, small_gray_scene, wrong, view.true_depth * 1.1)
     assert values["psnr"] == pytest.approx(-20 * np.log10(10 / 255))
     assert values["mae_degC"] == pytest.approx(10 / 255 * (50 - 14), rel=1e-5)
     assert values["depth_abs_rel"] == pytest.approx(0.1, rel=1e-5)
@@ -32,17 +41,18 @@ def test_gray_scene(small_gray_scene):
 
 
 def test_training_views_get_the_cheap_scores(small_gray_scene):
-    view = small_gray_scene.train[0]
+    view = small_gray_scene.test[0]
     wrong = to_8bit(view.thermal) // 2
     scoring = scorer()
-    full = scoring.score(small_gray_scene, view, wrong, view.true_depth)
-    assert scoring.score_train(view, wrong) == {m: full[m] for m in ("psnr", "ssim")}
+    full = score(scoring, small_gray_scene, wrong, view.true_depth)
+    shown = RenderedImages(wrong.astype(np.float32) / np.float32(255), view.true_depth)
+    assert scoring.score_train(view, shown) == {m: full[m] for m in ("psnr", "ssim")}
 
 
 def test_pseudo_color_has_no_temperature(small_scene):
     view = small_scene.test[0]
     scoring = scorer()
-    values = scoring.score(small_scene, view, to_8bit(view.thermal), view.true_depth)
+    values = score(scoring, small_scene, to_8bit(view.thermal), view.true_depth)
     assert values["mae_degC"] is None and "pseudo-colour" in scoring.missing["mae_degC"]
     assert values["ssim"] == pytest.approx(1)
 
@@ -50,15 +60,39 @@ def test_pseudo_color_has_no_temperature(small_scene):
 def test_conventions_differ(small_scene):
     view = small_scene.test[0]
     wrong = np.roll(to_8bit(view.thermal), 3, axis=0)
-    a, b = (scorer(f"metrics={name}").score(small_scene, view, wrong, view.true_depth) for name in ("3dgs", "standard"))
+    a, b = (score(scorer(f"metrics={name}"), small_scene, wrong, view.true_depth) for name in ("3dgs", "standard"))
     assert a["psnr"] == b["psnr"] and a["ssim"] != b["ssim"]
 
 
 def test_with_a_backbone(small_scene, squeeze_weights):
     view = small_scene.test[0]
     scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
-    values = scoring.score(small_scene, view, np.roll(to_8bit(view.thermal), 3, axis=0), view.true_depth)
+    values = score(scoring, small_scene, np.roll(to_8bit(view.thermal), 3, axis=0), view.true_depth)
     assert 0.001 < values["lpips"] < 1 and "lpips" not in scoring.missing
+
+
+def test_an_rgb_model_is_scored_like_the_thermal_one(small_scene):
+    view = small_scene.test[0]
+    wrong = np.clip(view.rgb + 0.1, 0, 1)
+    scoring = scorer()
+    values = score(scoring, small_scene, to_8bit(view.thermal), view.true_depth, wrong)
+    a, b = (to_8bit(image) / np.float32(255) for image in (wrong, view.rgb))
+    assert values["rgb_psnr"] == pytest.approx(psnr(a, b)) and 10 < values["rgb_psnr"] < 30
+    assert values["rgb_lpips"] is None and "download is false" in scoring.missing["rgb_lpips"]
+    assert score(scoring, small_scene, to_8bit(view.thermal), view.true_depth)["rgb_ssim"] is None
+    assert scoring.missing["rgb_ssim"] == "the method trains no RGB model"
+
+
+def test_psnr_pooled_over_channels_of_8_bit_images_and_per_channel_of_floats(small_scene):
+    view = small_scene.test[0]
+    off = view.thermal + np.float32([0.001, 0.1, -0.05])
+    renders = {v.name: RenderedImages(v.thermal, v.true_depth) for v in small_scene.test}
+    renders[view.name] = RenderedImages(off, view.true_depth)
+    values = scorer().score(small_scene, renders)[view.name]
+    clipped = np.clip(off, 0, 1)
+    by_hand = np.mean([-10 * np.log10(np.mean((clipped - view.thermal)[..., c] ** 2)) for c in range(3)])
+    assert values["channel_psnr"] == pytest.approx(by_hand, abs=1e-4)
+    assert values["channel_psnr"] > values["psnr"] + 3
 
 
 def test_means_never_skip_what_is_missing():
