@@ -31,12 +31,12 @@ def between_papers() -> pd.DataFrame:
     papers on the method have.
     """
     numbers = _numbers()
-    rows = [_row(place, own) for place, own in numbers.groupby(PLACE, sort=False) if own["source"].nunique() > 1]
-    for (method, dataset, metric), own in numbers.groupby(["method", "dataset", "metric"], sort=False):
-        wide = own.pivot(index="scene", columns="source", values="value").dropna()
+    rows = [_row(place, group) for place, group in numbers.groupby(PLACE, sort=False) if group["source"].nunique() > 1]
+    for (method, dataset, metric), group in numbers.groupby(["method", "dataset", "metric"], sort=False):
+        wide = group.pivot(index="scene", columns="source", values="value").dropna()
         if wide.shape[1] > 1 and len(wide) > 1:
             means = wide.mean().rename("value").reset_index()
-            means["printed_as"] = means["source"].map(own.groupby("source")["printed_as"].first())
+            means["printed_as"] = means["source"].map(group.groupby("source")["printed_as"].first())
             rows.append(_row((method, dataset, SHARED, metric), means, len(wide)))
     return pd.DataFrame(rows)
 
@@ -63,13 +63,14 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> st
     spreads = between_papers()
     said = []
     for metric in metrics:
-        own = spreads[(spreads["method"] == BASELINE) & (spreads["metric"] == metric)]
-        gains = _gains(main, metric)
-        places = own[own["scene"] != SHARED]
-        if own.empty or not set(places["scene"]) <= set(gains.index):
+        group = spreads[(spreads["method"] == BASELINE) & (spreads["metric"] == metric)]
+        if group.empty:  # hours, for one: only one paper prints them
+            continue
+        gains, places = _gains(main, metric), group[group["scene"] != SHARED]
+        if not set(places["scene"]) <= set(gains.index):
             continue
         if over == "overall":
-            said.append(_overall(gains, own, metric))
+            said.append(_overall(gains, group, metric))
         else:
             said.append(_by_scene(gains, places, metric))
     return "; ".join(text for text in said if text)
@@ -95,18 +96,18 @@ def _numbers() -> pd.DataFrame:
     return table.loc[kept, ["source", *PLACE, "value", "printed_as"]]
 
 
-def _row(place: tuple[str, ...], own: pd.DataFrame, scenes: int = 1) -> dict[str, object]:
+def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[str, object]:
     sources, digits = load_sources(), DECIMALS[place[3]]
     notes = []
-    for row in own.itertuples():
+    for row in group.itertuples():
         entry = sources[row.source].methods.get(row.printed_as, {})
         if entry and not entry["sure"]:
             notes.append(f"{row.source}, {row.printed_as}: {entry['note']}")
-    low, high = float(own["value"].min()), float(own["value"].max())
-    values = "; ".join(f"{row.source} {row.value:.{digits}f}" for row in own.itertuples())
+    low, high = float(group["value"].min()), float(group["value"].max())
+    values = "; ".join(f"{row.source} {row.value:.{digits}f}" for row in group.itertuples())
     return {
         **dict(zip(PLACE, place, strict=True)),
-        "papers": len(own), "low": low, "high": high, "spread": round(high - low, 9), "scenes": scenes,
+        "papers": len(group), "low": low, "high": high, "spread": round(high - low, 9), "scenes": scenes,
         "values": values, "note": "; ".join(notes),
     }  # fmt: skip
 
@@ -120,12 +121,12 @@ def _gains(main: pd.DataFrame, metric: str) -> pd.Series:
     return ((wide[GAINER] - wide[BASELINE]) * (1 if HIGHER_IS_BETTER[metric] else -1)).dropna()
 
 
-def _overall(gains: pd.Series, own: pd.DataFrame, metric: str) -> str:
+def _overall(gains: pd.Series, group: pd.DataFrame, metric: str) -> str:
     """The average gain, and the gain over the scenes that papers share, which alone compares with the spread there."""
     if not gains.get(OVERALL, np.nan) > 0:
         return ""
-    shared = own[own["scene"] == SHARED].iloc[0]
-    gain = gains.reindex(own.loc[own["scene"] != SHARED, "scene"]).mean()
+    shared = group[group["scene"] == SHARED].iloc[0]
+    gain = gains.reindex(group.loc[group["scene"] != SHARED, "scene"]).mean()
     digits, unit = decimals(metric, OVERALL), UNITS.get(metric, "")
     total, there, spread = (f"{value:.{digits}f}{unit}" for value in (gains[OVERALL], gain, shared.spread))
     return (

@@ -66,6 +66,7 @@ def test_nothing_is_said_without_the_shared_scenes():
     assert gain_against_spread(table[table["scene"] != "Parterre"], ["psnr"], "overall") == ""
     assert gain_against_spread(table[table["method"] == "tdg"], ["psnr"], "scenes") == ""
     assert gain_against_spread(table.iloc[:0], ["psnr"], "overall") == ""
+    assert gain_against_spread(table, ["hours", "depth_abs_rel_of_truth"], "overall") == ""  # in one paper, in none
     with pytest.raises(ValueError, match="'everywhere'"):
         gain_against_spread(table, ["psnr"], "everywhere")
 
