@@ -16,6 +16,7 @@ from tdgbench.bench.output import cell_folder_of, read_cameras
 from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.report import views
+from tdgbench.report.published import beside, section
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
 from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label
 
@@ -57,6 +58,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     html = environment.get_template("page.html.j2").render(
         name=experiment.resolve().name,
         table=_table(tables),
+        published=section(tables, TITLES),
         scenes=[_scene(key, own) for key, own in scenes.items()],
         skips=[_skips(cell) for cell in cells],
         failures=[(r.title, r.failure.stage, r.failure.error) for r in records if r.failure is not None],
@@ -105,10 +107,8 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
         text += f" ± {std:.{decimals(row.metric, row.scene)}f}"
     low, high = getattr(row, "low", np.nan), getattr(row, "high", np.nan)
     title = "" if np.isnan(low) else f"95 % over seeds and views: {low:.4g} to {high:.4g}"
-    note = ""
-    if published is not None and not np.isnan(published.difference):
-        note = f"{published.difference:+.{decimals(row.metric, row.scene)}f}"
-        title = f"published {published.published}; {published.verdict}. {title}"
+    note, said = beside(published, row.scene)
+    title = "; ".join(part for part in (said, title) if part)
     verdict = published.verdict if note else ""
     return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}
 

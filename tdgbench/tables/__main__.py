@@ -1,6 +1,7 @@
 """`python -m tdgbench.tables results/<experiment> …`: the tables again, from what is on disk.
 
-`python -m tdgbench.tables claims [results/<experiment> …]`: the paper's claims, held against its own tables and ours.
+`python -m tdgbench.tables claims [results/<experiment> …]`: the paper's claims, held against its own tables and ours,
+and every paper's averages, held against their rows.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tdgbench.tables.between_papers import all_averages, between_papers
 from tdgbench.tables.build import build_tables, write_claims
-from tdgbench.tables.show import show, show_claims
+from tdgbench.tables.show import show, show_averages, show_claims, show_papers
 
 
 def main() -> int:
@@ -22,6 +24,8 @@ def main() -> int:
     try:
         if arguments.what[0] == "claims":
             show_claims(write_claims([Path(folder) for folder in arguments.what[1:]]), Console())
+            show_papers(between_papers(), Console())
+            show_averages(all_averages(), Console())
             return 0
         for folder in arguments.what:
             show(build_tables(Path(folder)), Console())

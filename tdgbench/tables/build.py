@@ -1,4 +1,6 @@
-"""From an experiment's folder to its tables: main.csv, main.tex and, where something is published, difference.csv."""
+"""From an experiment's folder to its tables: main.csv, main.tex; where something is published, difference.csv and
+between_papers.{csv,tex}.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,10 @@ from tdgbench.bench.plan import Plan, read_plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
+from tdgbench.tables.between_papers import all_averages, between_papers, with_others
 from tdgbench.tables.claims import Evidence, check_all, load_claims
 from tdgbench.tables.difference import difference
-from tdgbench.tables.latex import ablation_table, main_table
+from tdgbench.tables.latex import ablation_table, main_table, papers_table
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.results import (
     KEYS,
@@ -24,11 +27,14 @@ from tdgbench.tables.results import (
     with_averages,
     with_bold,
 )
-from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios, verdict
+from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
+from tdgbench.tables.verdicts import Verdict, verdict
 
 INITS = ("random", "colmap")
 ABLATION_METRICS = ("psnr", "ssim", *TRAIN_METRICS)
 ABLATION_KEYS = ["method", "init", "metric"]
+NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p", "margin", "others_low", "others_high",
+           "spread", "printed", "mean", "tolerance")  # fmt: skip
 
 
 @dataclass
@@ -43,6 +49,7 @@ class Tables:
     records: list[Record]  # of which it was built
     paired: pd.DataFrame | None = None
     speed: pd.DataFrame | None = None
+    papers: pd.DataFrame | None = None  # how far papers are apart; None where difference is
 
 
 def build_tables(experiment: Path) -> Tables:
@@ -73,6 +80,9 @@ def build_tables(experiment: Path) -> Tables:
     write_text(folder / "main.tex", tables.latex)
     if tables.difference is not None:
         write_text(folder / "difference.csv", to_csv(tables.difference))
+        tables.papers = between_papers()
+        write_text(folder / "between_papers.csv", to_csv(tables.papers))
+        write_text(folder / "between_papers.tex", papers_table(tables.papers))
     for name, table in (("paired", tables.paired), ("speed", tables.speed)):
         if table is not None and not table.empty:
             write_text(folder / f"{name}.csv", to_csv(table))
@@ -80,14 +90,16 @@ def build_tables(experiment: Path) -> Tables:
 
 
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The differences with std and number of seeds of ours, and the verdict on each published number."""
+    """The differences with std and number of seeds of ours, the fields of each Verdict, and what other papers have."""
     merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
-    merged["verdict"] = [
+    judged = [
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
-    return merged
+    found = pd.DataFrame(judged, columns=list(Verdict._fields), index=merged.index).rename(columns={"word": "verdict"})
+    found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
+    return with_others(pd.concat([merged, found], axis=1))
 
 
 def speed_table(main: pd.DataFrame) -> pd.DataFrame:
@@ -98,7 +110,8 @@ def speed_table(main: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_claims(experiments: list[Path]) -> pd.DataFrame:
-    """The paper's claims against the published tables and, with experiments, against ours; written to each of them.
+    """The paper's claims against the published tables and, with experiments, against ours; written to each of them,
+    with the check of every paper's averages.
 
     The first experiment with a main table and the first with an ablation speak for us. Raises ValueError where an
     experiment holds nothing.
@@ -112,6 +125,7 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
     for one in tables:
         write_text(one.folder / "claims.csv", found.to_csv(index=False, lineterminator="\n"))
+        write_text(one.folder / "averages.csv", to_csv(all_averages()))
     return found
 
 
@@ -137,7 +151,7 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
 def to_csv(table: pd.DataFrame) -> str:
     """CSV text with n/a for numbers that are not there."""
     table = table.copy()
-    for column in ("value", "ours", "published", "difference", "std", "low", "high", "p"):
+    for column in NUMBERS:
         if column in table:
             table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
     if "bold" in table:

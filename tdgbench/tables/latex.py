@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
-from tdgbench.tables.results import AVERAGE, METRICS, OVERALL, decimals, first_points
+from tdgbench.tables.results import AVERAGE, DECIMALS, METRICS, OVERALL, decimals, first_points
 
 HEADERS = {
     "psnr": r"PSNR $\uparrow$",
@@ -58,6 +58,37 @@ def main_table(rows: pd.DataFrame) -> str:
         lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
     if (rows["scene"] == OVERALL).any():
         lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def papers_table(rows: pd.DataFrame) -> str:
+    """Scenes down; for each score what each paper prints, in the order of the comment, and how far they are apart.
+
+    rows: as `between_papers` makes them.
+    """
+    orders = dict.fromkeys(
+        "; ".join(part.rsplit(" ", 1)[0] for part in values.split("; ")) for values in rows["values"]
+    )
+    metrics = list(dict.fromkeys(rows["metric"]))
+    lines = [
+        *(f"% {order}" for order in orders),
+        *(f"% {note}" for note in dict.fromkeys(rows["note"]) if note),
+        rf"\begin{{tabular}}{{ll{'cc' * len(metrics)}}}",
+        r"\toprule",
+        f" & & {' & '.join(f'{HEADERS[metric]} & spread' for metric in metrics)} \\\\",
+        r"\midrule",
+    ]
+    for (method, _, scene), own in rows.groupby(["method", "dataset", "scene"], sort=False):
+        by_metric, cells = own.set_index("metric"), []
+        for metric in metrics:
+            if metric in by_metric.index:
+                texts = [part.rsplit(" ", 1)[1] for part in by_metric.loc[metric, "values"].split("; ")]
+                cells += [" / ".join(texts), f"{by_metric.loc[metric, 'spread']:.{DECIMALS[metric]}f}"]
+            else:
+                cells += ["n/a", "n/a"]
+        lines.append(
+            f"{_method(str(method))} & {escape(LABELS.get(str(scene), str(scene)))} & {' & '.join(cells)} \\\\"
+        )
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 

@@ -1,12 +1,32 @@
-"""The published numbers, as CSV in `paper_tables/` with the same keys as our own results."""
+"""The published numbers, this paper's and others', as CSV in `paper_tables/` with the same keys as our own results."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from omegaconf import OmegaConf
 
 FOLDER = Path(__file__).resolve().parents[2] / "paper_tables"
+PAPER = "tdg"  # the source whose tables are reproduced
+
+
+@dataclass(frozen=True)
+class Source:
+    """A paper or page with numbers.
+
+    methods: by printed name, which of our methods it is (`as`), whether the source says so (`sure`), and a `note`.
+    """
+
+    title: str
+    authors: str
+    where: str
+    file: str
+    note: str = ""
+    methods: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def published_main() -> pd.DataFrame:
@@ -20,3 +40,39 @@ def published_main() -> pd.DataFrame:
 def published_ablation() -> pd.DataFrame:
     """Table 2: method, init, metric, value; means over the 14 scenes."""
     return pd.read_csv(FOLDER / "table2.csv")
+
+
+def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, Source]:
+    """Where the numbers come from, by the name that the CSV files use."""
+    found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    return {name: Source(**entry) for name, entry in found.items()}
+
+
+def published_elsewhere() -> pd.DataFrame:
+    """What other papers print for the same scenes.
+
+    Columns: source, method, dataset, group, scene, metric, value, half_unit (of the last printed digit), printed_as.
+    method is our name where sources.yaml has one, else the printed name; printed_as is always the printed name.
+    Averages are rows with the scene `Average`. Raises ValueError for a source that sources.yaml lacks.
+    """
+    table = pd.read_csv(FOLDER / "others.csv", keep_default_na=False, dtype=str)
+    sources = load_sources()
+    unknown = set(table["source"]) - set(sources)
+    if unknown:
+        raise ValueError(f"{FOLDER / 'sources.yaml'} lacks {', '.join(sorted(unknown))}")
+    table["half_unit"] = table["value"].map(half_unit)
+    table["value"] = table["value"].astype(float)
+    table["printed_as"] = table["method"]
+    table["method"] = [
+        sources[source].methods.get(method, {}).get("as", method)
+        for source, method in zip(table["source"], table["method"], strict=True)
+    ]
+    columns = ["source", "method", "dataset", "group", "scene", "metric", "value", "half_unit", "printed_as"]
+    return table.assign(group="")[columns]
+
+
+def half_unit(printed: str) -> float:
+    """Half a unit of the last digit of a printed number: how far it may be from what it stands for."""
+    exponent = Decimal(printed).as_tuple().exponent
+    assert isinstance(exponent, int)
+    return 0.5 * 10.0**exponent

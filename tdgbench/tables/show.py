@@ -10,13 +10,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import ABLATION_METRICS, Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points
-from tdgbench.tables.statistics import BETTER, REPRODUCED, WORSE
-from tdgbench.tables.statistics import UNDECIDED as NOT_SAID
+from tdgbench.tables.verdicts import in_words
 
-VERDICTS = (REPRODUCED, BETTER, WORSE, NOT_SAID)
 HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "time↓"}
 
 
@@ -37,10 +36,9 @@ def show(tables: Tables, console: Console) -> None:
         for metric, own in tables.difference[known].groupby("metric", sort=False):
             spread = own["difference"]
             said = f"  {metric}: ours − published {spread.min():+.3f} to {spread.max():+.3f}, mean {spread.mean():+.3f}"
-            if "verdict" in own:
-                counts = own["verdict"].value_counts()
-                said += "; " + ", ".join(f"{counts[v]} {v}" for v in VERDICTS if v in counts)
-            console.print(said, highlight=False)
+            console.print(f"{said}; {in_words(own)}", highlight=False, soft_wrap=True)
+    if tables.papers is not None:
+        show_papers(tables.papers, console)
     _show_comparisons(tables, console)
 
 
@@ -55,6 +53,31 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
         ]
         table.add_row(escape(str(row["said"])), *sides)
     console.print(table)
+
+
+def show_averages(averages: pd.DataFrame, console: Console) -> None:
+    """Print which papers' averages do not follow from their rows. averages: as `all_averages` makes them."""
+    for source, own in averages.groupby("source", sort=False):
+        counts = own["verdict"].value_counts()
+        said = ", ".join(f"{counts[v]} {v}" for v in (FOLLOWS, OFF, UNKNOWN) if v in counts)
+        console.print(f"averages of {source}, held against their rows: {said}", highlight=False, soft_wrap=True)
+        for row in own[own["verdict"] == OFF].itertuples():
+            mean = f"{row.mean:.4f} ± {row.tolerance:.4f}"
+            text = f"  {row.method} {row.metric}: printed {row.printed}, mean of the rows {mean}"
+            console.print(text, highlight=False, soft_wrap=True)
+
+
+def show_papers(papers: pd.DataFrame, console: Console) -> None:
+    """Print how far papers are apart, by method and score, and where most. papers: as `between_papers` makes them."""
+    for (method, metric), own in papers[papers["scenes"] == 1].groupby(["method", "metric"], sort=False):
+        widest = own.loc[own["spread"].idxmax()]
+        digits = decimals(str(metric), widest["scene"])
+        median, most = f"{own['spread'].median():.{digits}f}", f"{widest['spread']:.{digits}f} at {widest['scene']}"
+        said = f"  {metric} of {method} differs between papers by {median} in the median scene, by {most}"
+        console.print(said, highlight=False, soft_wrap=True)
+    for note in dict.fromkeys(papers["note"]):
+        if note:
+            console.print(f"  {escape(note)}", highlight=False, soft_wrap=True)
 
 
 def _show_comparisons(tables: Tables, console: Console) -> None:

@@ -1,6 +1,4 @@
-"""How sure a number of ours is: its spread over seeds, an interval over seeds and views, and the verdict on a published
-one.
-"""
+"""How sure a number of ours is: its spread over seeds, an interval over seeds and views; tests of TDg against MSMG."""
 
 from __future__ import annotations
 
@@ -20,7 +18,6 @@ from tdgbench.tables.results import (
     KEYS,
     OVERALL,
     TRAIN_METRICS,
-    decimals,
     method_label,
     scene_rows,
     with_averages,
@@ -29,7 +26,6 @@ from tdgbench.tables.results import (
 REPLICATES = 1000
 SEED = 0
 COVERAGE = 0.95
-REPRODUCED, BETTER, WORSE, UNDECIDED = "reproduced", "better", "worse", "undecided"
 
 
 def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
@@ -91,26 +87,6 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
 def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
     low, high = np.quantile(drawn, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
     return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
-
-
-def noise_of_one_run(std: float, seeds: int) -> float:
-    """How far a single further run may be from our mean, 95 % of the time: Student's prediction interval."""
-    if seeds < 2 or np.isnan(std):
-        return float("nan")
-    return float(stats.t.ppf((1 + COVERAGE) / 2, seeds - 1) * std * np.sqrt(1 + 1 / seeds))
-
-
-def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> str:
-    """`reproduced` where the difference is within seed noise and the rounding of print; else `better` or `worse`.
-
-    `undecided` with fewer than two seeds, without a number of ours, and for hours, which depend on the machine.
-    """
-    noise = noise_of_one_run(std, seeds)
-    if np.isnan(ours) or np.isnan(noise) or metric == "hours":
-        return UNDECIDED
-    if abs(ours - published) <= noise + 0.5 * 10.0 ** -decimals(metric, scene):
-        return REPRODUCED
-    return BETTER if (ours > published) == HIGHER_IS_BETTER.get(metric, False) else WORSE
 
 
 def speed_ratios(main: pd.DataFrame) -> pd.DataFrame:

@@ -72,6 +72,7 @@ def test_everything_is_in_the_file(page):
     for said in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
         assert said in text, said
     assert len(re.findall(r"<svg", text)) == 2
+    assert 'id="papers"' not in text  # nothing is published for these scenes
 
 
 def test_differences_to_published_numbers(tmp_path):
@@ -79,6 +80,7 @@ def test_differences_to_published_numbers(tmp_path):
     tables = replace(build_tables(tmp_path), records=[])  # numbers alone: there are no pictures
     text = write_report(tmp_path, tables).read_text()
     assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
+    assert text.count('id="papers"') == 1 and "tdg 24.06; thermosplat-2601 26.16" in text
 
 
 def test_an_ablation(tmp_path):

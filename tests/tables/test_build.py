@@ -73,6 +73,23 @@ def test_the_published_numbers_give_the_published_table(tmp_path):
         assert line in tables.latex
 
 
+def test_verdicts_and_other_papers_stand_beside_the_published_numbers(tmp_path):
+    for seed, psnr in enumerate((24.05, 24.06, 24.08)):
+        write(tmp_path, "msmg", "Parterre", seed=seed, scores={"psnr": psnr})
+    tables = build_tables(tmp_path)
+    written = pd.read_csv(tmp_path / "tables" / "difference.csv", keep_default_na=False).set_index(KEYS)
+    row = written.loc[("msmg", "RGBT-Scenes", "day", "Parterre", "psnr")]
+    assert (row["verdict"], row["margin"], row["seeds_needed"], row["why"]) == ("reproduced", "0.2", "", "")
+    assert float(row["low"]) < 24.06 < float(row["high"])
+    assert (row["others_low"], row["others_high"], row["papers"]) == ("26.16", "26.16", 2)
+    assert written.loc[("tdg", "RGBT-Scenes", "day", "Parterre", "psnr"), "why"] == "no number of ours"
+    papers = pd.read_csv(tmp_path / "tables" / "between_papers.csv")
+    assert len(papers) == len(tables.papers) == 24
+    text = (tmp_path / "tables" / "between_papers.tex").read_text()
+    assert r"MSMG & Parterre & 24.06 / 26.16 & 2.10 & 0.877 / 0.883 & 0.006" in text
+    assert text.count("% tdg; thermosplat-2601") == 1
+
+
 def test_ablation(tmp_path):
     write_ablation(tmp_path)
     Plan("ablation").write(tmp_path)
@@ -110,7 +127,9 @@ def test_latex_compiles(tmp_path, kind):
     build_tables(tmp_path)
     (tmp_path / "page.tex").write_text(
         r"\documentclass{article}\usepackage{booktabs,amssymb,graphicx}\begin{document}"
-        r"\resizebox{\textwidth}{!}{\input{tables/main.tex}}\end{document}"
+        r"\resizebox{\textwidth}{!}{\input{tables/main.tex}}"
+        + (r"\input{tables/between_papers.tex}" if kind == "main" else "")
+        + r"\end{document}"
     )
     run = subprocess.run(
         ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"],
@@ -136,6 +155,9 @@ def test_claims_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path)])
     assert main() == 0
     assert "fails" in (printed := capsys.readouterr().out) and "undecided" in printed
+    assert "mmone lpips: printed 0.176, mean of the rows 0.1803 ± 0.0015" in printed
+    averages = pd.read_csv(tmp_path / "tables" / "averages.csv")
+    assert averages["verdict"].value_counts()["does not follow"] == 1
     claims = pd.read_csv(tmp_path / "tables" / "claims.csv").set_index("id")
     assert claims.loc["psnr-better", "published"] == "fails" and claims.loc["psnr-better", "ours"] == "undecided"
     monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path / "nothing")])

@@ -31,6 +31,10 @@ def test_the_published_table_against_the_words():
     assert found.loc["bold-follows", "published_seen"] == "Ebike lpips, RoadBlock ssim"
     assert found.loc["thermalmix-within", "published_seen"] == "at most -0.78 at Face"
     assert (found["ours"] == UNDECIDED).all()
+    assert "the gain in psnr is 0.24 dB; over the 7 scenes" in found.loc["better-overall", "published_seen"]
+    assert "smaller than the 0.012 between papers" in found.loc["lpips-better", "published_seen"]
+    assert "2 of 7 gains are larger" in found.loc["rgbt-better", "published_seen"]
+    assert "between papers" not in found.loc["time-percent", "published_seen"]
 
 
 @pytest.mark.parametrize(

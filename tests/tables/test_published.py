@@ -1,10 +1,18 @@
-"""The published numbers: complete, and consistent with themselves."""
+"""The published numbers: complete, and consistent with themselves; others' with their sources, under our names."""
 
 import numpy as np
 import pytest
 
+from tdgbench.scenes.registry import DATASETS, registered
 from tdgbench.tables.difference import difference
-from tdgbench.tables.published import published_ablation, published_main
+from tdgbench.tables.published import (
+    PAPER,
+    half_unit,
+    load_sources,
+    published_ablation,
+    published_elsewhere,
+    published_main,
+)
 from tdgbench.tables.results import DECIMALS, KEYS, METRICS, OVERALL, decimals, with_averages, with_bold
 
 # Where the paper's own marks do not follow from its numbers: nobody is bold at Ebike LPIPS, and TDg is at the tie of
@@ -64,3 +72,43 @@ def test_ablation_repeats_the_overall_averages():
     colmap = published_ablation().query("init == 'colmap'").set_index(["method", "metric"])["value"]
     for key, value in colmap.items():
         assert np.isclose(overall[key], value)
+
+
+def test_every_number_of_others_has_its_source():
+    table, sources = published_elsewhere(), load_sources()
+    assert set(table["source"]) == {name for name, s in sources.items() if s.file == "others.csv"}
+    assert sources[PAPER].file == "table1.csv" and all(s.title and s.where for s in sources.values())
+    assert not table.duplicated(["source", "printed_as", "scene", "metric"]).any()
+    assert len(table) == 5 * 3 * 11 + 9 and table["value"].notna().all()
+    for name, source in sources.items():  # an entry for a method that is not printed would be a typing error
+        assert set(source.methods) <= set(table[table["source"] == name]["printed_as"])
+        assert all(set(entry) == {"as", "sure", "note"} for entry in source.methods.values())
+
+
+def test_scenes_of_others_have_our_names():
+    table = published_elsewhere()
+    assert set(table["dataset"]) <= set(DATASETS.values())
+    not_in_the_paper = {"Building", "IronIngot", "LandScape", "Average"}
+    for scene in set(table["scene"]) - not_in_the_paper:
+        assert registered(scene).name == scene
+    for scene in not_in_the_paper:
+        with pytest.raises(KeyError):
+            registered(scene)
+
+
+@pytest.mark.parametrize(
+    ("source", "printed_as", "method", "scene", "metric", "value"),
+    [("thermosplat-2601", "thermalgaussian", "msmg", "Parterre", "psnr", 26.16),
+     ("thermosplat-2601", "3dgs", "splat", "Truck", "ssim", 0.863),
+     ("thermosplat-2601", "mmone", "mmone", "RotaryKiln", "lpips", 0.17),
+     ("cegs-readme", "ommg", "ommg", "Average", "psnr", 25.64)],
+)  # fmt: skip
+def test_spot_checks_of_others(source, printed_as, method, scene, metric, value):
+    table = published_elsewhere().set_index(["source", "printed_as", "scene", "metric"])
+    row = table.loc[(source, printed_as, scene, metric)]
+    assert row["value"] == value and row["method"] == method
+
+
+@pytest.mark.parametrize(("printed", "half"), [("0.17", 0.005), ("25.30", 0.005), ("0.8896", 0.00005), ("55", 0.5)])
+def test_half_a_unit_of_print(printed, half):
+    assert half_unit(printed) == pytest.approx(half)

@@ -9,18 +9,8 @@ from tdgbench.bench.record import read_all
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import KEYS
-from tdgbench.tables.statistics import (
-    BETTER,
-    REPRODUCED,
-    UNDECIDED,
-    WORSE,
-    intervals,
-    noise_of_one_run,
-    over_seeds,
-    paired_tests,
-    speed_ratios,
-    verdict,
-)
+from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
+from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
 from tests.tables.test_build import published_as_records, write
 
 
@@ -50,33 +40,6 @@ def test_intervals_hold_what_the_samples_hold(tmp_path):
     assert "lpips" not in found.index  # n/a in every view
     again = intervals(read_all(tmp_path), tmp_path)
     assert again.equals(intervals(read_all(tmp_path), tmp_path))
-
-
-def test_noise_is_students_prediction_interval():
-    rng = np.random.default_rng(0)
-    runs = rng.normal(size=(20_000, 4))
-    noise = np.array([noise_of_one_run(row[:3].std(ddof=1), 3) for row in runs])
-    inside = np.abs(runs[:, 3] - runs[:, :3].mean(axis=1)) <= noise
-    assert inside.mean() == pytest.approx(0.95, abs=0.01)
-    assert np.isnan(noise_of_one_run(0.1, 1))
-
-
-@pytest.mark.parametrize(
-    ("metric", "ours", "published", "std", "seeds", "expected"),
-    [
-        ("psnr", 27.0, 27.3, 0.1, 3, REPRODUCED),
-        ("psnr", 27.0, 28.0, 0.1, 3, WORSE),
-        ("psnr", 29.0, 28.0, 0.1, 3, BETTER),
-        ("lpips", 0.3, 0.2, 0.001, 3, WORSE),
-        ("lpips", 0.1, 0.2, 0.001, 3, BETTER),
-        ("ssim", 0.8004, 0.8, 0.0, 3, REPRODUCED),  # the rounding of print
-        ("psnr", 27.0, 27.0, float("nan"), 1, UNDECIDED),
-        ("psnr", float("nan"), 27.0, 0.1, 3, UNDECIDED),
-        ("hours", 0.1, 0.1, 0.0, 3, UNDECIDED),
-    ],
-)
-def test_verdicts(metric, ours, published, std, seeds, expected):
-    assert verdict(metric, "Truck", ours, published, std, seeds) == expected
 
 
 def test_the_published_numbers_are_reproduced_by_themselves(tmp_path):

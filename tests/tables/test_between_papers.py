@@ -1,0 +1,82 @@
+"""How far papers are apart, from the data, and what is said of a gain."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from tdgbench.tables.averages import OFF, UNKNOWN
+from tdgbench.tables.between_papers import PLACE, SHARED, all_averages, between_papers, gain_against_spread, with_others
+from tdgbench.tables.published import published_main
+
+
+def spread_of(scene, metric):
+    return between_papers().set_index(["scene", "metric"]).loc[(scene, metric)]
+
+
+def test_the_spread_at_parterre():
+    row = spread_of("Parterre", "psnr")
+    assert (row["low"], row["high"], row["papers"]) == (24.06, 26.16, 2) and row["spread"] == pytest.approx(2.10)
+    assert row["values"] == "tdg 24.06; thermosplat-2601 26.16"
+    assert "MFTG, MSMG, OMMG" in row["note"]  # the source does not say which of the three it means
+
+
+def test_averages_are_compared_over_shared_scenes_only():
+    found = between_papers()
+    assert set(found["scene"]) == {
+        "Dimsum", "DailyStuff", "Ebike", "RoadBlock", "Truck", "RotaryKiln", "Parterre", SHARED,
+    }  # fmt: skip
+    row, scenes = spread_of(SHARED, "psnr"), found[(found["metric"] == "psnr") & (found["scenes"] == 1)]
+    assert row["scenes"] == len(scenes) == 7
+    msmg = published_main().query("method == 'msmg' and metric == 'psnr'").set_index("scene")["value"]
+    assert row["low"] == pytest.approx(msmg[scenes["scene"]].mean())
+
+
+def test_others_stand_beside_published_numbers():
+    found = with_others(published_main()).set_index(PLACE)
+    row = found.loc[("msmg", "RGBT-Scenes", "Parterre", "psnr")]
+    assert (row["others_low"], row["others_high"], row["papers"]) == (26.16, 26.16, 2)
+    for alone in (("tdg", "RGBT-Scenes", "Parterre", "psnr"), ("msmg", "RGBT-Scenes", "Average", "psnr"),
+                  ("msmg", "RGBT-Scenes", "Parterre", "hours")):  # fmt: skip
+        assert found.loc[alone, "papers"] == 1 and pd.isna(found.loc[alone, "others_low"])
+    assert len(found) == len(published_main())
+    ablation = pd.DataFrame({"method": ["msmg"], "init": ["colmap"], "metric": ["psnr"]})
+    assert with_others(ablation)["papers"].tolist() == [1]
+
+
+def test_the_papers_gains_against_the_spread():
+    overall = gain_against_spread(published_main(), ["psnr", "hours"], "overall")
+    assert overall == (
+        "the gain in psnr is 0.24 dB; over the 7 scenes that papers share it is 0.43 dB, smaller than the 0.47 dB "
+        "between papers"
+    )
+    assert "psnr: 2 of 7 gains are larger" in (scenes := gain_against_spread(published_main(), ["psnr"], "scenes"))
+    assert "Parterre: gain +0.36 dB, spread 2.10 dB" in scenes
+
+
+def test_a_larger_gain_is_said_to_be_larger():
+    table = published_main()
+    table.loc[(table["method"] == "tdg") & (table["metric"] == "psnr"), "value"] += 3
+    assert "larger than the 0.47 dB between papers" in gain_against_spread(table, ["psnr"], "overall")
+    assert "7 of 7 gains are larger" in gain_against_spread(table, ["psnr"], "scenes")
+
+
+def test_nothing_is_said_without_the_shared_scenes():
+    table = published_main()
+    assert gain_against_spread(table[table["scene"] != "Parterre"], ["psnr"], "overall") == ""
+    assert gain_against_spread(table[table["method"] == "tdg"], ["psnr"], "scenes") == ""
+    assert gain_against_spread(table.iloc[:0], ["psnr"], "overall") == ""
+    assert gain_against_spread(table, ["hours", "depth_abs_rel_of_truth"], "overall") == ""  # in one paper, in none
+    with pytest.raises(ValueError, match="'everywhere'"):
+        gain_against_spread(table, ["psnr"], "everywhere")
+
+
+def test_which_averages_do_not_follow():
+    found = all_averages()
+    off = found[found["verdict"] == OFF]
+    assert off[["source", "method", "metric", "printed"]].values.tolist() == [
+        ["thermosplat-2601", "mmone", "lpips", 0.176]
+    ]
+    assert off["mean"].item() == pytest.approx(0.1803)
+    assert set(found[found["verdict"] == UNKNOWN]["source"]) == {"cegs-readme"}  # it prints no rows
+    assert (found["source"] == "tdg").sum() == 24
