@@ -18,7 +18,7 @@ from tdgbench.files import write_text
 from tdgbench.report import views
 from tdgbench.report.published import beside, section
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
-from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label
+from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label, split_notes
 
 FILE = "report.html"
 TITLES = {
@@ -71,13 +71,14 @@ def write_report(experiment: Path, tables: Tables) -> Path:
 
 def _table(tables: Tables) -> dict[str, Any]:
     """Columns, and rows of cells: text, value to sort by, whether bold, difference to the published number, verdict."""
-    keys = ["method", "dataset", "scene", "metric"] if tables.kind == "main" else ABLATION_KEYS
+    is_ablation = tables.kind == "ablation"
+    keys = ABLATION_KEYS if is_ablation else ["method", "dataset", "scene", "metric"]
     published = {}
     if tables.difference is not None:
         published = {tuple(getattr(r, k) for k in keys): r for r in tables.difference.itertuples()}
-    metrics = list(METRICS if tables.kind == "main" else ABLATION_METRICS)
+    metrics = list(ABLATION_METRICS if is_ablation else METRICS)
     titles, rows = [TITLES[m] for m in metrics], []
-    if tables.kind == "main":
+    if not is_ablation:
         values = {tuple(getattr(r, k) for k in keys): r for r in tables.main.itertuples()}
         places = tables.main[["dataset", "scene", "method"]].drop_duplicates()
         by_scene = pd.Series(pd.factorize(places["dataset"] + "/" + places["scene"])[0], places.index)
@@ -89,7 +90,12 @@ def _table(tables: Tables) -> dict[str, Any]:
                     "cells": [_number(values[key], published.get(key)) for key in own],
                 }
             )
-        return {"heads": ["data set", "scene", "method"], "metrics": titles, "rows": rows, "notes": []}
+        return {
+            "heads": ["data set", "scene", "method"],
+            "metrics": titles,
+            "rows": rows,
+            "notes": split_notes(tables.main),
+        }
     for (method, init), own in tables.main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
         by_metric = {row.metric: row for row in own.itertuples()}
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in metrics]

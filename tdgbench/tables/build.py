@@ -16,8 +16,9 @@ from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables.between_papers import all_averages, between_papers, with_others
 from tdgbench.tables.claims import Evidence, check_all, load_claims
 from tdgbench.tables.difference import difference
-from tdgbench.tables.latex import ablation_table, main_table, papers_table
+from tdgbench.tables.latex import ablation_table, main_table, papers_table, readings_table
 from tdgbench.tables.published import published_ablation, published_main
+from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.results import (
     KEYS,
     METHOD_ORDER,
@@ -26,6 +27,7 @@ from tdgbench.tables.results import (
     scene_rows,
     with_averages,
     with_bold,
+    with_splits,
 )
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
 from tdgbench.tables.verdicts import Verdict, verdict
@@ -34,7 +36,7 @@ INITS = ("random", "colmap")
 ABLATION_METRICS = ("psnr", "ssim", *TRAIN_METRICS)
 ABLATION_KEYS = ["method", "init", "metric"]
 NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p", "margin", "others_low", "others_high",
-           "spread", "printed", "mean", "tolerance")  # fmt: skip
+           "spread", "printed", "mean", "tolerance", "change")  # fmt: skip
 
 
 @dataclass
@@ -50,6 +52,8 @@ class Tables:
     paired: pd.DataFrame | None = None
     speed: pd.DataFrame | None = None
     papers: pd.DataFrame | None = None  # how far papers are apart; None where difference is
+    readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
+    effects: pd.DataFrame | None = None
 
 
 def build_tables(experiment: Path) -> Tables:
@@ -65,17 +69,23 @@ def build_tables(experiment: Path) -> Tables:
         differences = difference(main, published_ablation(), ABLATION_KEYS)
         against = with_verdicts(differences, main, ABLATION_KEYS) if of_paper else None
         tables = Tables("ablation", main, ablation_table(main), against, folder, records)
-    elif plan.table == "main":
+    elif plan.table in ("main", "readings"):
         bold = with_bold(with_averages(scene_rows(records, plan)))
         main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
-        main = main.merge(intervals(records, experiment), on=KEYS, how="left")
+        main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
         of_paper = main["dataset"].isin(DATASETS.values()).any()
         against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
         tested, faster = paired_tests(main), speed_table(main)
-        tables = Tables("main", main, main_table(main), against, folder, records, tested, faster)
+        tables = Tables(plan.table, main, main_table(main), against, folder, records, tested, faster)
     else:
-        raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main or ablation")
+        raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main, ablation or readings")
     folder.mkdir(parents=True, exist_ok=True)
+    if plan.table == "readings":
+        cells = reading_cells(records)
+        tables.readings, tables.effects = readings(cells), effects(cells)
+        write_text(folder / "readings.csv", to_csv(tables.readings))
+        write_text(folder / "effects.csv", to_csv(tables.effects))
+        write_text(folder / "readings.tex", readings_table(tables.readings, tables.effects))
     write_text(folder / "main.csv", to_csv(tables.main))
     write_text(folder / "main.tex", tables.latex)
     if tables.difference is not None:

@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
-from tdgbench.tables.results import AVERAGE, DECIMALS, METRICS, OVERALL, decimals, first_points
+from tdgbench.tables.readings import widest_average, with_setup
+from tdgbench.tables.results import AVERAGE, DECIMALS, METRICS, OVERALL, decimals, first_points, split_notes
 
 HEADERS = {
     "psnr": r"PSNR $\uparrow$",
@@ -14,7 +15,15 @@ HEADERS = {
     "lpips": r"LPIPS $\downarrow$",
     "hours": r"Time [h] $\downarrow$",
 }
-METHOD_NAMES = {"msmg": "MSMG", "tdg": "TDg", "splat": "3DGS"}
+METHOD_NAMES = {
+    "msmg": "MSMG",
+    "thermal": "MSMG's thermal model",
+    "splat": "3DGS",
+    "splat_smooth": "3DGS, smooth",
+    "tdg": "TDg",
+    "tdg_released": "TDg as released",
+    "tdg_switch": "TDg, switched",
+}
 LABELS = {scene.name: scene.label for scene in SCENES}
 ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
@@ -40,6 +49,7 @@ def main_table(rows: pd.DataFrame) -> str:
     heads = [rf"\multicolumn{{{len(METRICS)}}}{{c}}{{{_method(m)}}}" for m in methods]
     rules = [rf"\cmidrule(lr){{{2 + i * len(METRICS)}-{1 + (i + 1) * len(METRICS)}}}" for i in range(len(methods))]
     lines = [
+        *(f"% {note}" for note in split_notes(rows)),
         rf"\begin{{tabular}}{{l{'c' * (width - 1)}}}",
         r"\toprule",
         f"Dataset & {' & '.join(heads)} \\\\",
@@ -111,6 +121,51 @@ def ablation_table(rows: pd.DataFrame) -> str:
             pairs = " & ".join(_pair(values, part) for part in ("", "train_"))
             lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
+    """Two tabulars: average scores by method and iterations, and what each difference changes, with its interval.
+
+    rows: as `readings` makes them. changes: as `effects` makes them. A single scene stands for itself.
+    """
+    rows, changes = with_setup(widest_average(rows), "method"), with_setup(widest_average(changes), "effect")
+    metrics = ("psnr", "ssim", "lpips", "hours", "gaussians")
+    titles = [*(HEADERS[m] for m in metrics[:4]), "Gaussians"]
+    lines = [r"\begin{tabular}{lrccccc}", r"\toprule", f"Method & Iterations & {' & '.join(titles)} \\\\", r"\midrule"]
+    for (method, length), own in rows.groupby(["method", "iterations"], sort=False):
+        values = own.set_index("metric")
+        numbers = [_spread(values, m) for m in metrics]
+        lines.append(f"{_method(str(method))} & {length} & {' & '.join(numbers)} \\\\")
+    lines += [r"\bottomrule", r"\end{tabular}", ""]
+    metrics = ("psnr", "ssim", "lpips", "hours")
+    titles, arrow = [*(HEADERS[m] for m in metrics[:3]), r"Time $\times$"], r"$\to$"
+    lines += [r"\begin{tabular}{lrcccc}", r"\toprule", f"Change & Iterations & {' & '.join(titles)} \\\\", r"\midrule"]
+    for (effect, words), own in changes.groupby(["effect", "iterations"], sort=False):
+        values = own.set_index("metric")
+        numbers = [_change(values, m) for m in metrics]
+        lines.append(f"{escape(str(effect))} & {str(words).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _spread(values: pd.DataFrame, metric: str) -> str:
+    if metric not in values.index:
+        return "n/a"
+    value, std = float(values.loc[metric, "value"]), float(values.loc[metric, "std"])
+    if metric == "gaussians":
+        return f"{value:.0f}"
+    text = _number(value, decimals(metric, AVERAGE), False)
+    return text if np.isnan(std) or metric == "hours" else rf"{text} $\pm$ {std:.{decimals(metric, AVERAGE)}f}"
+
+
+def _change(values: pd.DataFrame, metric: str) -> str:
+    if metric not in values.index:
+        return "n/a"
+    row = values.loc[metric]
+    digits, sign = (2, "") if metric == "hours" else (decimals(metric, AVERAGE), "+")
+    text = f"{row['change']:{sign}.{digits}f}"
+    if np.isnan(row["low"]):
+        return text
+    return f"{text} [{row['low']:{sign}.{digits}f}, {row['high']:{sign}.{digits}f}]"
 
 
 def _pair(values: pd.DataFrame, part: str) -> str:

@@ -20,6 +20,11 @@ DECIMALS = {m: 2 if m.endswith("psnr") else 3 for m in (*METRICS, *EXTRA_METRICS
 KEYS = ["method", "dataset", "group", "scene", "metric"]
 AVERAGE, OVERALL = "Average", "Average (Overall)"
 METHOD_ORDER = ("msmg", "tdg")
+SPLITS = {
+    "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",
+    "every_8th": "every 8th view is tested",
+    "folder": "the shipped train/ and test/ folders, as both releases read them",
+}
 NO_RECORD = "not run, or the scene is not on disk"
 
 
@@ -51,10 +56,10 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
     """
     chosen = [r for r in records if init in (None, r.init)]
     labels = [method_label(r, with_init=init is None) for r in chosen]
-    methods = sorted({*labels, *plan.methods}, key=_method_rank)
     scenes = _scenes(chosen, plan)
-    if any(s["dataset"] in DATASETS.values() for s in scenes):
-        methods = sorted({*methods, *METHOD_ORDER}, key=_method_rank)
+    of_paper = any(s["dataset"] in DATASETS.values() for s in scenes)
+    wanted = {*plan.methods, *(METHOD_ORDER if of_paper else ())} - {label.split(" ")[0] for label in labels}
+    methods = sorted({*labels, *wanted}, key=_method_rank)
     rows = []
     for method in methods:
         for scene in scenes:
@@ -69,6 +74,28 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
                 reason = next((reason for _, reason in pairs if reason), "")
                 rows.append({"method": method, **scene, "metric": metric, "value": value, "reason": reason})
     return pd.DataFrame(rows, columns=[*KEYS, "value", "reason"])
+
+
+def with_splits(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
+    """The rows with `split`: how the views of their cells were split (`a + b` for an average over both)."""
+    splits: dict[str, dict[tuple[str, str], set[str]]] = {}
+    for record in records:
+        of_method = splits.setdefault(method_label(record, with_init=True), {})
+        of_method.setdefault((record.dataset, record.scene), set()).add(record.split)
+
+    def split_of(method: str, dataset: str, scene: str) -> str:
+        own = splits.get(method, {})
+        if scene not in (AVERAGE, OVERALL):
+            return " + ".join(sorted(own.get((dataset, scene), set())))
+        return " + ".join(sorted({s for (d, _), found in own.items() if dataset in ("", d) for s in found}))
+
+    found = [split_of(r.method, r.dataset, r.scene) for r in rows.itertuples()]
+    return rows.assign(split=found)
+
+
+def split_notes(main: pd.DataFrame) -> list[str]:
+    """Which views were tested, in words, one line for each split in a main table."""
+    return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,8 @@ from rich.table import Table
 from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import ABLATION_METRICS, Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points
+from tdgbench.tables.readings import widest_average, with_setup
+from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, split_notes
 from tdgbench.tables.verdicts import in_words
 
 HEADERS = {"psnr": "PSNR↑", "ssim": "SSIM↑", "lpips": "LPIPS↓", "hours": "time↓"}
@@ -23,8 +25,12 @@ def show(tables: Tables, console: Console) -> None:
     """Print the main table, and how far it is from the published one."""
     if tables.kind == "ablation":
         _show_ablation(tables, console)
+    elif tables.readings is not None and tables.effects is not None:
+        _show_readings(tables.readings, tables.effects, console)
     else:
         _show_main(tables, console)
+        for note in split_notes(tables.main):
+            console.print(note, highlight=False, soft_wrap=True)
     _show_reasons(tables, console)
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
@@ -138,6 +144,37 @@ def _show_ablation(tables: Tables, console: Console) -> None:
     console.print(table)
     for how in first_points(tables.main):
         console.print(how, highlight=False, soft_wrap=True)
+
+
+def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Console) -> None:
+    """Averages by method and length, then what each difference changes, with its 95 % interval over seeds.
+
+    Single scenes stand in readings.csv and effects.csv.
+    """
+    table = Table("method", "iterations", "scene", *HEADERS.values(), "Gaussians")
+    for (method, iterations, scene), own in with_setup(widest_average(readings), "method").groupby(
+        ["method", "iterations", "scene"], sort=False
+    ):
+        values = own.groupby("metric")["value"].mean()
+        texts = [_text(values[m], m, str(scene)) if m in values else "n/a" for m in METRICS]
+        table.add_row(escape(method), str(iterations), escape(str(scene)), *texts, f"{values['gaussians']:.0f}")
+    console.print(table)
+    table = Table("change", "iterations", "scene", "PSNR", "SSIM", "LPIPS", "time ×", "Gaussians ×")
+    for (effect, iterations, scene), own in with_setup(widest_average(effects), "effect").groupby(
+        ["effect", "iterations", "scene"], sort=False
+    ):
+        by_metric = {row.metric: row for row in own.itertuples()}
+        texts = [_change(by_metric.get(m)) for m in ("psnr", "ssim", "lpips", "hours", "gaussians")]
+        table.add_row(escape(str(effect)), str(iterations), escape(str(scene)), *texts)
+    console.print(table)
+
+
+def _change(row: Any) -> str:
+    if row is None:
+        return "n/a"
+    form = ".2f" if row.kind == "ratio" else f"+.{decimals(row.metric, row.scene)}f"
+    text = format(row.change, form)
+    return text if np.isnan(row.low) else f"{text} [{row.low:{form}}, {row.high:{form}}]"
 
 
 def _show_reasons(tables: Tables, console: Console) -> None:

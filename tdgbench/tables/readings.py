@@ -1,0 +1,174 @@
+"""As written and as released at equal iterations: scores by method and length, and what each difference changes.
+
+Effects are paired: cells that differ in one thing share data set, scene, first points and seed. Their interval is
+Student's over seeds, of the mean over scenes; what differs between scenes is shown row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from tdgbench.bench.record import Record
+from tdgbench.tables.published import published_main
+from tdgbench.tables.results import AVERAGE, OVERALL, metric_value
+
+SCORES = ("psnr", "ssim", "lpips", "channel_psnr", "depth_abs_rel", "depth_consistency", "floaters")
+RATIOS = ("hours", "gaussians")  # compared by their ratio
+PLACE = ["dataset", "scene", "init", "split", "seed"]
+COVERAGE = 0.95
+
+
+class Effect(NamedTuple):
+    """A change of one thing: cells of `after` against cells of `before` of the same length."""
+
+    name: str
+    before: str
+    after: str
+
+
+EFFECTS = (
+    Effect("depth, as written", "splat_smooth", "tdg"),
+    Effect("smoothness, eq. 6", "splat", "splat_smooth"),
+    Effect("smoothness, as released", "splat", "tdg_released"),
+    Effect("released reading for the written one", "tdg", "tdg_released"),
+    Effect("RGB model left out", "msmg", "thermal"),
+    Effect("RGB model and MSMG's weights left out", "msmg", "tdg_released"),
+    Effect("all: TDg as written for MSMG", "msmg", "tdg"),
+)
+
+
+def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
+    """One row per finished cell and metric that it has: method, iterations, PLACE, metric, value."""
+    rows = []
+    for record in records:
+        if record.failure is not None:
+            continue
+        place = [record.dataset, record.scene, record.init, record.split, record.seed]
+        head = [record.method, int(record.config["budget"]["iterations"]), *place]
+        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, "hours")}
+        values["gaussians"] = float(sum(record.gaussians.values()))
+        rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
+    return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
+
+
+def readings(cells: pd.DataFrame) -> pd.DataFrame:
+    """method, iterations, init, split, dataset, scene, metric, value, std, seeds, published: means over seeds.
+
+    Averages are over the scenes that every method and length has; they are absent where a seed lacks one of them.
+    published: the paper's number, beside MSMG at the most iterations and TDg at the fewest.
+    """
+    keys = ["method", "iterations", "init", "split", "metric"]
+    if cells.empty:
+        return pd.DataFrame(columns=[*keys[:4], "dataset", "scene", "metric", "value", "std", "seeds", "published"])
+    by_seed = [cells]
+    shared = _shared_scenes(cells)
+    for names, scene in ((["dataset"], AVERAGE), ([], OVERALL)):
+        own = cells[[key in shared for key in zip(cells["dataset"], cells["scene"], strict=True)]]
+        if scene == OVERALL and own["dataset"].nunique() < 2:
+            continue
+        groups = own.groupby([*keys, "seed", *names], sort=False)["value"]
+        wanted = own.drop_duplicates(["dataset", "scene"]).groupby(names)["scene"].count() if names else len(shared)
+        means = groups.agg(["mean", "count"]).reset_index()
+        full = means["dataset"].map(wanted) if names else wanted
+        means = means[means["count"] == full].rename(columns={"mean": "value"})
+        by_seed.append(means.assign(scene=scene, dataset=means["dataset"] if names else ""))
+    table = pd.concat(by_seed, ignore_index=True)
+    grouped = table.groupby([*keys[:4], "dataset", "scene", "metric"], sort=False)["value"]
+    found = grouped.agg(value="mean", std="std", seeds="count").reset_index()
+    return _with_published(found)
+
+
+def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the widest average that there is; with one scene alone, all rows."""
+    for name in (OVERALL, AVERAGE):
+        if (rows["scene"] == name).any():
+            return rows[rows["scene"] == name]
+    return rows
+
+
+def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+    """The rows with first points and split added to the words in a column, where the table has several of them."""
+    words = rows[column].astype(str)
+    for name in ("init", "split"):
+        if rows[name].nunique() > 1:
+            words = words + ", " + rows[name]
+    return rows.assign(**{column: words})
+
+
+def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:
+    """(dataset, scene) that every method and length has."""
+    scores = cells[cells["metric"] == "psnr"]
+    found = [set(zip(g["dataset"], g["scene"], strict=True)) for _, g in scores.groupby(["method", "iterations"])]
+    return set.intersection(*found) if found else set()
+
+
+def _with_published(found: pd.DataFrame) -> pd.DataFrame:
+    printed = published_main()[["method", "dataset", "scene", "metric", "value"]].rename(columns={"value": "published"})
+    length = {}
+    for method, choose in (("msmg", max), ("tdg", min)):
+        of_method = found.loc[found["method"] == method, "iterations"]
+        if len(of_method):
+            length[method] = choose(of_method)
+    printed["iterations"] = printed["method"].map(length)
+    return found.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
+
+
+def effects(cells: pd.DataFrame) -> pd.DataFrame:
+    """effect, iterations, init, split, dataset, scene, metric, kind, change, low, high, seeds, scenes.
+
+    kind: `difference` (after − before) or `ratio` (after / before) for hours and Gaussians. low, high: the 95 %
+    interval over seeds, NaN for one seed. Besides EFFECTS at each length: fewer iterations, method by method, and TDg
+    at the fewest against MSMG at the most, as published.
+    """
+    lengths = sorted(cells["iterations"].unique())
+    pairs = [(e.name, (e.before, n), (e.after, n)) for n in lengths for e in EFFECTS]
+    if len(lengths) > 1:
+        few, many = lengths[0], lengths[-1]
+        pairs += [(f"fewer iterations: {m}", (m, many), (m, few)) for m in cells["method"].unique()]
+        pairs.append(("as published: TDg at the fewest for MSMG at the most", ("msmg", many), ("tdg", few)))
+    parts = []
+    for name, before, after in pairs:
+        a, b = (cells[(cells["method"] == m) & (cells["iterations"] == n)] for m, n in (before, after))
+        both = a.merge(b, on=[*PLACE, "metric"], suffixes=("_before", "_after"))
+        if not both.empty:
+            words = str(after[1]) if before[1] == after[1] else f"{before[1]} → {after[1]}"
+            parts.append(_changes(both).assign(effect=name, iterations=words))
+    columns = ["effect", "iterations", "init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high",
+               "seeds", "scenes"]  # fmt: skip
+    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+
+def _changes(both: pd.DataFrame) -> pd.DataFrame:
+    """Per scene, and over all scenes that every seed has."""
+    ratio = both["metric"].isin(RATIOS)
+    before, after = both["value_before"], both["value_after"]
+    logs = np.log((after / before).where(ratio, 1.0))
+    both = both.assign(change=(after - before).where(~ratio, logs))
+    rows = []
+    for (init, split, metric), own in both.groupby(["init", "split", "metric"], sort=False):
+        wide = own.pivot_table(index="seed", columns=["dataset", "scene"], values="change").dropna(axis=1)
+        places = [(dataset, scene, wide[[(dataset, scene)]]) for dataset, scene in wide.columns]
+        if wide.shape[1] > 1:
+            datasets = wide.columns.get_level_values(0).unique()
+            places.append((datasets[0] if len(datasets) == 1 else "", AVERAGE if len(datasets) == 1 else OVERALL, wide))
+        for dataset, scene, values in places:
+            mean, low, high = _interval(values.mean(axis=1).to_numpy())
+            kind = "ratio" if metric in RATIOS else "difference"
+            numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
+            rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
+    names = ["init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high", "seeds", "scenes"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def _interval(values: np.ndarray) -> tuple[float, float, float]:
+    """Mean, and Student's 95 % interval of it; NaN for fewer than two."""
+    mean = float(values.mean())
+    if len(values) < 2:
+        return mean, float("nan"), float("nan")
+    half = float(stats.t.ppf((1 + COVERAGE) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return mean, mean - half, mean + half

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from tdgbench.bench.record import Failure, Record
+from tdgbench.tables.latex import readings_table
+from tdgbench.tables.readings import effects, reading_cells, readings
+from tdgbench.tables.results import AVERAGE, OVERALL
+
+
+def record(method, iterations, psnr, seed=0, scene="orbit", dataset="synthetic", hours=1.0, gaussians=1000):
+    return Record(
+        method, dataset, scene, "colmap", seed, "readings", f"budget.iterations={iterations}", split="eighty_twenty",
+        scores={"psnr": psnr, "ssim": 0.9, "lpips": None}, missing={"lpips": "no backbone"},
+        seconds={"train": 3600 * hours}, gaussians={"thermal": gaussians},
+        config={"budget": {"iterations": iterations}},
+    )  # fmt: skip
+
+
+CELLS = [
+    record("splat_smooth", 3000, 30.0, 0), record("splat_smooth", 3000, 30.2, 1),
+    record("tdg", 3000, 30.5, 0, hours=1.1, gaussians=2000), record("tdg", 3000, 30.9, 1, hours=1.1, gaussians=2000),
+    record("tdg", 1000, 29.0, 0, hours=0.25), record("tdg", 1000, 29.1, 1, hours=0.25),
+    record("msmg", 3000, 31.0, 0, hours=2.0), record("msmg", 3000, 31.0, 1, hours=2.0),
+]  # fmt: skip
+
+
+def row(table, **wanted):
+    for name, value in wanted.items():
+        table = table[table[name] == value]
+    assert len(table) == 1, table
+    return table.iloc[0]
+
+
+def test_effects_are_paired_by_seed():
+    table = effects(reading_cells(CELLS))
+    depth = row(table, effect="depth, as written", metric="psnr", scene="orbit")
+    assert depth["change"] == pytest.approx(0.6) and depth["seeds"] == 2
+    half = 12.7062 * np.std([0.5, 0.7], ddof=1) / np.sqrt(2)
+    assert (depth["low"], depth["high"]) == (pytest.approx(0.6 - half, abs=1e-3), pytest.approx(0.6 + half, abs=1e-3))
+    assert set(table["metric"]) == {"psnr", "ssim", "hours", "gaussians"}  # LPIPS is n/a
+
+
+def test_hours_and_gaussians_are_compared_by_ratio():
+    table = effects(reading_cells(CELLS))
+    assert row(table, effect="depth, as written", metric="gaussians")["change"] == pytest.approx(2.0)
+    whole = row(table, effect="as published: TDg at the fewest for MSMG at the most", metric="hours")
+    assert whole["change"] == pytest.approx(0.125) and whole["iterations"] == "3000 → 1000"
+    fewer = row(table, effect="fewer iterations: tdg", metric="psnr")
+    assert fewer["change"] == pytest.approx(-1.65)
+
+
+def test_one_seed_has_no_interval():
+    table = effects(reading_cells([CELLS[0], CELLS[2]]))
+    assert np.isnan(row(table, effect="depth, as written", metric="psnr")["low"])
+
+
+def test_averages_are_over_scenes_that_all_have():
+    more = [record(m, 3000, p, scene="night") for m, p in (("tdg", 20.5), ("splat_smooth", 20.0), ("msmg", 21.0))]
+    short = record("tdg", 1000, 19.0, scene="night")
+    table = readings(reading_cells([*CELLS[::2], *more, short]))
+    assert row(table, method="tdg", iterations=3000, scene=AVERAGE, metric="psnr")["value"] == pytest.approx(25.5)
+    assert (table["scene"] != OVERALL).all()
+    table = readings(reading_cells([*CELLS[::2], *more]))  # the shorter TDg lacks a scene
+    average = row(table, method="tdg", iterations=3000, scene=AVERAGE, metric="psnr")
+    assert average["value"] == pytest.approx(30.5)
+    found = effects(reading_cells([*CELLS[::2], *more, short]))
+    assert row(found, effect="depth, as written", metric="psnr", scene=AVERAGE)["scenes"] == 2
+
+
+def test_published_numbers_stand_beside_the_published_lengths():
+    cells = [
+        record(method, iterations, 25.0, scene="Truck", dataset="RGBT-Scenes")
+        for method in ("msmg", "tdg") for iterations in (10_000, 30_000)
+    ]  # fmt: skip
+    table = readings(reading_cells(cells))
+    printed = {
+        (r.method, r.iterations): r.published
+        for r in table[table["metric"] == "psnr"].itertuples()
+        if r.scene == "Truck"
+    }
+    assert printed["msmg", 30_000] == 25.90 and printed["tdg", 10_000] == 26.28
+    assert np.isnan(printed["msmg", 10_000]) and np.isnan(printed["tdg", 30_000])
+
+
+def test_failed_cells_say_nothing():
+    failed = record("tdg", 3000, 30.0)
+    failed.failure = Failure("train", "NonFiniteError: no", "")
+    assert reading_cells([failed]).empty and effects(reading_cells([failed])).empty
+    assert readings(reading_cells([failed])).empty
+
+
+def test_latex_holds_scores_and_changes():
+    cells = reading_cells(CELLS)
+    text = readings_table(readings(cells), effects(cells))
+    assert r"TDg & 3000 & 30.70 $\pm$ 0.28 & 0.900" in text and "n/a" in text
+    assert "depth, as written & 3000 & +0.60 [-0.67, +1.87]" in text
+    assert r"fewer iterations: tdg & 3000 $\to$ 1000 & -1.65" in text
+    other = [record("tdg", 3000, 27.0), record("splat_smooth", 3000, 26.0)]
+    for one in other:
+        one.split = "folder"
+    cells = reading_cells([*CELLS, *other])
+    assert r"depth, as written, folder & 3000 & +1.00" in readings_table(readings(cells), effects(cells))
