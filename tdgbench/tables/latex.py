@@ -137,12 +137,12 @@ def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
         numbers = [_spread(values, m) for m in metrics]
         lines.append(f"{_method(str(method))} & {length} & {' & '.join(numbers)} \\\\")
     lines += [r"\bottomrule", r"\end{tabular}", ""]
-    metrics = ("psnr", "ssim", "lpips", "hours")
-    titles, arrow = [*(HEADERS[m] for m in metrics[:3]), r"Time $\times$"], r"$\to$"
+    compared = ("psnr", "ssim", "lpips", "hours")
+    titles, arrow = [*(HEADERS[m] for m in compared[:3]), r"Time $\times$"], r"$\to$"
     lines += [r"\begin{tabular}{lrcccc}", r"\toprule", f"Change & Iterations & {' & '.join(titles)} \\\\", r"\midrule"]
     for (effect, words), own in changes.groupby(["effect", "iterations"], sort=False):
         values = own.set_index("metric")
-        numbers = [_change(values, m) for m in metrics]
+        numbers = [_change(values, m) for m in compared]
         lines.append(f"{escape(str(effect))} & {str(words).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 

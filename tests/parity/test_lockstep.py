@@ -1,0 +1,140 @@
+"""Model, Adam, density control and the loop around them against TDg's own training loop, iteration by iteration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hydra.utils import instantiate
+from scipy.optimize import linear_sum_assignment
+
+from tdgbench.scenes import Camera
+from tdgbench.splats import Gaussians
+from tdgbench.splats.density import DensityControl
+from tdgbench.splats.gradients import Gradients
+from tdgbench.training import model as model_module
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Step
+from tdgbench.training.model import SplatModel
+from tests.conftest import config
+from tests.parity.conftest import original
+from tests.parity.drive import HEIGHT, WIDTH, pull, seen_at
+
+EXTENT = 3.0
+RULES = ("start=10", "every=16", "opacity_reset_every=40")  # as the original was told
+AS_RELEASED = ("round_recovery=0", "reset_recovery=0")
+COLUMNS = 23
+LIMIT = 1e-5
+CAMERA = Camera(np.eye(3), np.eye(4), WIDTH, HEIGHT)
+ORDINARY, DENSIFIES, RESETS, BOTH = 70, 64, 40, 80  # what is due at an iteration that may be the last
+
+
+@pytest.fixture(scope="module")
+def theirs() -> dict[str, np.ndarray]:
+    return original("lockstep")
+
+
+class _Pulled(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, anchor, deliver):
+        ctx.deliver = deliver
+        return torch.zeros(HEIGHT, WIDTH, 3)
+
+    @staticmethod
+    def backward(ctx, _):
+        ctx.deliver()
+        return None, None
+
+
+def pulled_render(state, optimizer, *_, iteration, collect, **__):
+    """Stands in for `render_state`: rows that are seen are brought up to date, looked at and pulled."""
+    seen = seen_at(state.values[:, :COLUMNS], iteration).nonzero().squeeze(1).int()
+    optimizer.catch_up([(0, len(seen))], seen.numpy())
+    given = pull(state.values[seen, :COLUMNS], iteration)
+    rows = torch.zeros(len(seen), state.values.shape[1])
+    rows[:, :COLUMNS] = given.rows
+    per_px = given.image / torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])
+    image = torch.cat([per_px, torch.zeros_like(per_px), given.radii[:, None].float()], dim=1)
+    whole = [(0, len(seen))]
+    gradients = Gradients(whole, seen, rows, image, whole, seen, given.radii.int())
+    anchor = torch.zeros((), requires_grad=True)
+    return _Pulled.apply(anchor, lambda: collect(gradients)), None, torch.zeros(HEIGHT, WIDTH)
+
+
+class Pulled:
+    """A method whose only loss is that its Gaussians are pulled."""
+
+    def __init__(self, start: np.ndarray, iterations: int) -> None:
+        rules = [f"budget.density.{rule}" for rule in (*RULES, *AS_RELEASED)]
+        length = (f"budget.iterations={iterations}", "budget.rates.position_steps=80", "budget.sh_degree=1")
+        budget = instantiate(config("budget=paper", *length, *rules).budget)
+        rows = torch.from_numpy(start)
+        first = Gaussians(rows[:, :3], rows[:, 3:6], rows[:, 6:10], rows[:, 10], rows[:, 11:].unflatten(1, (4, 3)))
+        self.model = SplatModel(first, budget, EXTENT, "auto", torch.Generator())
+
+    def models(self) -> dict[str, SplatModel]:
+        return {"thermal": self.model}
+
+    def step(self, iteration: int) -> Step:
+        render = self.model.render(CAMERA)
+        return Step(render.image.sum(), {}, render, torch.zeros_like(render.image))
+
+
+@pytest.fixture
+def same_draws(monkeypatch, theirs):
+    """Gives each Gaussian that is split the draws that it had in the original, whatever its row."""
+    rounds = iter(range(100))
+    children = DensityControl._children
+
+    def with_their_draws(self, parents: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        k = next(rounds)
+        order = matched(parents[:, :3].numpy(), theirs[f"parents_{k}"])
+        draws = torch.from_numpy(theirs[f"draws_{k}"]).unflatten(0, (2, -1))[:, order].flatten(0, 1)
+        with monkeypatch.context() as patch:
+            patch.setattr(torch, "randn", lambda *shape, **_: draws.reshape(shape))
+            return children(self, parents, generator)
+
+    monkeypatch.setattr(DensityControl, "_children", with_their_draws)
+    monkeypatch.setattr(model_module, "render_state", pulled_render)
+
+
+def matched(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """For each of our rows the one of theirs that it is; each is taken once."""
+    assert len(ours) == len(theirs)
+    cost = np.abs(ours[:, None].astype(np.float64) - theirs[None]).sum(axis=2)
+    return linear_sum_assignment(cost)[1]
+
+
+def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """Largest difference of a parameter; relative where it is larger than 1."""
+    theirs = theirs[matched(ours, theirs)]
+    return float((np.abs(ours - theirs) / np.maximum(1, np.abs(theirs))).max())
+
+
+def rows_of(model: SplatModel) -> np.ndarray:
+    model.optimizer.settle()
+    return model.state.values[:, :COLUMNS].numpy().copy()
+
+
+def test_every_iteration(theirs, same_draws):
+    """Counts at each of 80 iterations, parameters at some, before density control: 4 rounds and a reset in between."""
+    method, counts, far = Pulled(theirs["saved_1"], BOTH), [], {}
+
+    def compare(log: TrainingLog) -> None:
+        counts.append(len(method.model))
+        if f"saved_{log.iterations}" in theirs:
+            far[log.iterations] = difference(rows_of(method.model), theirs[f"saved_{log.iterations}"])
+
+    train(method, BOTH, on_model=compare)
+    assert counts == theirs["counts"].tolist() and len(set(counts)) == 5
+    assert far[1] == 0 and list(far) == [1, 2, 16, 40, 41, 64, 70, 80]
+    assert max(far.values()) < LIMIT, far
+
+
+@pytest.mark.parametrize("last", [ORDINARY, DENSIFIES, RESETS, BOTH])
+def test_end_of_training(theirs, same_draws, last):
+    """The model that is left is the one before the last iteration's density control, without a last step."""
+    method = Pulled(theirs["saved_1"], last)
+    train(method, last)
+    assert len(method.model) == theirs["counts"][last - 1]
+    assert difference(rows_of(method.model), theirs[f"saved_{last}"]) < LIMIT
