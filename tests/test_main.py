@@ -14,7 +14,7 @@ from tdgbench.verify import verify
 from tests.conftest import ROOT, SMALL
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
-SWEEPS = ("demo", "table1", "table2")
+SWEEPS = ("demo", "table1", "table2", "readings")
 JOBS = {  # experiments that are no sweep of cells, and how to make them small
     "stress": ("job.cases=opacity",),
     "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
@@ -60,6 +60,23 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
         assert run.returncode == 1 and run.stderr.count("14 scenes are not in") == 1
         assert "Dimsum, DailyStuff" in run.stderr and "Zenodo" in run.stderr and "[train|test]" in run.stderr
         assert (main["value"] == "n/a").all() and (tables / "difference.csv").exists()
+
+
+def test_a_part_of_an_experiment_with_both_splits_as_the_readme_types_it(tmp_path, data_root):
+    """Plain Hydra overrides choose what an experiment sweeps over."""
+    run = command(
+        tmp_path, "+experiment=readings", "dataset=synthetic", "scene=turntable", "method=tdg,splat_smooth",
+        "data.split=eighty_twenty,every_8th", f"data.root={data_root}", *QUICK, "budget.iterations=6,12",
+    )  # fmt: skip
+    assert run.returncode == 0 and "8 cells run" in run.stdout, run.stdout + run.stderr[-3000:]
+    tables = tmp_path / "results" / "readings" / "tables"
+    readings, effects = (pd.read_csv(tables / f"{name}.csv") for name in ("readings", "effects"))
+    assert set(readings["split"]) == {"eighty_twenty", "every_8th"} and set(readings["iterations"]) == {6, 12}
+    assert {"depth, as written", "fewer iterations: tdg"} <= set(effects["effect"])
+    text = (tables / "readings.tex").read_text()
+    assert "depth, as written, every\\_8th" in text and r"TDg, every\_8th & 6" in text
+    main = pd.read_csv(tables / "main.csv")
+    assert main["method"].nunique() == 8 and set(main["split"]) == {"eighty_twenty", "every_8th"}
 
 
 def test_a_sweep_resumes_and_one_failure_stops_nothing(tmp_path, data_root):

@@ -28,6 +28,8 @@ TITLES = {
     "hours": "time, h ↓",
     "train_psnr": "PSNR ↑, training views",
     "train_ssim": "SSIM ↑, training views",
+    "rgb_psnr": "PSNR ↑, RGB model",
+    "rgb_ssim": "SSIM ↑, RGB model",
 }
 CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians": "Gaussians"}
 

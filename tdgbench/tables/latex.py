@@ -103,22 +103,26 @@ def papers_table(rows: pd.DataFrame) -> str:
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
-    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, and those of the training views beside them.
+    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2; beside them those of the training views and of
+    the RGB model. Several kinds of random points are named.
 
     rows: method, init, metric, value, bold, points.
     """
+    several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
     lines = [
         *(f"% {how}" for how in first_points(rows)),
-        r"\begin{tabular}{lcccc}",
+        r"\begin{tabular}{lccccc}",
         r"\toprule",
-        r" & Random & COLMAP & PSNR / SSIM & training views \\",
+        r" & Random & COLMAP & PSNR / SSIM & training views & RGB model \\",
     ]
     for method, own in rows.groupby("method", sort=False):
         lines.append(r"\midrule")
         for init in dict.fromkeys(own["init"]):
             values = own[own["init"] == init].set_index("metric")
-            marks = " & ".join(r"$\checkmark$" if init == i else r"$\times$" for i in ("random", "colmap"))
-            pairs = " & ".join(_pair(values, part) for part in ("", "train_"))
+            kind = str(init).removeprefix("random").strip("_") or "cameras"
+            random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
+            marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
+            pairs = " & ".join(_pair(values, part) for part in ("", "train_", "rgb_"))
             lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
@@ -169,7 +173,7 @@ def _change(values: pd.DataFrame, metric: str) -> str:
 
 
 def _pair(values: pd.DataFrame, part: str) -> str:
-    """PSNR / SSIM of test views or, with the part `train_`, of training views; bold if one of them is."""
+    """PSNR / SSIM of test views, training views (part `train_`) or the RGB model (`rgb_`); bold if one of them is."""
     names = [f"{part}psnr", f"{part}ssim"]
     text = " / ".join(_number(values.loc[name, "value"], decimals(name, OVERALL), False) for name in names)
     return rf"\textbf{{{text}}}" if bool(values.loc[names, "bold"].any()) else text

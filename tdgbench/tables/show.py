@@ -136,11 +136,12 @@ def _text(value: float, metric: str, scene: str) -> str:
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:
-    table = Table("method", "first points", "PSNR↑", "SSIM↑", "PSNR↑, training views", "SSIM↑, training views")
+    heads = (f"{name}{part}" for part in ("", ", training views", ", RGB model") for name in ("PSNR↑", "SSIM↑"))
+    table = Table("method", "first points", *heads)
     for (method, init), own in tables.main.groupby(["method", "init"], sort=False):
         values = own.set_index("metric")["value"]
         texts = ["n/a" if np.isnan(values[m]) else _text(values[m], m, OVERALL) for m in ABLATION_METRICS]
-        table.add_row(method, init, *texts)
+        table.add_row(escape(str(method)), str(init), *texts)
     console.print(table)
     for how in first_points(tables.main):
         console.print(how, highlight=False, soft_wrap=True)

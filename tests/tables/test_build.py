@@ -6,7 +6,7 @@ import pytest
 
 from tdgbench.bench.output import cell_folder_of
 from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record
+from tdgbench.bench.record import Record, read_all
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.__main__ import main
 from tdgbench.tables.build import build_tables
@@ -94,12 +94,41 @@ def test_ablation(tmp_path):
     write_ablation(tmp_path)
     Plan("ablation").write(tmp_path)
     tables = build_tables(tmp_path)
-    assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 16
-    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} & 30.00 / 0.9000 \\" in tables.latex
-    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 & \textbf{40.00 / 0.9000} \\" in tables.latex
+    assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 24
+    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} & 30.00 / 0.9000 & n/a / n/a \\" in tables.latex
+    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 & \textbf{40.00 / 0.9000} & n/a / n/a \\" in tables.latex
     assert "% random: somewhere" in tables.latex
     assert (tables.main[tables.main["init"] == "random"]["points"] == "somewhere").all()
     assert (tables.difference["verdict"] == "undecided").all()
+
+
+def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
+    write_ablation(tmp_path)
+    for record in read_all(tmp_path):
+        if record.init == "random":
+            write(
+                tmp_path, record.method, record.scene, dataset=record.dataset, init="random_box",
+                scores={**record.scores, "rgb_psnr": 12.5, "rgb_ssim": 0.5}, train_scores=record.train_scores,
+            )  # fmt: skip
+    Plan("ablation").write(tmp_path)
+    tables = build_tables(tmp_path)
+    own = tables.difference[tables.difference["metric"] == "psnr"].set_index(["method", "init"])
+    assert set(own.index) == {(m, i) for m in ("tdg", "msmg") for i in ("random", "random_box", "colmap")}
+    assert own.loc[("tdg", "random_box"), "published"] == own.loc[("tdg", "random"), "published"] == 9.69
+    assert r"MSMG & $\checkmark$ (box) & $\times$ & 9.64 / 0.3471" in tables.latex and "12.50 / 0.5000" in tables.latex
+    assert r"MSMG & $\checkmark$ (cameras)" in tables.latex
+
+
+def test_both_splits_in_one_sweep_are_told_apart(tmp_path):
+    for split in ("eighty_twenty", "folder"):
+        write(tmp_path, scene="orbit", dataset="synthetic", variant=f"data.split={split}", split=split)
+    Plan("main", variant_keys=["data.split"]).write(tmp_path)
+    tables = build_tables(tmp_path)
+    assert set(tables.main["split"]) == {"eighty_twenty", "folder"}
+    assert "% split folder: the shipped train/ and test/ folders" in tables.latex
+    assert not any(method == "tdg" for method in tables.main["method"])
+    written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
+    assert set(written["split"]) == {"eighty_twenty", "folder"}
 
 
 def test_an_ablation_of_other_scenes_is_not_held_against_the_paper(tmp_path):
