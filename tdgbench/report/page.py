@@ -17,6 +17,7 @@ from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.report import views
 from tdgbench.report.published import beside, section
+from tdgbench.report.strip import place_name
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
 from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label, split_notes
 
@@ -50,9 +51,9 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     """Write the page of an experiment from what is on disk; returns its path."""
     records = tables.records
     cells = [Cell(r, cell_folder_of(experiment, r)) for r in records if r.failure is None]
-    scenes: dict[tuple[str, str], list[Cell]] = {}
+    scenes: dict[tuple[str, str, str], list[Cell]] = {}
     for cell in cells:
-        scenes.setdefault((cell.record.dataset, cell.record.scene), []).append(cell)
+        scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
     environment = Environment(
         loader=PackageLoader("tdgbench.report", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
@@ -61,7 +62,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         name=experiment.resolve().name,
         table=_table(tables),
         published=section(tables, TITLES),
-        scenes=[_scene(key, own) for key, own in scenes.items()],
+        scenes=[_scene(key[0], place_name(key, scenes), own) for key, own in scenes.items()],
         skips=[_skips(cell) for cell in cells],
         failures=[(r.title, r.failure.stage, r.failure.error) for r in records if r.failure is not None],
         environments=_environments(records),
@@ -121,7 +122,7 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
     return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}
 
 
-def _scene(key: tuple[str, str], cells: list[Cell]) -> dict[str, Any]:
+def _scene(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
     """A scene's strip (the middle test view of each method's first cell) and the curves of all its cells."""
     first: dict[str, Cell] = {}
     for cell in cells:
@@ -131,8 +132,8 @@ def _scene(key: tuple[str, str], cells: list[Cell]) -> dict[str, Any]:
     methods = [_method(label, cell, view) for label, cell in first.items()]
     temperature = next(iter(first.values())).record.temperature
     return {
-        "dataset": key[0],
-        "scene": key[1],
+        "dataset": dataset,
+        "scene": name,
         "view": view,
         "truth": methods[0]["truth"],
         "methods": methods,

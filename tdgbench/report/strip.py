@@ -1,7 +1,8 @@
-"""One picture per experiment: a test view of each scene, ground truth | each method's render | their errors."""
+"""One picture per experiment: of each scene and split, a test view's ground truth | renders | their errors."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -18,23 +19,23 @@ ERROR_RANGE = 0.15
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
     """Draw what the finished cells of an experiment rendered; False if there are none."""
     done = [r for r in records if r.status == "ok"]
-    scenes = list(dict.fromkeys((r.dataset, r.scene) for r in done))
+    scenes = list(dict.fromkeys((r.dataset, r.scene, r.split) for r in done))
     methods = list(dict.fromkeys(r.method for r in done))
     if not done:
         return False
     columns = 1 + 2 * len(methods)
     figure = Figure(figsize=(2.4 * columns, 1.95 * len(scenes)), layout="constrained")
     axes = figure.subplots(len(scenes), columns, squeeze=False)
-    for row, (dataset, scene) in zip(axes, scenes, strict=True):
+    for row, place in zip(axes, scenes, strict=True):
         for axis in row:
             axis.set_axis_off()
         for m, method in enumerate(methods):
-            own = [r for r in done if (r.dataset, r.scene, r.method) == (dataset, scene, method)]
+            own = [r for r in done if (r.dataset, r.scene, r.split, r.method) == (*place, method)]
             if not own:
                 continue
             truth, image = _pair(cell_folder_of(experiment, own[0]))
             row[0].imshow(truth, vmin=0, vmax=1, cmap="inferno")
-            row[0].set_title(f"{scene}: ground truth", fontsize=8)
+            row[0].set_title(f"{place_name(place, scenes)}: ground truth", fontsize=8)
             row[1 + m].imshow(image, vmin=0, vmax=1, cmap="inferno")
             row[1 + m].set_title(f"{method} {own[0].scores['psnr']:.1f} dB", fontsize=8)
             error = np.abs(image - truth)
@@ -44,6 +45,11 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
+
+
+def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:
+    """A scene (data set, scene, split) by name; with its split where the experiment has several."""
+    return f"{place[1]} ({place[2]})" if len({split for *_, split in places}) > 1 else place[1]
 
 
 def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:

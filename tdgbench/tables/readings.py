@@ -93,11 +93,11 @@ def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
 
 def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     """The rows with first points and split added to the words in a column, where the table has several of them."""
-    words = rows[column].astype(str)
-    for name in ("init", "split"):
-        if rows[name].nunique() > 1:
-            words = words + ", " + rows[name]
-    return rows.assign(**{column: words})
+    varied = [name for name in ("init", "split") if rows[name].nunique() > 1]
+    if not varied:
+        return rows
+    setup = rows[varied].agg(", ".join, axis=1)
+    return rows.assign(**{column: rows[column].astype(str) + " (" + setup + ")"})
 
 
 def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:

@@ -99,4 +99,4 @@ def test_latex_holds_scores_and_changes():
     for one in other:
         one.split = "folder"
     cells = reading_cells([*CELLS, *other])
-    assert r"depth, as written, folder & 3000 & +1.00" in readings_table(readings(cells), effects(cells))
+    assert r"depth, as written (folder) & 3000 & +1.00" in readings_table(readings(cells), effects(cells))
