@@ -75,6 +75,7 @@ def test_a_part_of_an_experiment_with_both_splits_as_the_readme_types_it(tmp_pat
     assert {"depth, as written", "fewer iterations: tdg"} <= set(effects["effect"])
     text = (tables / "readings.tex").read_text()
     assert r"depth, as written (every\_8th)" in text and r"TDg (every\_8th) & 6" in text
+    assert "fewer iterations: splat_smooth (every_8th)" in (tables.parent / "report.html").read_text()
     main = pd.read_csv(tables / "main.csv")
     assert main["method"].nunique() == 8 and set(main["split"]) == {"eighty_twenty", "every_8th"}
 

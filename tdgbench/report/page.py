@@ -19,6 +19,7 @@ from tdgbench.report import views
 from tdgbench.report.published import beside, section
 from tdgbench.report.strip import place_name
 from tdgbench.tables.build import ABLATION_KEYS, ABLATION_METRICS, Tables
+from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, method_label, split_notes
 
 FILE = "report.html"
@@ -62,6 +63,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         name=experiment.resolve().name,
         table=_table(tables),
         published=section(tables, TITLES),
+        changes=None if tables.effects is None else changes_as_text(tables.effects),
         scenes=[_scene(key[0], place_name(key, scenes), own) for key, own in scenes.items()],
         skips=[_skips(cell) for cell in cells],
         failures=[(r.title, r.failure.stage, r.failure.error) for r in records if r.failure is not None],

@@ -7,7 +7,7 @@ Student's over seeds, of the mean over scenes; what differs between scenes is sh
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from scipy import stats
 
 from tdgbench.bench.record import Record
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import AVERAGE, OVERALL, metric_value
+from tdgbench.tables.results import AVERAGE, OVERALL, decimals, metric_value
 
 SCORES = ("psnr", "ssim", "lpips", "channel_psnr", "depth_abs_rel", "depth_consistency", "floaters")
 RATIOS = ("hours", "gaussians")  # compared by their ratio
@@ -172,3 +172,23 @@ def _interval(values: np.ndarray) -> tuple[float, float, float]:
         return mean, float("nan"), float("nan")
     half = float(stats.t.ppf((1 + COVERAGE) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
     return mean, mean - half, mean + half
+
+
+def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows for a reader: each change of the widest average, with its interval. changes: as by `effects`."""
+    metrics = ("psnr", "ssim", "lpips", "hours", "gaussians")
+    heads = ["change", "iterations", "scene", "PSNR, dB", "SSIM", "LPIPS", "time ×", "Gaussians ×"]
+    rows = []
+    own = with_setup(widest_average(changes), "effect")
+    for place, group in own.groupby(["effect", "iterations", "scene"], sort=False):
+        by_metric = {row.metric: row for row in group.itertuples()}
+        rows.append([*(str(part) for part in place), *(_change_as_text(by_metric.get(m)) for m in metrics)])
+    return heads, rows
+
+
+def _change_as_text(row: Any) -> str:
+    if row is None:
+        return "n/a"
+    form = ".2f" if row.kind == "ratio" else f"+.{decimals(row.metric, AVERAGE)}f"
+    text = format(row.change, form)
+    return text if np.isnan(row.low) else f"{text} [{row.low:{form}}, {row.high:{form}}]"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import timedelta
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,7 @@ from rich.table import Table
 from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import ABLATION_METRICS, Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.readings import widest_average, with_setup
+from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import METRICS, OVERALL, decimals, first_points, split_notes
 from tdgbench.tables.verdicts import in_words
 
@@ -160,22 +159,11 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
         texts = [_text(values[m], m, str(scene)) if m in values else "n/a" for m in METRICS]
         table.add_row(escape(method), str(iterations), escape(str(scene)), *texts, f"{values['gaussians']:.0f}")
     console.print(table)
-    table = Table("change", "iterations", "scene", "PSNR", "SSIM", "LPIPS", "time ×", "Gaussians ×")
-    for (effect, iterations, scene), own in with_setup(widest_average(effects), "effect").groupby(
-        ["effect", "iterations", "scene"], sort=False
-    ):
-        by_metric = {row.metric: row for row in own.itertuples()}
-        texts = [_change(by_metric.get(m)) for m in ("psnr", "ssim", "lpips", "hours", "gaussians")]
-        table.add_row(escape(str(effect)), str(iterations), escape(str(scene)), *texts)
+    heads, rows = changes_as_text(effects)
+    table = Table(*heads)
+    for row in rows:
+        table.add_row(*(escape(text) for text in row))
     console.print(table)
-
-
-def _change(row: Any) -> str:
-    if row is None:
-        return "n/a"
-    form = ".2f" if row.kind == "ratio" else f"+.{decimals(row.metric, row.scene)}f"
-    text = format(row.change, form)
-    return text if np.isnan(row.low) else f"{text} [{row.low:{form}}, {row.high:{form}}]"
 
 
 def _show_reasons(tables: Tables, console: Console) -> None:
