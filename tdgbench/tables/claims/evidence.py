@@ -34,7 +34,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell that has scores, and its folder, which holds log.csv."""
+    """A cell that has scores, and its folder, which holds log.csv and views.csv."""
 
     record: Record
     folder: Path
@@ -63,11 +63,15 @@ class Cell:
 
     def log(self) -> pd.DataFrame | None:
         """log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if there is none."""
-        return _read_log(self.folder / "log.csv")
+        return _read_csv(self.folder / "log.csv")
+
+    def views(self) -> pd.DataFrame | None:
+        """views.csv: view and its scores, NaN where it has none; None if there is none."""
+        return _read_csv(self.folder / "views.csv")
 
 
 @cache
-def _read_log(path: Path) -> pd.DataFrame | None:
+def _read_csv(path: Path) -> pd.DataFrame | None:
     return pd.read_csv(path) if path.exists() else None
 
 
