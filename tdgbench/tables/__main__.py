@@ -1,7 +1,7 @@
 """`python -m tdgbench.tables results/<experiment> …`: the tables again, from what is on disk.
 
-`python -m tdgbench.tables claims [results/<experiment> …]`: the paper's claims, held against its own tables and ours,
-and every paper's averages, held against their rows.
+`python -m tdgbench.tables claims [results/<experiment> …]`: the paper's claims, held against its own tables and
+against the cells of all these experiments together, and every paper's averages, held against their rows.
 """
 
 from __future__ import annotations

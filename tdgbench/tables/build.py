@@ -15,7 +15,7 @@ from tdgbench.bench.record import Record, read_all
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables.between_papers import all_averages, between_papers, with_others
-from tdgbench.tables.claims import Evidence, check_all, load_claims
+from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
 from tdgbench.tables.difference import difference
 from tdgbench.tables.latex import ablation_table, main_table, papers_table, readings_table
 from tdgbench.tables.published import published_ablation, published_main
@@ -121,22 +121,18 @@ def speed_table(main: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_claims(experiments: list[Path]) -> pd.DataFrame:
-    """The paper's claims against the published tables and, with experiments, against ours; written to each of them,
-    with the check of every paper's averages.
+    """The paper's claims against the published tables and, with experiments, against all of their cells together;
+    written to each of them, with the check of every paper's averages.
 
-    The first experiment with a main table and the first with an ablation speak for us. Raises ValueError where an
-    experiment holds nothing.
+    Raises ValueError where an experiment holds nothing.
     """
-    tables = [build_tables(folder) for folder in experiments]
-    main = next((t.main for t in tables if t.kind == "main"), None)
-    ablation = next((t.main for t in tables if t.kind == "ablation"), None)
-    ours = None
-    if main is not None or ablation is not None:
-        ours = Evidence(published_main().iloc[:0] if main is None else main, ablation, printed=False)
+    ours = evidence_of(experiments) if experiments else None
     found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
-    for one in tables:
-        write_text(one.folder / "claims.csv", found.to_csv(index=False, lineterminator="\n"))
-        write_text(one.folder / "averages.csv", to_csv(all_averages()))
+    for experiment in experiments:
+        folder = experiment / "tables"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "claims.csv", found.to_csv(index=False, lineterminator="\n"))
+        write_text(folder / "averages.csv", to_csv(all_averages()))
     return found
 
 

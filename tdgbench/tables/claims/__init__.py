@@ -1,0 +1,104 @@
+"""The paper's claims in words, each held against the published tables, and against our results.
+
+A claim `holds`, `fails`, or is `undecided` where the evidence lacks what it is about, or does not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from omegaconf import OmegaConf
+
+from tdgbench.tables.between_papers import gain_against_spread
+from tdgbench.tables.claims import cells, main_table
+from tdgbench.tables.claims.evidence import (
+    FAILS,
+    HOLDS,
+    METHODS,
+    UNDECIDED,
+    Cell,
+    Evidence,
+    Finding,
+    MissingError,
+    evidence_of,
+)
+from tdgbench.tables.claims.quantities import QUANTITIES
+from tdgbench.tables.published import FOLDER
+
+__all__ = [
+    "CHECKS", "FAILS", "HOLDS", "METHODS", "UNDECIDED", "Cell", "Evidence", "Finding", "MissingError", "check_all",
+    "check_claim", "evidence_of", "load_claims",
+]  # fmt: skip
+
+Check = Callable[[dict[str, Any], Evidence], Finding]
+OF_TABLES: tuple[Check, ...] = (
+    main_table.relative_gain,
+    main_table.averages,
+    main_table.better_mostly,
+    main_table.better_scenes,
+    main_table.mixed,
+    main_table.minutes_saved,
+    main_table.percent_saved,
+    main_table.within,
+    main_table.ablation_agrees,
+    main_table.averages_follow,
+    main_table.bold_follows,
+)
+OF_CELLS: tuple[Check, ...] = (
+    cells.better,
+    cells.better_average,
+    cells.better_init,
+    cells.random_fails,
+    cells.attributed,
+)
+CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_CELLS)}  # type: ignore[attr-defined]
+
+
+def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
+    """The claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
+    claims: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    for claim in claims:
+        name = claim.get("id", "?")
+        lacking = {"id", "said", "where", "check"} - set(claim)
+        if lacking:
+            raise ValueError(f"{path}: claim {name} lacks {', '.join(sorted(lacking))}")
+        if claim["check"] not in CHECKS:
+            raise ValueError(f"{path}: claim {name} has an unknown check {claim['check']!r}")
+        unknown = set(claim.get("margins", {})) - set(QUANTITIES)
+        if unknown:
+            raise ValueError(f"{path}: claim {name} has margins of unknown quantities: {', '.join(sorted(unknown))}")
+        if "margins" in claim and not claim.get("reason"):
+            raise ValueError(f"{path}: claim {name} has margins without a reason")
+    return claims
+
+
+def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """Hold one claim against a table. A claim with `gain` says where it claims one, which is held against the spread
+    between papers."""
+    check = CHECKS[claim["check"]]
+    try:
+        found = check(claim, evidence)
+    except MissingError as error:
+        return Finding(UNDECIDED, str(error))
+    parts = [found.seen]
+    if check in OF_TABLES:
+        parts.append(evidence.note)
+    if "gain" in claim:
+        metrics = claim["metrics"] if "metrics" in claim else [claim["metric"]]
+        parts.append(gain_against_spread(evidence.main, metrics, claim["gain"]))
+    return Finding(found.verdict, "; ".join(part for part in parts if part))
+
+
+def check_all(claims: list[dict[str, Any]], published: Evidence, ours: Evidence | None) -> pd.DataFrame:
+    """One row per claim: id, said, where, and of the published table and of ours the verdict and what it rests on."""
+    rows = []
+    for claim in claims:
+        row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}
+        for side, evidence in (("published", published), ("ours", ours)):
+            found = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
+            row |= {side: found.verdict, f"{side}_seen": found.seen}
+        rows.append(row)
+    return pd.DataFrame(rows)

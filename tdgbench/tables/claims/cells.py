@@ -1,0 +1,184 @@
+"""Checks that compare trained cells pair by pair. Where the paper prints no such number only our results decide them.
+
+Each gain is stated with its 95 % interval (`pairs.interval`) and judged against the claim's margin (`pairs.judge`).
+Gains at different numbers of iterations are judged apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tdgbench.tables.claims import main_table
+from tdgbench.tables.claims.evidence import (
+    METHODS,
+    UNDECIDED,
+    Cell,
+    Evidence,
+    Finding,
+    MissingError,
+    as_published,
+    published_lengths,
+)
+from tdgbench.tables.claims.pairs import Interval, Pair, Side, all_of, counted, interval, judge, make_pairs
+from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
+
+COLMAP = "colmap"
+Claim = dict[str, Any]
+
+
+def better(claim: Claim, evidence: Evidence) -> Finding:
+    """Each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
+
+    margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
+    their ratio (0.1: 10 % less). Combinations without pairs are left out.
+    """
+    sides = [(Side(a, COLMAP), Side(b, COLMAP)) for a in claim["methods"] for b in claim["against"] if a != b]
+    return _compare(claim, evidence, sides)
+
+
+def better_average(claim: Claim, evidence: Evidence) -> Finding:
+    """TDg is better than MSMG in the mean of each of `metrics`: as printed, or over pairs of the main table's cells."""
+    if evidence.printed:
+        return main_table.better_average(claim, evidence)
+    _need_cells(claim, evidence)
+    tdg, msmg = (
+        {(cell.setup, cell.record.seed): cell for cell in as_published(evidence.cells) if cell.record.method == m}
+        for m in METHODS
+    )
+    pairs = [Pair(cell, msmg[place]) for place, cell in tdg.items()]
+    found = [part for metric in claim["metrics"] for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
+    if not found:
+        raise MissingError("no pair of tdg and msmg")
+    return all_of(found)
+
+
+def better_init(claim: Claim, evidence: Evidence) -> Finding:
+    """For each of `methods` the points named by `better` (colmap or random) beat the others.
+
+    Each kind of random points is judged apart. margins: as in `better`.
+    """
+    _need_cells(claim, evidence)
+    inits = dict.fromkeys(c.record.init for c in evidence.cells if c.record.init.startswith("random"))
+    if not inits:
+        raise MissingError("no cells from random points")
+    sides = [(Side(method, COLMAP), Side(method, init)) for method in claim["methods"] for init in inits]
+    if claim["better"] != COLMAP:
+        sides = [(other, mine) for mine, other in sides]
+    return _compare(claim, evidence, sides)
+
+
+def random_fails(claim: Claim, evidence: Evidence) -> Finding:
+    """From random points every one of `methods` loses at least `drop` dB of PSNR: as printed, or pair by pair."""
+    if evidence.printed:
+        return main_table.ablation_drop(claim, evidence)
+    return better_init({**claim, "better": COLMAP, "margins": {"psnr": claim["drop"]}}, evidence)
+
+
+def attributed(claim: Claim, evidence: Evidence) -> Finding:
+    """Depth explains more than `share` of the time that TDg saves: of log(time of MSMG / time of TDg).
+
+    A chain of changes leads from MSMG at its longest to TDg at its shortest, and their logarithms add up: fewer
+    iterations (MSMG at TDg's length), no RGB model (splat_smooth; it also weighs its loss by 1 and reads the smoothness
+    as eq. 6), depth (TDg).
+    """
+    _need_cells(claim, evidence)
+    links = _links(evidence.cells)
+    if not links:
+        raise MissingError("no cells of tdg, splat_smooth (TDg without depth) and msmg on one machine")
+    scenes = [scene for scene, _ in links]
+    chain = np.array([link for _, link in links])
+    total = interval(scenes, chain.sum(axis=1))
+    times = f"time TDg / MSMG {_ratio(total)}, {counted(total)}"
+    if total.low <= 0:
+        return Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
+    named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
+    shares = [f"{name} {100 * interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()]
+    depth = interval(scenes, chain[:, 2])
+    seen = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio(depth)}"
+    return Finding(judge(interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), seen)
+
+
+def _need_cells(claim: Claim, evidence: Evidence) -> None:
+    """Raise MissingError where there are no cells."""
+    if evidence.printed:
+        raise MissingError(f"the paper prints no {claim.get('unprinted', 'such number')}")
+    if not evidence.cells:
+        raise MissingError("no cells of ours")
+
+
+def _compare(claim: Claim, evidence: Evidence, sides: Sequence[tuple[Side, Side]]) -> Finding:
+    _need_cells(claim, evidence)
+    found = []
+    for mine, other in sides:
+        pairs = make_pairs(evidence.cells, mine, other)
+        for name, margin in claim["margins"].items():
+            for budget in sorted({pair.mine.budget for pair in pairs}):
+                found += _gain(claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.budget == budget])
+    if not found:
+        said = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
+        raise MissingError(f"no pair of {said} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
+    result = all_of(found)
+    return Finding(result.verdict, "; ".join([result.seen, *([claim["note"]] if "note" in claim else [])]))
+
+
+def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]) -> list[Finding]:
+    """The finding on one quantity of pairs that are alike in their iterations; none where no pair has it."""
+    if quantity.timed:
+        pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
+    both = [(pair, numbers) for pair in pairs if (numbers := quantity.of(*pair, claim)) is not None]
+    if quantity.ratio:
+        both = [(pair, numbers) for pair, numbers in both if min(numbers) > 0]
+    if not both:
+        return []
+    scenes = [pair.mine.scene for pair, _ in both]
+    if quantity.ratio:
+        gain = interval(scenes, [float(np.log(b / a)) for _, (a, b) in both])
+        verdict, between, value = judge(gain, float(-np.log1p(-margin))), "/", _ratio(gain)
+    else:
+        sign = 1 if quantity.higher else -1
+        gain = interval(scenes, [sign * (a - b) for _, (a, b) in both])
+        verdict, between, value = judge(gain, margin), "−", _difference(gain, sign, quantity)
+    mine, other = (Side(cell.record.method, cell.record.init) for cell in both[0][0])
+    names = f"{_name(mine, other)} {between} {_name(other, mine)}"
+    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.budget for cell in both[0][0]))
+    return [Finding(verdict, f"{quantity.label}, {names} at {lengths}: {value}, {counted(gain)}")]
+
+
+def _name(side: Side, other: Side) -> str:
+    """The method, or where both sides are one method, with its points."""
+    return side.method if side.method != other.method else f"{side.method} from {side.init}"
+
+
+def _ratio(gain: Interval) -> str:
+    low, high = np.exp(-gain.high), np.exp(-gain.low)
+    return f"{np.exp(-gain.mean):.2f}" + (f" [{low:.2f}, {high:.2f}]" if np.isfinite(gain.low) else "")
+
+
+def _difference(gain: Interval, sign: int, quantity: Quantity) -> str:
+    mean, *ends = (f"{sign * value:+.{quantity.digits}f}" for value in gain[:3])
+    low, high = ends if sign > 0 else reversed(ends)
+    return mean + quantity.unit + (f" [{low}, {high}]" if np.isfinite(gain.low) else "")
+
+
+def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
+    """Scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
+    times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
+    longest = {setup: length for (method, setup), length in published_lengths(cells).items() if method == "msmg"}
+    for cell in cells:
+        if cell.record.init == COLMAP and cell.record.seconds.get("train"):
+            of_method = times.setdefault((cell.setup, cell.record.seed, cell.machine), {})
+            of_method.setdefault(cell.record.method, {}).setdefault(cell.budget, cell)
+    found = []
+    for (setup, _, _), by_method in times.items():
+        tdg, smooth, msmg = (by_method.get(method, {}) for method in ("tdg", "splat_smooth", "msmg"))
+        equal = tdg.keys() & smooth.keys() & msmg.keys()
+        if not equal or min(equal) != min(tdg) or longest[setup] not in msmg:
+            continue
+        length = min(equal)
+        chain = (msmg[longest[setup]], msmg[length], smooth[length], tdg[length])
+        logs = [np.log(cell.record.seconds["train"]) for cell in chain]
+        found.append((chain[0].scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
+    return found

@@ -1,0 +1,103 @@
+"""Two kinds of cells compared pair by pair: which cells make a pair, the interval of a gain, and the verdict on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Cell, Finding
+
+COVERAGE = 0.95
+
+
+class Side(NamedTuple):
+    """One side of a comparison."""
+
+    method: str
+    init: str
+
+
+class Pair(NamedTuple):
+    """Two cells that differ in method (and its prior) or in init alone."""
+
+    mine: Cell
+    other: Cell
+
+
+class Interval(NamedTuple):
+    """A mean and its 95 % interval (infinite where there is one pair), and of what: pairs in so many scenes."""
+
+    mean: float
+    low: float
+    high: float
+    pairs: int
+    scenes: int
+
+
+def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
+    """Cells with equal scene, data, split, seed, setup and iterations.
+
+    A cell that two experiments hold counts once, as the first has it.
+    """
+    sides: list[dict[tuple[object, ...], Cell]] = [{}, {}]
+    for cell in cells:
+        record = cell.record
+        key = (cell.setup, record.seed, cell.budget, record.iterations)
+        for by_key, side in zip(sides, (mine, other), strict=True):
+            if (record.method, record.init) == side:
+                by_key.setdefault(key, cell)
+    return [Pair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
+
+
+def interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
+    """Student's 95 % interval of the mean gain. scenes: of each gain.
+
+    Each scene counts once, by the mean of its pairs, so that seeds do not pass for scenes. With one scene the interval
+    is over its pairs, and says nothing of other scenes.
+    """
+    values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(scenes)), dtype=float)
+    by_scene = values.groupby(level=[0, 1]).mean()
+    units = (by_scene if len(by_scene) > 1 else values).to_numpy()
+    mean = float(units.mean())
+    if len(units) < 2:
+        return Interval(mean, -np.inf, np.inf, len(values), len(by_scene))
+    half = float(stats.t.isf((1 - COVERAGE) / 2, len(units) - 1) * units.std(ddof=1) / np.sqrt(len(units)))
+    return Interval(mean, mean - half, mean + half, len(values), len(by_scene))
+
+
+def judge(gain: Interval, margin: float) -> str:
+    """The verdict on a claimed gain. margin: the least gain that the claim's words allow.
+
+    - `fails`: the whole interval lies below the margin; the gain is negative, or too small for the words.
+    - `holds`: the whole interval lies on the claimed side of 0, and the mean is not below the margin. With a negative
+      margin (the claim allows so much loss) the whole interval lies above the margin.
+    - `undecided`: anything else, and always with one pair.
+    """
+    if gain.high <= margin:
+        return FAILS
+    return HOLDS if gain.low > min(0.0, margin) and gain.mean >= margin else UNDECIDED
+
+
+def all_of(findings: Sequence[Finding]) -> Finding:
+    """One finding of several parts: `holds` where all hold, `fails` where any fails.
+
+    Each part's interval covers 95 % by itself, so one false `fails` becomes likelier with the number of parts.
+    """
+    verdicts = [found.verdict for found in findings]
+    if FAILS in verdicts:
+        verdict = FAILS
+    else:
+        verdict = HOLDS if set(verdicts) == {HOLDS} else UNDECIDED
+    parts = [found.seen if len(findings) == 1 else f"{found.seen} ({found.verdict})" for found in findings]
+    return Finding(verdict, "; ".join(parts))
+
+
+def counted(gain: Interval) -> str:
+    """`12 pairs in 4 scenes`."""
+    one = "one pair has no interval; " if not np.isfinite(gain.low) else ""
+    pairs, scenes = (f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((gain.pairs, "pair"), (gain.scenes, "scene")))
+    return f"{one}{pairs} in {scenes}"

@@ -1,0 +1,66 @@
+"""What training logs show: how soon a level is reached, and what happens where the depth loss is switched off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.tables.claims.evidence import Cell
+
+
+def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
+    """Iterations (or seconds) until both runs reach one level of training PSNR, for the first time.
+
+    The level lies `reach` (0 to 1) of the way from where the runs start to the worse run's best. column: `iteration` or
+    `seconds`. PSNR is the log's, which is smoothed over views. None without logs, or where the worse run gets nowhere.
+    """
+    logs = mine.log(), other.log()
+    if logs[0] is None or logs[1] is None:
+        return None
+    curves = [log["train_psnr"] for log in logs if log is not None]
+    start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
+    if best <= start:
+        return None
+    level = start + claim["reach"] * (best - start)
+    return first_at(logs[0], level, column), first_at(logs[1], level, column)
+
+
+def first_at(log: pd.DataFrame, level: float, column: str) -> float:
+    """The column where train_psnr first reaches the level, linear between lines. Raises ValueError if it never does."""
+    psnr, along = log["train_psnr"].to_numpy(), log[column].to_numpy(float)
+    reached = np.flatnonzero(psnr >= level)
+    if not len(reached):
+        raise ValueError(f"training PSNR never reaches {level:.2f} dB; it ends at {psnr[-1]:.2f} dB")
+    i = int(reached[0])
+    if i == 0:
+        return float(along[0])
+    return float(np.interp(level, psnr[i - 1 : i + 1], along[i - 1 : i + 1]))
+
+
+def psnr_drop(cell: Cell, claim: dict[str, Any]) -> float | None:
+    """By how much training PSNR (dB) falls at the switch: its mean before, less its lowest value after."""
+    windows = _around_switch(cell, claim["window"], "train_psnr")
+    return None if windows is None else float(windows[0].mean() - windows[1].min())
+
+
+def loss_rise(cell: Cell, claim: dict[str, Any]) -> float | None:
+    """How many times its mean before the switch the highest thermal loss after it is."""
+    windows = _around_switch(cell, claim["window"], "loss_thermal")
+    return None if windows is None else float(windows[1].max() / windows[0].mean())
+
+
+def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, pd.Series] | None:
+    """The log's column just before and just after the depth loss ends. window: share of all iterations on each side.
+
+    None without a log, without an end of the depth loss, and where a window is empty.
+    """
+    log = cell.log()
+    share = cell.record.config.get("method", {}).get("method", {}).get("decay_end")
+    if log is None or share is None or column not in log:
+        return None
+    switch, width = int(share * cell.budget), window * cell.budget
+    before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]
+    after = log.loc[log["iteration"].between(switch, switch + width), column]
+    return (before, after) if len(before) and len(after) else None

@@ -1,0 +1,46 @@
+"""Small cells made by hand."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.bench.record import Record
+from tdgbench.tables.claims import Cell
+
+
+def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colmap", iterations=1000, **fields) -> Cell:
+    """A cell that is better in every quantity the larger the gain: PSNRs by 3 dB, what is compared by ratio by half.
+
+    The depth loss ends at half of the iterations, where training PSNR dips by 1 − gain dB and the thermal loss rises.
+    """
+    less = 0.5**gain
+    record = Record(method, "synthetic", scene, init, seed, "made", "", iterations=iterations)
+    record.config = {"method": {"method": {"decay_end": 0.5}}, "budget": {"iterations": iterations}}
+    record.scores = {
+        "psnr": 30 + 3 * gain, "ssim": 1 - 0.1 * less, "lpips": 0.1 * less, "rgb_psnr": 30 + 3 * gain,
+        "depth_abs_rel": 0.1 * less, "floaters": 0.4 - 0.1 * gain, "depth_consistency": None,
+    }  # fmt: skip
+    record.train_scores = {"psnr": 40.0}
+    record.seconds = {"train": 100 * less}
+    record.density = {"thermal": {"cloned": round(400 * less), "split": round(600 * less), "pruned": round(500 * less)}}
+    record.gaussians = {"thermal": round(4000 * less), "rgb": 9000}
+    for name, value in fields.items():
+        setattr(record, name, value)
+    place = Path(tempfile.mkdtemp(dir=folder))
+    write_log(place, gain, iterations)
+    views = pd.DataFrame({"view": ["v1", "v2"], "depth_consistency": [0.1 * less, "n/a"]})
+    views.to_csv(place / "views.csv", index=False)
+    return Cell(record, place)
+
+
+def write_log(folder: Path, gain: float, iterations: int) -> None:
+    iteration = np.linspace(1, iterations, 200).round()
+    at_switch = (iteration >= iterations / 2) & (iteration < 0.55 * iterations)
+    psnr = 10 + 20 * (1 - np.exp(-iteration / iterations * 10 * 2**gain)) - at_switch * (1 - gain)
+    loss = 0.01 * (1 + at_switch * 0.5**gain)
+    log = pd.DataFrame({"iteration": iteration, "seconds": iteration / 100, "train_psnr": psnr, "loss_thermal": loss})
+    log.to_csv(folder / "log.csv", index=False)

@@ -1,0 +1,204 @@
+"""Every claim on cells holds, fails and is undecided on cells made for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, Evidence, check_claim, load_claims
+from tdgbench.tables.published import published_ablation, published_main
+from tests.tables.claims.conftest import cell
+
+CLAIMS = {claim["id"]: claim for claim in load_claims()}
+OF_METHODS = [name for name, claim in CLAIMS.items() if claim["check"] == "better"]
+PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+
+
+def ours(*cells) -> Evidence:
+    return Evidence(published_main().iloc[:0], None, False, tuple(cells))
+
+
+def sides(folder, claim, gains, **fields):
+    """The claim's cells on one scene for each gain, all of its methods with the gain, all others with none."""
+    made = []
+    for scene, gain in zip("abcd", gains, strict=False):
+        made += [cell(folder, method, gain, scene=scene, **fields) for method in claim["methods"]]
+        made += [cell(folder, method, scene=scene, **fields) for method in claim["against"]]
+    return made
+
+
+def test_every_claim_that_compares_methods_is_here():
+    assert {
+        "fewer-splits", "fewer-floaters", "msmg-densifies", "converges-faster", "single-modality-faster",
+        "depth-better", "geometry-better", "decay-avoids-shocks", "decay-better", "rgb-confuses", "smoothness-helps",
+    } == set(OF_METHODS)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("gains", "verdict"),
+    [
+        ((1.0, 1.1, 0.9), HOLDS),
+        ((-1.0, -1.1, -0.9), FAILS),
+        ((0.0, 0.0, 0.0), FAILS),
+        ((1.0, -1.0, 0.2), UNDECIDED),
+        ((1.0,), UNDECIDED),
+    ],
+    ids=["better", "worse", "equal", "unclear", "one pair"],
+)
+@pytest.mark.parametrize("name", OF_METHODS)
+def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
+    claim = CLAIMS[name]
+    found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
+    assert found.verdict == verdict, found.seen
+    said = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
+    assert said in found.seen and claim.get("note", "") in found.seen
+    assert check_claim(claim, ours(*sides(tmp_path, {**claim, "against": []}, gains[:1]))).verdict == UNDECIDED
+
+
+@pytest.mark.parametrize("name", [*OF_METHODS, "random-overfits", "random-fits-training", "random-spoils-rgb"])
+def test_the_paper_prints_none_of_it(name):
+    found = check_claim(CLAIMS[name], PUBLISHED)
+    assert found.verdict == UNDECIDED and found.seen == f"the paper prints no {CLAIMS[name]['unprinted']}"
+
+
+def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
+    claim = CLAIMS["depth-better"]
+    short = sides(tmp_path, claim, (1.0, 1.1, 0.9))
+    assert check_claim(claim, ours(*short)).verdict == HOLDS
+    found = check_claim(claim, ours(*short, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), iterations=3000)))
+    assert found.verdict == FAILS
+    assert "psnr, tdg − splat_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.seen
+    assert "psnr, tdg − splat_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.seen
+
+
+def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
+    claim = CLAIMS["fewer-floaters"]
+    seen = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).seen
+    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in seen
+    seen = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).seen
+    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in seen
+
+
+def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
+    cells = sides(tmp_path, CLAIMS["geometry-better"], (1.0, 1.1, 0.9))
+    assert "inconsistency" not in check_claim(CLAIMS["geometry-better"], ours(*cells)).seen
+    for one in cells:
+        one.record.scores["depth_abs_rel"] = None
+    found = check_claim(CLAIMS["geometry-better"], ours(*cells))
+    assert found.verdict == HOLDS and "depth inconsistency" in found.seen and "depth error" not in found.seen
+
+
+def test_times_of_other_machines_do_not_compare(tmp_path):
+    claim = CLAIMS["single-modality-faster"]
+    cells = sides(tmp_path, claim, (1.0, 1.1, 0.9))
+    for one in cells:
+        one.record.environment = {"cpu": one.record.method}
+    found = check_claim(claim, ours(*cells))
+    assert found.verdict == UNDECIDED and found.seen.startswith("no pair of thermal and msmg")
+
+
+def test_shares_below_the_margin_fail(tmp_path):
+    """A tenth fewer splits is fewer, but not drastically."""
+    found = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (0.15, 0.15, 0.15))))
+    assert found.verdict == FAILS
+
+
+def by_init(folder, random: dict[str, float], **fields):
+    """TDg and MSMG from COLMAP points, and from random ones with that gain, on three scenes."""
+    cells = []
+    for scene in "abc":
+        for method in ("tdg", "msmg"):
+            cells.append(cell(folder, method, scene=scene))
+            cells += [cell(folder, method, gain, scene=scene, init=init, **fields) for init, gain in random.items()]
+    return cells
+
+
+@pytest.mark.parametrize("name", ["random-fails", "random-overfits", "random-spoils-rgb"])
+def test_random_points(tmp_path, name):
+    for folder, gains, verdict in (
+        ("worse", {"random": -3.0, "random_box": -2.5}, HOLDS),
+        ("one is not", {"random": -3.0, "random_box": 0.0}, FAILS),
+        ("better", {"random": 1.0}, FAILS),
+        ("none", {}, UNDECIDED),
+    ):
+        (tmp_path / folder).mkdir()
+        found = check_claim(CLAIMS[name], ours(*by_init(tmp_path / folder, gains)))
+        assert found.verdict == verdict, found.seen
+        assert "random_box" not in gains or "from colmap − msmg from random_box at 1000" in found.seen
+    assert found.seen == "no cells from random points"
+    unclear = by_init(tmp_path, {"random": -3.0})
+    for one in unclear:
+        if one.record.init == "random" and one.record.scene == "a":
+            one.record.scores |= {"psnr": 40.0, "rgb_psnr": 40.0}
+    assert check_claim(CLAIMS[name], ours(*unclear)).verdict == UNDECIDED
+
+
+@pytest.mark.parametrize(
+    ("psnr", "verdict"), [(40.0, HOLDS), (39.5, HOLDS), (36.0, FAILS), (45.0, HOLDS)]
+)  # from COLMAP points: 40
+def test_random_points_fit_the_training_views(tmp_path, psnr, verdict):
+    cells = by_init(tmp_path, {"random": -3.0}, train_scores={"psnr": psnr})
+    assert check_claim(CLAIMS["random-fits-training"], ours(*cells)).verdict == verdict
+    cells[1].record.train_scores = {"psnr": 20.0}
+    assert check_claim(CLAIMS["random-fits-training"], ours(*cells)).verdict in (UNDECIDED, FAILS)
+
+
+def test_random_fails_as_printed():
+    assert check_claim(CLAIMS["random-fails"], PUBLISHED).verdict == HOLDS
+    ablation = published_ablation()
+    ablation.loc[(ablation["method"] == "tdg") & (ablation["init"] == "random"), "value"] = 25.0
+    found = check_claim(CLAIMS["random-fails"], Evidence(published_main(), ablation, True))
+    assert found.verdict == FAILS and "tdg loses 2.42 dB" in found.seen
+    assert check_claim(CLAIMS["random-fails"], Evidence(published_main(), None, True)).verdict == UNDECIDED
+
+
+def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
+    cells = []
+    for i, scene in enumerate(scenes):
+        for (method, iterations), seconds in times.items():
+            spread = {"train": seconds * (1 + 0.01 * i)} if method == "tdg" else {"train": seconds}
+            cells.append(cell(folder, method, scene=scene, iterations=iterations, seconds=spread))
+    return cells
+
+
+@pytest.mark.parametrize(
+    ("smooth", "verdict", "said"),
+    [
+        (130, HOLDS, "fewer iterations 50 %, no RGB model -9 %, depth 60 %"),
+        (100, UNDECIDED, "fewer iterations 50 %, depth 50 %; depth alone multiplies time by 0.25 [0.24, 0.25]"),
+        (80, FAILS, "no RGB model 8 %, depth 42 %"),
+        (25, FAILS, "no RGB model 50 %, depth 0 %"),
+        (20, FAILS, "depth -"),
+    ],
+)
+def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, said):
+    times = {("msmg", 3000): 400.0, ("msmg", 1000): 100.0, ("splat_smooth", 1000): smooth, ("tdg", 1000): 24.5}
+    claim = CLAIMS["speed-from-depth"]
+    found = check_claim(claim, ours(*chain(tmp_path, times)))
+    assert found.verdict == verdict and said in found.seen, found.seen
+
+
+def test_attribution_needs_a_sure_speed_up_and_every_link(tmp_path):
+    claim = CLAIMS["speed-from-depth"]
+    slow = {("msmg", 1000): 100.0, ("splat_smooth", 1000): 120.0, ("tdg", 1000): 140.0}
+    found = check_claim(claim, ours(*chain(tmp_path, slow)))
+    assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG 1.41" in found.seen
+    lacking = {("msmg", 3000): 100.0, ("splat_smooth", 1000): 50.0, ("tdg", 1000): 9.0}  # MSMG at 1000
+    assert "no cells of tdg, splat_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).seen
+
+
+def test_better_overall_is_decided_on_pairs(tmp_path):
+    claim = CLAIMS["better-overall"]
+    for folder, gains, verdict in (
+        ("better", (1.0, 1.1, 0.9), HOLDS),
+        ("worse", (-1.0, -1.1, -0.9), FAILS),
+        ("unclear", (1.0, -1.0, 0.2), UNDECIDED),
+    ):
+        (tmp_path / folder).mkdir()
+        cells = []
+        for scene, gain in zip("abc", gains, strict=True):
+            cells.append(cell(tmp_path / folder, "tdg", gain, scene=scene))
+            cells.append(cell(tmp_path / folder, "msmg", scene=scene, iterations=3000))
+        found = check_claim(claim, ours(*cells))
+        assert found.verdict == verdict, found.seen
+        assert "psnr, tdg − msmg at 1000 and 3000" in found.seen
+    assert check_claim(claim, PUBLISHED).verdict == HOLDS

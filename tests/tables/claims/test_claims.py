@@ -1,0 +1,51 @@
+"""All claims against the published tables, and claims that are not written as they should be."""
+
+import pytest
+
+from tdgbench.tables.claims import CHECKS, FAILS, HOLDS, UNDECIDED, Evidence, check_all, load_claims
+from tdgbench.tables.published import published_ablation, published_main
+
+PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+
+
+def test_the_published_tables_against_the_words():
+    found = check_all(load_claims(), PUBLISHED, None).set_index("id")
+    assert set(found.index[found["published"] == FAILS]) == {"psnr-better", "rgbt-better", "bold-follows"}
+    assert (found["published"] == HOLDS).sum() == 13
+    assert (found["published"] == UNDECIDED).sum() == 15
+    assert found.loc[found["published"] == UNDECIDED, "published_seen"].str.startswith("the paper prints no ").all()
+    assert "+0.883 %; 0.01 is the fraction" in found.loc["psnr-better", "published_seen"]
+    assert "Ebike 0.206 → 0.237" in found.loc["rgbt-better", "published_seen"]
+    assert found.loc["bold-follows", "published_seen"] == "Ebike lpips, RoadBlock ssim"
+    assert found.loc["thermalmix-within", "published_seen"] == "at most -0.78 at Face"
+    assert (found["ours"] == UNDECIDED).all()
+    assert "the gain in psnr is 0.24 dB; over the 7 scenes" in found.loc["better-overall", "published_seen"]
+    assert "smaller than the 0.012 between papers" in found.loc["lpips-better", "published_seen"]
+    assert "2 of 7 gains are larger" in found.loc["rgbt-better", "published_seen"]
+    assert "between papers" not in found.loc["time-percent", "published_seen"]
+
+
+def test_what_is_missing_is_undecided():
+    empty = Evidence(published_main().iloc[:0], None, printed=False)
+    found = check_all(load_claims(), PUBLISHED, empty).set_index("id")["ours"]
+    assert set(found.drop("bold-follows")) == {UNDECIDED}
+
+
+def test_every_check_has_a_claim():
+    assert {claim["check"] for claim in load_claims()} == set(CHECKS)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("- {id: x, said: y, where: z}", "claim x lacks check"),
+        ("- {id: x, said: y, where: z, check: magic}", "claim x has an unknown check 'magic'"),
+        ("- {id: x, said: y, where: z, check: better, margins: {beauty: 1}}", "claim x has .* unknown .*: beauty"),
+        ("- {id: x, said: y, where: z, check: better, margins: {psnr: 1}}", "claim x has margins without a reason"),
+    ],
+)
+def test_broken_claims_are_named(tmp_path, wrong, message):
+    path = tmp_path / "claims.yaml"
+    path.write_text(wrong)
+    with pytest.raises(ValueError, match=message):
+        load_claims(path)

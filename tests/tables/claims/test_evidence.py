@@ -1,0 +1,95 @@
+"""Which cells count, and which of them make our main table."""
+
+import pytest
+
+from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.record import Failure, Record
+from tdgbench.tables.claims.evidence import Evidence, evidence_of
+from tdgbench.tables.published import published_main
+from tests.tables.claims.conftest import write_log
+
+
+def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic", iterations=1000, **fields):
+    record = Record(method, dataset, scene, fields.pop("init", "colmap"), fields.pop("seed", 0), experiment.name,
+                    fields.pop("variant", f"budget.iterations={iterations}"), iterations=iterations)  # fmt: skip
+    record.config = {"budget": {"iterations": iterations}}
+    record.scores = {"psnr": psnr, "ssim": 0.9, "lpips": 0.1}
+    record.seconds = {"train": 3600.0}
+    for name, value in fields.items():
+        setattr(record, name, value)
+    folder = cell_folder_of(experiment, record)
+    folder.mkdir(parents=True)
+    record.write(folder)
+    return folder
+
+
+def psnr(evidence: Evidence, method: str, scene: str) -> float:
+    table = evidence.main.query("method == @method and scene == @scene and metric == 'psnr'")
+    return float(table["value"].iloc[0])
+
+
+def test_several_lengths_count_as_the_paper_trains(tmp_path):
+    for iterations in (1000, 3000):
+        write(tmp_path, "tdg", 30 + iterations / 1000, iterations=iterations)
+        write(tmp_path, "msmg", 20 + iterations / 1000, iterations=iterations)
+    found = evidence_of([tmp_path])
+    assert len(found.cells) == 4 and not found.printed
+    assert (psnr(found, "tdg", "orbit"), psnr(found, "msmg", "orbit")) == (31, 23)
+    assert found.note == "1 scene; TDg at 1000, MSMG at 3000 iterations"
+    assert found.overall == "Average" and not found.is_of_paper
+    assert psnr(found, "tdg", found.overall) == 31
+
+
+def test_a_seed_that_lacks_its_length_does_not_count(tmp_path):
+    for seed in (0, 1):
+        write(tmp_path, "tdg", 30 + seed, seed=seed)
+        write(tmp_path, "msmg", 20.0, seed=seed)
+    write(tmp_path, "msmg", 25.0, iterations=3000)
+    found = evidence_of([tmp_path])
+    assert (psnr(found, "tdg", "orbit"), psnr(found, "msmg", "orbit")) == (30, 25)
+
+
+def test_experiments_count_together_over_seeds_that_both_methods_have(tmp_path):
+    for seed, value in enumerate((30.0, 32.0)):
+        write(tmp_path / "one", "tdg", value, seed=seed)
+        write(tmp_path / "two", "msmg", value - 1, seed=seed)
+    write(tmp_path / "two", "tdg", 99.0, seed=7)
+    found = evidence_of([tmp_path / "one", tmp_path / "two"])
+    assert (psnr(found, "tdg", "orbit"), psnr(found, "msmg", "orbit")) == (31, 30)
+    assert len(found.cells) == 5
+
+
+def test_several_data_sets_have_an_overall_average(tmp_path):
+    for method in ("tdg", "msmg"):
+        write(tmp_path, method, 30.0)
+        write(tmp_path, method, 20.0, scene="arco", dataset="folder")
+    found = evidence_of([tmp_path])
+    assert found.overall == "Average (Overall)" and psnr(found, "tdg", found.overall) == 25
+
+
+def test_what_does_not_count(tmp_path):
+    write(tmp_path, "tdg", seed=1, failure=Failure("train", "ValueError: x", ""))
+    write(tmp_path, "tdg", variant="method.method.lambda_depth=0.4", seed=2)
+    write(tmp_path, "tdg", variant="budget.iterations=1000,prior=marigold", seed=3)
+    write(tmp_path, "tdg", init="random", seed=4)
+    found = evidence_of([tmp_path])
+    assert [cell.record.seed for cell in found.cells] == [4]
+    assert found.main.empty and found.note == ""
+    with pytest.raises(ValueError, match="nothing holds no records"):
+        evidence_of([tmp_path / "nothing"])
+
+
+def test_the_papers_scenes_are_all_asked_for(tmp_path):
+    for method in ("tdg", "msmg"):
+        write(tmp_path, method, scene="Lion", dataset="ThermalMix")
+    found = evidence_of([tmp_path])
+    assert found.is_of_paper and found.overall == "Average (Overall)"
+    assert len(set(found.main["scene"])) == 16
+    assert Evidence(published_main(), None, printed=True).overall == "Average (Overall)"
+
+
+def test_a_cell_has_its_log(tmp_path):
+    write_log(write(tmp_path), gain=0.0, iterations=1000)
+    write(tmp_path, seed=1)
+    first, second = evidence_of([tmp_path]).cells
+    assert len(first.log()) == 200 and second.log() is None

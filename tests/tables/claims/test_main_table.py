@@ -1,0 +1,102 @@
+"""Each check on a main table holds and fails on tables made for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, Evidence, check_claim, load_claims
+from tdgbench.tables.published import published_ablation, published_main
+
+PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+CLAIMS = {claim["id"]: claim for claim in load_claims()}
+
+
+def changed(scene, metric, method, value, printed=False):
+    """The published table with one value changed."""
+    table = published_main()
+    at = (table["scene"] == scene) & (table["metric"] == metric) & (table["method"] == method)
+    assert at.any()
+    table.loc[at, "value"] = value
+    return Evidence(table, published_ablation(), printed)
+
+
+@pytest.mark.parametrize(
+    ("claim", "scene", "metric", "method", "value", "verdict"),
+    [
+        ("psnr-better", "Average (Overall)", "psnr", "tdg", 27.1827, HOLDS),
+        ("ssim-better", "Average (Overall)", "ssim", "tdg", 0.8950, FAILS),
+        ("lpips-better", "Average (Overall)", "lpips", "tdg", 0.180, FAILS),
+        ("psnr-averages", "Average (Overall)", "psnr", "msmg", 27.30, FAILS),
+        ("time-minutes", "Average (Overall)", "hours", "tdg", 0.20, FAILS),
+        ("time-percent", "Average (Overall)", "hours", "tdg", 0.20, FAILS),
+        ("faster-everywhere", "Lion", "hours", "tdg", 9.0, FAILS),
+        ("thermalmix-within", "Lion", "psnr", "tdg", 1.0, FAILS),
+        ("averages-follow", "Lion", "psnr", "tdg", 1.0, FAILS),
+        ("bold-follows", "Lion", "psnr", "tdg", 99.0, FAILS),
+    ],
+)
+def test_each_check_can_turn(claim, scene, metric, method, value, verdict):
+    assert check_claim(CLAIMS[claim], changed(scene, metric, method, value)).verdict == verdict
+
+
+def test_checks_that_tell_print_from_ours_can_turn():
+    worse = changed("Average (Overall)", "lpips", "tdg", 0.178, printed=True)
+    assert check_claim(CLAIMS["better-overall"], worse).verdict == FAILS
+    other = changed("Average (Overall)", "ssim", "msmg", 0.8891, printed=True)
+    found = check_claim(CLAIMS["tables-agree"], other)
+    assert (found.verdict, found.seen) == (FAILS, "msmg ssim: 0.8896 in the ablation, 0.8891 in the main table")
+
+
+def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
+    """A main table of some scenes, where a method has one value in every scene and metric."""
+    table = published_main().query("scene in @scenes and dataset == @dataset").copy()
+    table["value"] = table["method"].map({"tdg": tdg, "msmg": msmg})
+    return Evidence(table, None, printed)
+
+
+def test_most_cases_are_more_than_half():
+    found = check_claim(CLAIMS["most-cases"], PUBLISHED)
+    assert found.verdict == HOLDS
+    assert found.seen == "better in 28 of 42 scenes × metrics, equal in 2 (psnr 10, ssim 8, lpips 10)"
+    two_of_three = with_values(["Lion", "Pan"], 0.9, 0.8)  # better PSNR and SSIM, worse LPIPS
+    assert check_claim(CLAIMS["most-cases"], two_of_three).verdict == HOLDS
+    assert check_claim(CLAIMS["most-cases"], with_values(["Lion", "Pan"], 0.8, 0.9)).verdict == FAILS
+    assert check_claim(CLAIMS["most-cases"], with_values(["Lion", "Pan"], 0.8, 0.8)).verdict == FAILS
+    assert check_claim(CLAIMS["most-cases"], with_values([], 0.8, 0.8)).verdict == UNDECIDED
+
+
+def test_mixed_is_better_here_and_worse_there():
+    found = check_claim(CLAIMS["thermalmix-mixed"], PUBLISHED)
+    assert found.verdict == HOLDS
+    assert found.seen == "of 15 scenes × metrics TDg is better in 4, worse in 10, equal in 1"
+    everywhere = with_values(["Lion", "Pan"], 0.9, 0.8)
+    everywhere.main.loc[(everywhere.main["metric"] == "lpips") & (everywhere.main["method"] == "tdg"), "value"] = 0.1
+    assert check_claim(CLAIMS["thermalmix-mixed"], everywhere).verdict == FAILS
+    other = with_values(["Truck"], 0.9, 0.8, dataset="RGBT-Scenes")
+    assert check_claim(CLAIMS["thermalmix-mixed"], other).seen == "no scene of ThermalMix"
+
+
+def test_numbers_for_the_papers_scenes_say_nothing_of_others():
+    table = published_main()
+    table["dataset"] = table["dataset"].replace({"ThermalMix": "synthetic"})
+    for claim in ("psnr-averages", "time-minutes"):
+        found = check_claim(CLAIMS[claim], Evidence(table, None, printed=False))
+        assert (found.verdict, found.seen) == (UNDECIDED, "a number for the paper's scenes, which these are not")
+        assert check_claim(CLAIMS[claim], Evidence(published_main(), None, printed=False)).verdict == HOLDS
+
+
+def test_with_one_data_set_its_average_stands_for_all():
+    table = published_main().query("dataset == 'ThermalMix'")
+    found = check_claim(CLAIMS["time-percent"], Evidence(table, None, printed=False, note="5 scenes"))
+    assert found.verdict == HOLDS and found.seen == "55.0 %; 5 scenes"
+
+
+def test_ours_has_no_second_table_that_could_disagree():
+    assert check_claim(CLAIMS["tables-agree"], PUBLISHED).verdict == HOLDS
+    found = check_claim(CLAIMS["tables-agree"], Evidence(published_main(), None, printed=False))
+    assert found.verdict == UNDECIDED
+
+
+def test_one_scene_is_enough_for_what_is_said_of_scenes():
+    one = Evidence(published_main().query("scene == 'Lion'"), None, printed=False)
+    assert check_claim(CLAIMS["thermalmix-within"], one).verdict == HOLDS

@@ -1,0 +1,106 @@
+"""Pairs, their intervals and verdicts."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
+from tdgbench.tables.claims.pairs import Interval, Side, all_of, counted, interval, judge, make_pairs
+from tests.tables.claims.conftest import cell
+
+TDG, SMOOTH = Side("tdg", "colmap"), Side("splat_smooth", "colmap")
+
+
+def test_cells_pair_where_nothing_else_differs(tmp_path):
+    mine = cell(tmp_path, "tdg", seed=1)
+    other = cell(tmp_path, "splat_smooth", seed=1)
+    lone = [
+        cell(tmp_path, "splat_smooth", seed=2),
+        cell(tmp_path, "splat_smooth", seed=1, scene="b"),
+        cell(tmp_path, "splat_smooth", seed=1, iterations=3000),
+        cell(tmp_path, "splat_smooth", seed=1, init="random"),
+    ]
+    assert [tuple(pair) for pair in make_pairs([*lone, mine, other], TDG, SMOOTH)] == [(mine, other)]
+    assert make_pairs([mine, *lone], TDG, SMOOTH) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"data": "other"}, {"split": "folder"}, {"iterations": 900}, {"config": {"skip": {"sh": True}}}],
+)
+def test_what_keeps_cells_apart(tmp_path, change):
+    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "splat_smooth")
+    mine.record.config = other.record.config = {"budget": {"iterations": 1000}, "method": {}}
+    assert len(make_pairs([mine, other], TDG, SMOOTH)) == 1
+    for name, value in change.items():
+        setattr(other.record, name, value)
+    assert make_pairs([mine, other], TDG, SMOOTH) == []
+
+
+def test_method_prior_and_budget_name_do_not_keep_cells_apart(tmp_path):
+    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "splat_smooth")
+    mine.record.config |= {"prior": {"name": "marigold"}, "method": {"name": "tdg"}, "seed": 0}
+    mine.record.config["budget"]["name"] = "paper"
+    assert len(make_pairs([mine, other], TDG, SMOOTH)) == 1
+
+
+def test_a_cell_of_two_experiments_counts_once(tmp_path):
+    first, again = cell(tmp_path, "tdg"), cell(tmp_path, "tdg")
+    other = cell(tmp_path, "splat_smooth")
+    assert [tuple(pair) for pair in make_pairs([first, again, other], TDG, SMOOTH)] == [(first, other)]
+
+
+def test_the_interval_is_over_scenes_each_by_its_mean():
+    scenes = [("d", s) for s in "aabbcc"]
+    gains = [1.0, 3.0, 2.0, 6.0, 0.0, 0.0]
+    found = interval(scenes, gains)
+    by_scene = [2.0, 4.0, 0.0]
+    low, high = stats.t.interval(0.95, 2, np.mean(by_scene), stats.sem(by_scene))
+    assert found == pytest.approx((2.0, low, high, 6, 3))
+
+
+def test_with_one_scene_the_interval_is_over_its_seeds():
+    gains = [1.0, 2.0, 4.0]
+    low, high = stats.t.interval(0.95, 2, np.mean(gains), stats.sem(gains))
+    assert interval([("d", "a")] * 3, gains) == pytest.approx((np.mean(gains), low, high, 3, 1))
+
+
+def test_one_pair_decides_nothing():
+    found = interval([("d", "a")], [5.0])
+    assert found == (5.0, -np.inf, np.inf, 1, 1)
+    assert judge(found, 0.0) == UNDECIDED
+    assert counted(found) == "one pair has no interval; 1 pair in 1 scene"
+
+
+@pytest.mark.parametrize(
+    ("mean", "low", "high", "margin", "verdict"),
+    [
+        (1.0, 0.5, 1.5, 0.2, HOLDS),
+        (0.3, 0.01, 0.59, 0.2, HOLDS),  # surely positive, and most likely large enough
+        (0.15, 0.05, 0.25, 0.2, UNDECIDED),  # surely positive, perhaps too small
+        (0.3, -0.1, 0.7, 0.2, UNDECIDED),
+        (0.1, 0.05, 0.15, 0.2, FAILS),  # surely positive, and surely too small
+        (0.0, 0.0, 0.0, 0.0, FAILS),
+        (-1.0, -1.5, -0.5, 0.2, FAILS),
+        (-0.5, -0.9, -0.1, -1.0, HOLDS),  # a loss within what the claim allows
+        (-0.9, -1.1, -0.7, -1.0, UNDECIDED),
+        (-2.0, -2.5, -1.5, -1.0, FAILS),
+    ],
+)
+def test_judge(mean, low, high, margin, verdict):
+    assert judge(Interval(mean, low, high, 4, 4), margin) == verdict
+
+
+@pytest.mark.parametrize(
+    ("parts", "verdict"),
+    [
+        ([HOLDS, HOLDS], HOLDS),
+        ([HOLDS, UNDECIDED], UNDECIDED),
+        ([UNDECIDED, FAILS], FAILS),
+        ([HOLDS, FAILS], FAILS),
+    ],
+)
+def test_all_of(parts, verdict):
+    found = all_of([Finding(part, f"part {i}") for i, part in enumerate(parts)])
+    assert found.verdict == verdict and found.seen == f"part 0 ({parts[0]}); part 1 ({parts[1]})"
+    assert all_of([Finding(HOLDS, "alone")]) == Finding(HOLDS, "alone")
