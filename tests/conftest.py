@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,15 @@ def ready_to_train(
     context = Context(scene, points, priors, instantiate(cfg.budget), "auto", seed, skips or Skips())
     method.setup(context)
     return method, context
+
+
+def digest(method: Method) -> str:
+    """A hash of every parameter of a method's models."""
+    content = hashlib.sha256()
+    for model in method.models().values():
+        for _, tensor in model.gaussians.items():
+            content.update(tensor.detach().numpy().tobytes())
+    return content.hexdigest()
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,8 @@ from tdgbench.splats import Gaussians
 from tdgbench.training.losses import ssim_map
 from tdgbench.training.model import Render
 from tdgbench.training.skips import Skips
-from tests.conftest import random_gaussians
-from tests.training.test_loop import digest, trained
+from tests.conftest import digest, random_gaussians
+from tests.training.test_loop import trained
 
 
 def depth_loss(rendered, prior):

@@ -1,7 +1,5 @@
 """How a training ends: with the model before the last iteration's density control, whatever its length."""
 
-import hashlib
-
 import pytest
 from hydra.utils import instantiate
 from hypothesis import HealthCheck, given, settings
@@ -10,21 +8,13 @@ from hypothesis import strategies as st
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import config, ready_to_train
+from tests.conftest import config, digest, ready_to_train
 
 OFTEN = (
     "budget.density.start=20", "budget.density.every=10", "budget.density.opacity_reset_every=60",
     "budget.density.grad_threshold=1e-5", "budget.density.reset_recovery=3", "budget.density.stop=1000",
 )  # fmt: skip
 RULE = PlateauRule(rounds=1, patience=1, gain=0.9, after=10)
-
-
-def digest(method) -> str:
-    content = hashlib.sha256()
-    for model in method.models().values():
-        for _, tensor in model.gaussians.items():
-            content.update(tensor.detach().numpy().tobytes())
-    return content.hexdigest()
 
 
 class EnoughError(Exception):

@@ -1,4 +1,3 @@
-import hashlib
 import time
 
 import numpy as np
@@ -11,7 +10,7 @@ from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import ready_to_train
+from tests.conftest import digest, ready_to_train
 
 METHODS = ["tdg", "msmg", "splat"]
 
@@ -22,14 +21,6 @@ def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips:
     extra = [f"{k}={v}" for k, v in overrides.items()]
     method, _ = ready_to_train(scene, method_name, iterations, *often, *extra, seed=seed, skips=skips)
     return method, train(method, iterations)
-
-
-def digest(method) -> str:
-    content = hashlib.sha256()
-    for model in method.models().values():
-        for _, tensor in model.gaussians.items():
-            content.update(tensor.detach().numpy().tobytes())
-    return content.hexdigest()
 
 
 @pytest.mark.parametrize("name", METHODS)
