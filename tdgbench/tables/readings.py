@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from tdgbench.bench.record import Record
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import AVERAGE, OVERALL, decimals, metric_value
+from tdgbench.tables.statistics import half_width
 
 SCORES = ("psnr", "ssim", "lpips", "channel_psnr", "depth_abs_rel", "depth_consistency", "floaters")
 RATIOS = ("hours", "gaussians")  # compared by their ratio
@@ -170,7 +170,7 @@ def _interval(values: np.ndarray) -> tuple[float, float, float]:
     mean = float(values.mean())
     if len(values) < 2:
         return mean, float("nan"), float("nan")
-    half = float(stats.t.ppf((1 + COVERAGE) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    half = float(half_width(values.std(ddof=1), len(values), (1 - COVERAGE) / 2))
     return mean, mean - half, mean + half
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,6 +27,14 @@ from tdgbench.tables.results import (
 REPLICATES = 1000
 SEED = 0
 COVERAGE = 0.95
+
+
+def half_width(std: Any, count: Any, tail: float) -> Any:
+    """Half of Student's interval of a mean over `count` values (2 or more) with sample standard deviation std.
+
+    tail: the probability left out on each side. Arrays broadcast.
+    """
+    return stats.t.isf(tail, np.asarray(count) - 1) * std / np.sqrt(count)
 
 
 def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:

@@ -25,6 +25,7 @@ from scipy import stats
 
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.results import HIGHER_IS_BETTER, decimals
+from tdgbench.tables.statistics import half_width
 
 ALPHA = 0.05  # of each one-sided test; the interval covers 1 − 2 ALPHA
 POWER = 0.8  # the share of repetitions that `seeds_needed` seeds decide
@@ -62,7 +63,7 @@ def load_margins(path: Path = FOLDER / "margins.yaml") -> dict[str, float]:
 
 def interval(mean: Any, std: Any, seeds: Any) -> tuple[Any, Any]:
     """Student's 90 % interval of a mean over seeds. std: the sample standard deviation. Arrays broadcast."""
-    half = stats.t.isf(ALPHA, np.asarray(seeds) - 1) * std / np.sqrt(seeds)
+    half = half_width(std, seeds, ALPHA)
     return mean - half, mean + half
 
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Cell, Finding
+from tdgbench.tables.statistics import half_width
 
 COVERAGE = 0.95
 
@@ -65,7 +65,7 @@ def interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Inter
     mean = float(units.mean())
     if len(units) < 2:
         return Interval(mean, -np.inf, np.inf, len(values), len(by_scene))
-    half = float(stats.t.isf((1 - COVERAGE) / 2, len(units) - 1) * units.std(ddof=1) / np.sqrt(len(units)))
+    half = float(half_width(units.std(ddof=1), len(units), (1 - COVERAGE) / 2))
     return Interval(mean, mean - half, mean + half, len(values), len(by_scene))
 
 
