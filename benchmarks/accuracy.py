@@ -13,8 +13,8 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from tdgbench.bench.clouds import Cloud, random_cloud
-from tdgbench.bench.oracle import on_backend, render
+from tdgbench.experiments.measure.clouds import Cloud, random_cloud
+from tdgbench.experiments.measure.oracle import on_backend, render
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import pool
 

@@ -20,12 +20,12 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from tdgbench.bench import oracle
-from tdgbench.bench.clouds import Cloud, random_cloud, trained_cloud
-from tdgbench.bench.timing import fma_peak_gflops, interleave, median_ms
-from tdgbench.splats import cuda
+from tdgbench.experiments.measure import oracle
+from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_cloud
+from tdgbench.experiments.measure.timing import fma_peak_gflops, interleave, median_ms
+from tdgbench.splats.backends import cuda
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.simd import LANES
+from tdgbench.splats.cpu.simd.registers import LANES
 from tdgbench.splats.rasterization import render_view
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there

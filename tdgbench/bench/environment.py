@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tdgbench.bench.gpu import describe_gpu
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.simd import LANES
+from tdgbench.splats.cpu.simd.registers import LANES
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core", "gsplat")

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.columns import MEANS_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.statistics import observe_gradients, observe_seen
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.reference import rotation_matrices
 from tdgbench.splats.state import TrainingState
 
 

@@ -7,9 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tdgbench.splats import cuda, reference
+from tdgbench.splats.backends import cpu, cuda, reference
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.cpu import backend as cpu
 from tdgbench.splats.harmonics import num_bases
 from tdgbench.splats.view import RenderedView
 

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tdgbench.splats.backends.cpu import pack_camera, render_rows
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.backend import pack_camera, render_rows
-from tdgbench.splats.cpu.limits import pack_limits
-from tdgbench.splats.cpu.passes import Settings, Source
+from tdgbench.splats.cpu.raster.limits import pack_limits
+from tdgbench.splats.cpu.raster.passes import Settings, Source
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_backend, render_view

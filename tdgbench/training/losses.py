@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
-from tdgbench.splats.cpu.photometric import photometric_and_gradient
-from tdgbench.splats.cpu.smoothness import differences_and_gradient
+from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
+from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
+from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from tdgbench.scenes import Camera
-from tdgbench.splats.cpu.ahead import compiled_alongside
+from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget

@@ -12,7 +12,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tdgbench.splats import cuda, rasterization
+from tdgbench.splats import rasterization
+from tdgbench.splats.backends import cuda
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 from tests.conftest import ROOT, random_gaussians, turned_camera

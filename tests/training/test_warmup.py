@@ -1,7 +1,7 @@
 from hydra.utils import instantiate
 
-from tdgbench.splats.cpu.blend import make_blend
-from tdgbench.splats.cpu.blend_backward import make_blend_backward
+from tdgbench.splats.cpu.raster.blend import make_blend
+from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
 from tdgbench.training.warmup import compile_kernels
 from tests.conftest import config
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.memory import load, prefetch_columns, store
-from tdgbench.splats.cpu.reductions import any_positive
-from tdgbench.splats.cpu.simd import LANES, divide, is_finite, maximum, select, splat, square_root
+from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, store
+from tdgbench.splats.cpu.simd.reductions import any_positive
+from tdgbench.splats.cpu.simd.registers import LANES, divide, is_finite, maximum, select, splat, square_root
 
 F, U = np.float32, np.uint64
 AHEAD = 6  # rows for which memory is asked before they are worked on

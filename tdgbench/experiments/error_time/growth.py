@@ -1,0 +1,88 @@
+"""How the cost of a forward and backward pass grows with Gaussians, pixels, channels and views, as fitted exponents."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import torch
+
+from tdgbench.experiments.measure.clouds import Cloud, random_cloud
+from tdgbench.experiments.measure.timing import interleave, median_ms
+from tdgbench.splats import rasterization
+from tdgbench.splats.cpu import scratch
+
+AXES = ("gaussians", "pixels", "channels", "views")
+
+
+def measure(largest: int, width: int, height: int, repetitions: int) -> pd.DataFrame:
+    """One row per axis and size: ms and working memory in MB, of one to four channels, depth apart."""
+    base = random_cloud(largest, width, height)
+    cases: dict[tuple[str, int], tuple[Cloud, int, int]] = {}
+    for part in (16, 8, 4, 2, 1):
+        cases["gaussians", largest // part] = (_first(base, largest // part), 1, 1)
+    for part in (4, 3, 2, 1):
+        w, h = width // part, height // part
+        cases["pixels", w * h] = (random_cloud(largest, w, h), 1, 1)
+    for channels in (1, 2, 3, 4):
+        cases["channels", channels] = (base, channels, 1)
+    for views in (1, 2, 4, 8):
+        cases["views", views] = (_first(base, largest // 4), 1, views)
+    memory = {key: _working_memory(_run(*case)) for key, case in cases.items()}
+    seconds = interleave({f"{a}|{n}": _run(*case) for (a, n), case in cases.items()}, repetitions)
+    return pd.DataFrame(
+        [
+            {"axis": axis, "size": size, "ms": median_ms(seconds[f"{axis}|{size}"]), "memory_mb": memory[axis, size]}
+            for axis, size in cases
+        ]
+    )
+
+
+def exponents(table: pd.DataFrame) -> pd.DataFrame:
+    """cost ∝ size^exponent, by least squares in logarithms: one row per axis."""
+    rows = []
+    for axis, own in table.groupby("axis", sort=False):
+        logs = np.log(own[["size", "ms", "memory_mb"]].to_numpy(float))
+        slope = {name: np.polyfit(logs[:, 0], logs[:, i], 1)[0] for i, name in ((1, "time"), (2, "memory"))}
+        rows.append({"axis": axis, **slope})
+    return pd.DataFrame(rows)
+
+
+def _first(cloud: Cloud, count: int) -> Cloud:
+    given = ("means", "quats", "scales", "opacities", "colors")
+    return replace(cloud, **{name: getattr(cloud, name)[:count] for name in given})
+
+
+def _run(cloud: Cloud, channels: int, views: int) -> Callable[[], float]:
+    colors = torch.cat([cloud.colors, cloud.colors[:, :1]], dim=1)[:, :channels]
+    leaves = [t.clone().requires_grad_() for t in (cloud.means, cloud.quats, cloud.scales, cloud.opacities, colors)]
+    viewmats = cloud.viewmat.repeat(views, 1, 1)
+    viewmats[:, 0, 3] = torch.linspace(0, 0.2, views)
+    Ks = cloud.K.repeat(views, 1, 1)
+
+    def run() -> float:
+        start = time.perf_counter()
+        means, quats, scales, opacities, own = leaves
+        image, _, _ = rasterization(
+            means, quats, scales, opacities, own, viewmats, Ks, cloud.width, cloud.height, backend="cpu"
+        )  # fmt: skip
+        image.sum().backward()
+        return time.perf_counter() - start
+
+    return run
+
+
+def _working_memory(run: Callable[[], float]) -> float:
+    """MB that NumPy holds at most during a run, from nothing. A first run compiles."""
+    run()
+    scratch.release()
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()

@@ -1,0 +1,152 @@
+"""Kernels: milliseconds of a forward pass and of both, against the errors of image, depth and gradients.
+
+All settings of one scene take turns in one process; the oracle is plain torch in float64, tile by tile.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from tdgbench.experiments.measure import oracle
+from tdgbench.experiments.measure.clouds import Cloud
+from tdgbench.experiments.measure.timing import interleave, median_ms
+from tdgbench.splats.backends import cuda
+from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.cpu import pool
+
+BASELINE = "cpu"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a scene is rendered. backend `torch` is plain torch in float32, `oracle` the same in float64."""
+
+    backend: str = "cpu"
+    threads: int | None = None
+    blending: Blending = AS_3DGS
+
+
+def settings(slow: bool) -> dict[str, Setting]:
+    """What is compared, by name; plain torch only if `slow` is wanted."""
+    chosen = {
+        BASELINE: Setting(),
+        "cpu, 1 thread": Setting(threads=1),
+        "cpu, loose bounds": Setting(blending=replace(AS_3DGS, tight=False)),
+        "cpu, tiles never end early": Setting(blending=replace(AS_3DGS, end_early=False)),
+        "cpu, rough exp": Setting(blending=replace(AS_3DGS, rough_exp=True)),
+        "cpu, alpha cut at 1/1000": Setting(blending=replace(AS_3DGS, min_alpha=1e-3)),
+        "cpu, alpha cut at 1/64": Setting(blending=replace(AS_3DGS, min_alpha=1 / 64)),
+        "cpu, stop at T 1e-2": Setting(blending=replace(AS_3DGS, min_transmittance=1e-2)),
+        "cpu, stop at T 1e-6": Setting(blending=replace(AS_3DGS, min_transmittance=1e-6)),
+    }
+    if cuda.why_not() is None:
+        chosen["cuda"] = Setting("cuda")
+    if slow:
+        chosen["torch float32"] = Setting("torch")
+        chosen["torch float64"] = Setting("oracle")
+    return chosen
+
+
+def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFrame:
+    """One row per scene and setting: ms (medians), their ratios to the baseline, and errors.
+
+    image_error, depth_error: root mean square over pixels, relative to the largest value; gradient_error: norm of the
+    difference over the norm, the worst of the five parameters.
+    """
+    rows = []
+    for scene, cloud in clouds.items():
+        weights = torch.randn(
+            cloud.height, cloud.width, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+        )  # fmt: skip
+        want, oracle_ms = _oracle(cloud, torch.float64, weights)
+        runs: dict[str, Callable[[], float]] = {}
+        ms: dict[str, float] = {}
+        errors: dict[str, dict[str, float]] = {}
+        for name, setting in settings(slow).items():
+            if setting.backend in ("cpu", "cuda"):
+                errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
+                runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
+            elif setting.backend == "torch":  # seconds, not milliseconds: timed once, apart
+                got, taken = _oracle(cloud, torch.float32, weights)
+                errors[name], ms = _errors(got, want), ms | {f"{name}|{part}": t for part, t in taken.items()}
+            else:
+                errors[name], ms = _errors(want, want), ms | {f"{name}|{part}": t for part, t in oracle_ms.items()}
+        ms |= {name: median_ms(taken) for name, taken in interleave(runs, repetitions).items()}
+        for name in settings(slow):
+            row: dict[str, Any] = {"scene": scene, "gaussians": len(cloud.means), "setting": name}
+            for part in ("forward", "both"):
+                row[f"{part}_ms"] = ms[f"{name}|{part}"]
+                row[f"{part}_ratio"] = ms[f"{name}|{part}"] / ms[f"{BASELINE}|{part}"]
+            rows.append({**row, **errors[name]})
+    return pd.DataFrame(rows)
+
+
+def non_dominated(table: pd.DataFrame, time_column: str, error_column: str) -> pd.Series:
+    """Which rows no other row beats in both columns; errors are compared by their first digit."""
+    seconds = table[time_column]
+    errors = table[error_column].map(lambda e: float(f"{e:.0e}"))
+
+    def beaten(t: float, e: float) -> bool:
+        as_good = (seconds <= t) & (errors <= e)
+        return bool((as_good & ((seconds < t) | (errors < e))).any())
+
+    return pd.Series([not beaten(t, e) for t, e in zip(seconds, errors, strict=True)], index=table.index)
+
+
+def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[oracle.Result, dict[str, float]]:
+    """What plain torch makes of a scene, and its milliseconds."""
+    start = time.perf_counter()
+    oracle.render(cloud, dtype, None)
+    middle = time.perf_counter()
+    result = oracle.render(cloud, dtype, weights)
+    end = time.perf_counter()
+    return result, {"forward": 1e3 * (middle - start), "both": 1e3 * (end - middle)}
+
+
+def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
+    def off(a: Tensor, b: Tensor) -> float:
+        return ((a.double() - b.double()).square().mean().sqrt() / b.abs().max()).item()
+
+    gradients = [
+        ((got.gradients[name].double() - own.double()).norm() / own.double().norm()).item()
+        for name, own in want.gradients.items()
+    ]
+    return {
+        "image_error": off(got.image[..., :-1], want.image[..., :-1]),
+        "depth_error": off(got.image[..., -1], want.image[..., -1]),
+        "gradient_error": max(gradients),
+    }
+
+
+def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
+    device = oracle.device_of(setting.backend)
+    leaves = oracle.leaves_of(cloud, torch.float32, device)
+    size = (cloud.height, cloud.width)
+    pulls = [torch.ones(*size, cloud.colors.shape[1], device=device), torch.ones(size, device=device)]
+
+    def now() -> float:
+        if device == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
+    def run() -> float:
+        before = pool.chosen_threads()
+        pool.set_threads(setting.threads if setting.threads is not None else before)
+        try:
+            start = now()
+            view = oracle.view_of(cloud, leaves, setting.backend, setting.blending)
+            if part == "both":
+                assert view.depth is not None
+                torch.autograd.backward([view.image, view.depth], pulls)
+            return now() - start
+        finally:
+            pool.set_threads(before)
+
+    return run

@@ -1,0 +1,110 @@
+"""Splatting in plain torch, tile by tile: what one gets without a compiler, and in float64 the oracle at full size.
+
+Each tile is blended with the Gaussians that can reach min_alpha in it; the others are exactly nothing there, so the
+result is that of `tdgbench.splats.backends.reference`, whose functions these are, in the memory of one tile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tdgbench.experiments.measure.clouds import Cloud
+from tdgbench.splats.backends import reference
+from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.rasterization import EPS2D, NEAR_PLANE, render_view
+from tdgbench.splats.view import RenderedView
+
+TILE = 32
+NAMES = ("means", "quats", "scales", "opacities", "colors")
+
+
+@dataclass
+class Result:
+    """Image with depth as its last channel (H, W, D + 1), transmittance (H, W), gradients by name."""
+
+    image: Tensor
+    transmittance: Tensor
+    gradients: dict[str, Tensor]
+
+
+def leaves_of(cloud: Cloud, dtype: torch.dtype, device: str = "cpu") -> list[Tensor]:
+    """The cloud's tensors, in the order of NAMES, ready for gradients."""
+    given = [getattr(cloud, name) for name in NAMES]
+    return [t.to(device, dtype).clone().requires_grad_() for t in given]
+
+
+def device_of(backend: str) -> str:
+    """Where a fast backend wants its tensors."""
+    return "cuda" if backend == "cuda" else "cpu"
+
+
+def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS) -> RenderedView:
+    """Colour and depth of a cloud whose tensors are `leaves` (see `leaves_of`), on a fast backend."""
+    means, quats, scales, opacities, colors = leaves
+    camera = (cloud.viewmat.to(means), cloud.K.to(means))
+    return render_view(
+        means, quats, scales, opacities, colors, *camera, cloud.width, cloud.height, depth=True, backend=backend,
+        blending=blending,
+    )  # fmt: skip
+
+
+def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:
+    """What a fast backend makes of what `render` is the oracle for, in float32."""
+    leaves = leaves_of(cloud, torch.float32, device_of(backend))
+    view = view_of(cloud, leaves, backend, blending)
+    assert view.depth is not None
+    image = torch.cat([view.image, view.depth[..., None]], dim=-1)
+    w = weights.to(image)
+    ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
+    gradients = {name: leaf.grad.cpu() for name, leaf in zip(NAMES, leaves, strict=True) if leaf.grad is not None}
+    return Result(image.detach().cpu(), view.transmittance.detach().cpu(), gradients)
+
+
+def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: Blending = AS_3DGS) -> Result:
+    """Value, and with weights (H, W, D + 2) of image, depth and transmittance the gradient of the weighted sum."""
+    leaves = leaves_of(cloud, dtype)
+    means, quats, scales, opacities, colors = leaves
+    view, K = cloud.viewmat.to(dtype), cloud.K.to(dtype)
+    in_front = ((means @ view[2, :3] + view[2, 3]).detach() > NEAR_PLANE).nonzero().squeeze(1)
+    front_means, front_quats, front_scales = (t[in_front] for t in (means, quats, scales))
+    means2d, conics, covariance, z = reference.project(
+        front_means, front_quats, front_scales, view, K, cloud.width, cloud.height, EPS2D
+    )
+    order = torch.argsort(z.detach(), stable=True)
+    channels = torch.cat([colors[in_front], z[:, None]], dim=1)
+    projected = [t[order] for t in (means2d, conics, opacities[in_front], channels)]
+    held = [t.detach().requires_grad_(weights is not None) for t in projected]
+    # alpha ≤ opacity · exp(−d² / (2 λ)), d the distance to the tile and λ the larger eigenvalue of the covariance
+    largest = torch.linalg.eigvalsh(covariance.detach())[order, 1]
+    reach = (2 * largest * (held[2].detach() / blending.min_alpha).clamp_min(1).log()).sqrt() + 1e-3
+    image = torch.zeros(cloud.height, cloud.width, channels.shape[1], dtype=dtype)
+    transmittance = torch.ones(cloud.height, cloud.width, dtype=dtype)
+    for top in range(0, cloud.height, TILE):
+        for left in range(0, cloud.width, TILE):
+            rows, columns = slice(top, min(top + TILE, cloud.height)), slice(left, min(left + TILE, cloud.width))
+            corner = torch.tensor([left, top], dtype=dtype) + 0.5
+            end = torch.tensor([columns.stop, rows.stop], dtype=dtype) - 0.5
+            centre = held[0].detach()
+            near = ((centre - centre.clamp(corner, end)).norm(dim=1) <= reach).nonzero().squeeze(1)
+            if len(near) == 0:
+                continue
+            ys, xs = torch.meshgrid(
+                torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij"
+            )
+            pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(dtype) + 0.5
+            own_means, own_conics, own_opacities, own_channels = (h[near] for h in held)
+            light, t = reference.blend(pixels, own_means, own_conics, own_opacities, own_channels, blending)
+            image[rows, columns] = light.detach().reshape(*xs.shape, -1)
+            transmittance[rows, columns] = t.detach().reshape(xs.shape)
+            if weights is not None:
+                own = weights[rows, columns].reshape(len(pixels), -1).to(dtype)
+                ((light * own[:, :-1]).sum() + (t * own[:, -1]).sum()).backward()
+    gradients: dict[str, Tensor] = {}
+    if weights is not None:
+        torch.autograd.backward(projected, [torch.zeros_like(h) if h.grad is None else h.grad for h in held])
+        for name, leaf in zip(NAMES, leaves, strict=True):
+            gradients[name] = torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
+    return Result(image, transmittance, gradients)

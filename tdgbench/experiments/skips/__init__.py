@@ -1,0 +1,1 @@
+"""What each skip saves, and what it does to the scores."""

@@ -1,0 +1,145 @@
+"""Stress: losses of degenerate images and depth maps, and degenerate images and priors on disk."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from methods.tdg import DepthTarget, depth_loss
+from tdgbench.experiments.stress.case import Case, Close, Expected, Raises
+from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.priors import DepthPrior
+from tdgbench.scenes import Camera, View
+from tdgbench.scenes.images import read_image, read_radiometry
+from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal
+
+FAMILY = "losses"
+SIZE = (24, 32)
+CLOSE = Close(1e-4, 1e-3)
+
+
+def cases() -> list[Case]:
+    """Every case of this family. Losses do not depend on the backend: the fused kernels against torch in float64."""
+    black, white, noise = torch.zeros(*SIZE, 1), torch.ones(*SIZE, 1), _noise(0)
+    depth = _noise(1)[..., 0] * 5 + 1
+    clear, other = torch.zeros(*SIZE), _noise(2)[..., 0] * 5 + 1
+    losses: list[tuple[str, Callable[[Tensor], Tensor], Tensor]] = [
+        ("SSIM of two black images", lambda x: ssim(x, black.to(x)), black),
+        ("SSIM of two white images", lambda x: ssim(x, white.to(x)), white),
+        ("SSIM of black and white", lambda x: ssim(x, white.to(x)), black),
+        ("L1 of equal images", lambda x: l1(x, noise.to(x)), noise),
+        ("smoothness of a constant image", lambda x: smoothness(x, "paper"), white),
+        ("the thermal loss of one pixel", lambda x: thermal(x, white[:1, :1].to(x), 0.2, 0.6, "paper"), black[:1, :1]),
+        (
+            "the thermal loss of one pixel, wrapped around",
+            lambda x: thermal(x, white[:1, :1].to(x), 0.2, 0.6, "reference"),
+            black[:1, :1],
+        ),
+        ("the thermal loss of one row", lambda x: thermal(x, noise[:1].to(x), 0.2, 0.6, "paper"), noise[1:2]),
+        ("the thermal loss of values of 1e6", lambda x: thermal(x, noise.to(x), 0.2, 0.6, "paper"), noise * 1e6),
+        ("min-max of a constant map", lambda x: min_max(x).sum(), clear + 3),
+        ("min-max of a range of 1e-7", lambda x: min_max(x).square().sum(), 1 + 1e-7 * depth),
+        ("min-max of values of 1e9", lambda x: min_max(x).square().sum(), 1e9 * depth),
+        ("inverse depth where nothing is", lambda x: inverse_expected_depth(x, (clear + 1).to(x), 1e-3).sum(), clear),
+        ("inverse depth of 1e-6", lambda x: inverse_expected_depth(x, (clear + 0.5).to(x), 1e-3).mean(), clear + 1e-6),
+        ("constant depth and constant prior", _against(clear + 2), clear + 5),
+        ("constant prior", _against(clear + 2), depth),
+        ("constant depth", _against(depth), clear + 5),
+        ("a prior known at one pixel", _against(_masked(depth, 1)), other),
+        ("a prior known at half of the pixels", _against(_masked(depth, depth.numel() // 2)), other),
+        ("a prior of the wrong sign", _against(-depth), depth),
+    ]
+    files: list[tuple[str, Expected, Callable[[Path], object]]] = [
+        ("NaN in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("nan"))),
+        ("infinity in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("inf"))),
+        ("temperatures without a range", Raises("SceneError", r"min. . is not below max|min.*<.*max"), _flat_range),
+        ("a broken image", Raises("SceneError", "cannot be read as an image"), _broken),
+        ("a prior that is unknown everywhere", Raises("PriorError", "no finite value"), lambda _: _prior(float("nan"))),
+        ("a prior of the wrong size", Raises("PriorError", "is \\(12, 16\\)"), lambda _: _prior(1.0, (12, 16))),
+    ]
+    return [
+        *(Case(FAMILY, name, CLOSE, _fused_against_torch(loss, at), False) for name, loss, at in losses),
+        *(Case(FAMILY, name, expected, _in_folder(act), False) for name, expected, act in files),
+    ]
+
+
+def _noise(seed: int) -> Tensor:
+    return torch.rand(*SIZE, 1, generator=torch.Generator().manual_seed(seed))
+
+
+def _masked(values: Tensor, known: int) -> Tensor:
+    flat = torch.full((values.numel(),), float("nan"))
+    flat[:known] = values.flatten()[:known]
+    return flat.view_as(values)
+
+
+def _against(prior: Tensor) -> Callable[[Tensor], Tensor]:
+    def loss(rendered: Tensor) -> Tensor:
+        target = DepthTarget.of(DepthPrior(prior.numpy().astype(np.float32), "depth"), rendered.device)
+        target = DepthTarget(target.normalised.to(rendered), target.valid, target.kind)
+        return depth_loss(rendered, target)
+
+    return loss
+
+
+def _fused_against_torch(loss: Callable[[Tensor], Tensor], at: Tensor) -> Callable[[str], Seen]:
+    """Value and gradient in float32, where the fused kernels are, against torch in float64."""
+
+    def run(_backend: str) -> Seen:
+        values, gradients = [], []
+        for dtype in (torch.float64, torch.float32):
+            x = at.to(dtype).clone().requires_grad_()
+            value = loss(x)
+            value.backward()
+            assert x.grad is not None
+            values.append(value.detach().double())
+            gradients.append(x.grad.double())
+        usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # of a mean over the pixels
+        apart = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
+        error = (values[1] - values[0]).abs() / values[0].abs().clamp_min(1.0)
+        return Seen(f"loss {values[0].item():.4g}", {"image": error.item(), "gradients": apart.item()})
+
+    return run
+
+
+def _in_folder(act: Callable[[Path], object]) -> Callable[[str], Seen]:
+    def run(_backend: str) -> Seen:
+        with tempfile.TemporaryDirectory() as folder:
+            act(Path(folder))
+        return Seen("no error")
+
+    return run
+
+
+def _tiff(bad: float) -> Callable[[Path], object]:
+    def act(folder: Path) -> object:
+        degC = np.full(SIZE, 20, np.float32)
+        degC[3, 4] = bad
+        Image.fromarray(degC).save(folder / "view.tiff")
+        (folder / "temperature.json").write_text(json.dumps({"min": 10, "max": 30}))
+        return read_image(folder / "view.tiff", read_radiometry(folder / "temperature.json"))
+
+    return act
+
+
+def _flat_range(folder: Path) -> object:
+    (folder / "temperature.json").write_text(json.dumps({"min": 20, "max": 20}))
+    return read_radiometry(folder / "temperature.json")
+
+
+def _broken(folder: Path) -> object:
+    (folder / "view.png").write_bytes(b"\x89PNG broken")
+    return read_image(folder / "view.png")
+
+
+def _prior(value: float, shape: tuple[int, int] = SIZE) -> DepthPrior:
+    camera = Camera(np.eye(3), np.eye(4), SIZE[1], SIZE[0])
+    view = View("v", camera, lambda: np.zeros((*SIZE, 1), np.float32))
+    return DepthPrior(np.full(shape, value, np.float32), "depth").check(view)

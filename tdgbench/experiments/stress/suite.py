@@ -1,0 +1,47 @@
+"""Run every stress case on every backend that is here."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import pandas as pd
+from omegaconf import DictConfig
+
+from tdgbench.experiments.stress import appearance, geometry, gradients, losses, training
+from tdgbench.experiments.stress.case import Case, Verdict, judge
+from tdgbench.splats.backends import cuda
+
+
+def backends() -> list[str]:
+    """The fast backends that can run here; all are compared with the reference."""
+    return ["cpu", *(["cuda"] if cuda.why_not() is None else [])]
+
+
+def all_cases(cfg: DictConfig, folder: Path) -> list[Case]:
+    """The whole suite. `cfg` is the configuration of a small cell."""
+    return [
+        *geometry.cases(), *appearance.cases(), *losses.cases(), *gradients.cases(), *training.cases(cfg, folder)
+    ]  # fmt: skip
+
+
+def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[Verdict], None]) -> pd.DataFrame:
+    """One row per case and backend; with `chosen` only cases whose family or name contains it. Raises ValueError."""
+    with tempfile.TemporaryDirectory() as folder:
+        verdicts = []
+        for case, backend in _pairs(all_cases(cfg, Path(folder)), chosen):
+            verdict = judge(case, backend)
+            report(verdict)
+            verdicts.append(asdict(verdict))
+    if not verdicts:
+        raise ValueError(f"no stress case has {chosen!r} in its family or name")
+    return pd.DataFrame(verdicts)
+
+
+def _pairs(cases: list[Case], chosen: str | None) -> Iterator[tuple[Case, str]]:
+    for case in cases:
+        if chosen is None or chosen in case.family or chosen in case.name:
+            for backend in backends() if case.every_backend else ["once"]:
+                yield case, backend

@@ -1,0 +1,1 @@
+"""Rasterization backends: one module each."""

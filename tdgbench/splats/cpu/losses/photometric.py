@@ -1,0 +1,180 @@
+"""L1 and mean SSIM of two images and their gradient, fused (SSIM: 11×11 Gaussian window, sigma 1.5, zero padding).
+
+Images are (rows, columns × channels), channels interleaved: neighbours in a row lie `channels` floats apart, so one
+kernel serves every channel count. A band of rows is streamed: the last eleven rows of everything stay in the cache.
+With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
+first image is  G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.losses.smoothness import difference_row
+
+F, U = np.float32, np.uint64
+RADIUS, TAPS = 5, 11
+_weights = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
+W0, W1, W2, W3, W4, W5 = (F(w) for w in (_weights / _weights.sum())[:6])
+ZERO, ONE, TWO = F(0), F(1), F(2)
+C1, C2 = F(0.01**2), F(0.03**2)
+
+
+@kernel(inline=True)
+def along_row(line, x, c):
+    """The window along a padded row; x is the place of the window's first tap, c the channel count."""
+    return (
+        W5 * line[x + U(5) * c]
+        + W4 * (line[x + U(4) * c] + line[x + U(6) * c])
+        + W3 * (line[x + U(3) * c] + line[x + U(7) * c])
+        + W2 * (line[x + U(2) * c] + line[x + U(8) * c])
+        + W1 * (line[x + c] + line[x + U(9) * c])
+        + W0 * (line[x] + line[x + U(10) * c])
+    )
+
+
+@kernel()
+def across_rows(ring, field, centre, out):
+    """out = the window across rows centre − 5 … centre + 5, row y standing at ring[y mod 11]."""
+    first = centre + 2 * TAPS - RADIUS
+    r0, r1, r2 = ring[first % TAPS, field], ring[(first + 1) % TAPS, field], ring[(first + 2) % TAPS, field]
+    r3, r4, r5 = ring[(first + 3) % TAPS, field], ring[(first + 4) % TAPS, field], ring[(first + 5) % TAPS, field]
+    r6, r7, r8 = ring[(first + 6) % TAPS, field], ring[(first + 7) % TAPS, field], ring[(first + 8) % TAPS, field]
+    r9, r10 = ring[(first + 9) % TAPS, field], ring[(first + 10) % TAPS, field]
+    for x in range(U(out.shape[0])):
+        out[x] = (
+            W5 * r5[x]
+            + W4 * (r4[x] + r6[x])
+            + W3 * (r3[x] + r7[x])
+            + W2 * (r2[x] + r8[x])
+            + W1 * (r1[x] + r9[x])
+            + W0 * (r0[x] + r10[x])
+        )
+
+
+@kernel()
+def moments_of_row(ra, rb, channels, line, out):
+    """out (5, columns) = a, b, a², b², ab filtered along the row; line (5, padded columns) is room to work in."""
+    n = ra.shape[0]
+    c = U(channels)
+    pad = U(RADIUS) * c
+    l0, l1, l2, l3, l4 = line[0], line[1], line[2], line[3], line[4]
+    for x in range(U(n)):
+        p, q = ra[x], rb[x]
+        l0[x + pad] = p
+        l1[x + pad] = q
+        l2[x + pad] = p * p
+        l3[x + pad] = q * q
+        l4[x + pad] = p * q
+    for k in range(5):
+        source, target = line[k], out[k]
+        for x in range(U(n)):
+            target[x] = along_row(source, x, c)
+
+
+@kernel(free_sums=True)
+def similarity_of_row(filtered, channels, line, values, out):
+    """Σ SSIM of a row, given its five moments; out (3, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along it."""
+    n = values.shape[0]
+    c = U(channels)
+    pad = U(RADIUS) * c
+    f0, f1, f2, f3, f4 = filtered[0], filtered[1], filtered[2], filtered[3], filtered[4]
+    l0, l1, l2 = line[0], line[1], line[2]
+    for x in range(U(n)):
+        mu_a, mu_b = f0[x], f1[x]
+        var_a, var_b, cov = f2[x] - mu_a * mu_a, f3[x] - mu_b * mu_b, f4[x] - mu_a * mu_b
+        light = TWO * mu_a * mu_b + C1
+        structure = TWO * cov + C2
+        inv_light = ONE / (mu_a * mu_a + mu_b * mu_b + C1)
+        inv_structure = ONE / (var_a + var_b + C2)
+        s = light * structure * inv_light * inv_structure
+        values[x] = s
+        d_aa = -s * inv_structure
+        d_ab = TWO * light * inv_light * inv_structure
+        l0[x + pad] = (
+            TWO * mu_b * structure * inv_light * inv_structure
+            - TWO * mu_a * s * inv_light
+            - TWO * mu_a * d_aa
+            - mu_b * d_ab
+        )
+        l1[x + pad] = d_aa
+        l2[x + pad] = d_ab
+    total = ZERO
+    for x in range(U(n)):
+        total += values[x]
+    for k in range(3):
+        source, target = line[k], out[k]
+        for x in range(U(n)):
+            target[x] = along_row(source, x, c)
+    return total
+
+
+@kernel(free_sums=True)
+def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
+    """Σ |a − b| of a row; out = l1_scale · sign(a − b) + ssim_scale · dS/da."""
+    n = ra.shape[0]
+    f0, f1, f2 = filtered[0], filtered[1], filtered[2]
+    total = ZERO
+    for x in range(U(n)):
+        total += abs(ra[x] - rb[x])
+    for x in range(U(n)):
+        d = ra[x] - rb[x]
+        sign = l1_scale if d > ZERO else (-l1_scale if d < ZERO else ZERO)
+        out[x] = sign + ssim_scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
+    return total
+
+
+@kernel()
+def photometric_band(start, stop, a, b, channels, l1_scale, ssim_scale, smooth_scale, wrap, gradient, sums):
+    """Rows [start, stop) of the gradient; sums[y] = Σ |a − b|, Σ SSIM and Σ neighbour differences of row y."""
+    rows, n = a.shape
+    padded = n + 2 * RADIUS * channels
+    line, slope_line = np.zeros((5, padded), np.float32), np.zeros((3, padded), np.float32)
+    moments, slopes = np.zeros((TAPS, 5, n), np.float32), np.zeros((TAPS, 3, n), np.float32)
+    filtered, values = np.empty((5, n), np.float32), np.empty(n, np.float32)
+    for y in range(start - 2 * RADIUS, stop + 2 * RADIUS):
+        here = (y + 2 * TAPS) % TAPS
+        if y >= 0 and y < rows:
+            moments_of_row(a[y], b[y], channels, line, moments[here])
+        else:
+            moments[here, :, :] = ZERO
+        s = y - RADIUS
+        if s < start - RADIUS:
+            continue
+        here = (s + 2 * TAPS) % TAPS
+        if s >= 0 and s < rows:
+            for k in range(5):
+                across_rows(moments, k, s, filtered[k])
+            total = similarity_of_row(filtered, channels, slope_line, values, slopes[here])
+            if s >= start and s < stop:
+                sums[s, 1] = total
+        else:
+            slopes[here, :, :] = ZERO
+        g = s - RADIUS
+        if g < start:
+            continue
+        for k in range(3):
+            across_rows(slopes, k, g, filtered[k])
+        sums[g, 0] = gradient_of_row(a[g], b[g], filtered, l1_scale, ssim_scale, gradient[g])
+        if smooth_scale != ZERO:
+            sums[g, 2] = difference_row(g, a, channels, wrap, smooth_scale, gradient[g])
+
+
+def photometric_and_gradient(
+    a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float, smooth_scale: float = 0.0, wrap: bool = False
+) -> tuple[float, float, float, np.ndarray]:
+    """L1, mean SSIM, Σ |differences of neighbours in a| (0 unless asked for), and a gradient by a.
+
+    The gradient is that of l1_weight · L1 + ssim_weight · SSIM, plus smooth_scale · that of the sum of differences
+    (see `tdgbench.splats.cpu.losses.smoothness`). Images are float32 (H, W, C), contiguous, in [0, 1].
+    """
+    height, width, channels = a.shape
+    flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
+    gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
+    scales = F(l1_weight / a.size), F(ssim_weight / a.size), F(smooth_scale)
+    bands = pool.chunks(height, min(height, pool.get_threads()))
+    pool.run(photometric_band, [(*band, flat_a, flat_b, channels, *scales, wrap, gradient, sums) for band in bands])
+    error, similarity, differences = sums.sum(axis=0).tolist()
+    return error / a.size, similarity / a.size, differences, gradient.reshape(a.shape)

@@ -1,0 +1,1 @@
+"""Rasterization kernels: culling, projection, tiles, blending, and their gradients."""

@@ -1,0 +1,1 @@
+"""A small SIMD library for Numba: registers, memory, reductions, powers of two."""

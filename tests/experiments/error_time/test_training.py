@@ -1,0 +1,116 @@
+import math
+from itertools import pairwise
+
+import pandas as pd
+import pytest
+
+from tdgbench.experiments.error_time import training
+from tdgbench.experiments.error_time.training import (
+    attribution,
+    faster_by,
+    milestones,
+    quality_at,
+    runs_of,
+    sample_all,
+    sample_curve,
+    seconds_to,
+)
+from tests.conftest import SMALL, config
+
+
+def curve(label, seconds, psnr, iterations=None):
+    return pd.DataFrame(
+        {
+            "scene": "s", "label": label, "iteration": iterations or [100 * (i + 1) for i in range(len(psnr))],
+            "seconds": seconds, "gaussians": 1, "psnr": psnr, "ssim": 0.5, "lpips": None, "depth_abs_rel": 0.1,
+        }
+    )  # fmt: skip
+
+
+SLOW = curve("slow", [10.0, 20.0, 40.0], [20.0, 24.0, 26.0])
+FAST = curve("fast", [5.0, 10.0, 20.0], [21.0, 25.0, 27.0])
+SHORT = curve("short", [5.0, 8.0], [21.0, 24.0])
+CURVES = pd.concat([SLOW, FAST, SHORT], ignore_index=True)
+
+
+def test_times_and_qualities_lie_between_samples():
+    assert seconds_to(SLOW, 22.0) == pytest.approx(15.0)
+    assert seconds_to(SLOW, 19.0) == 10.0 and math.isnan(seconds_to(SLOW, 26.5))
+    assert quality_at(SLOW, 30.0) == pytest.approx(25.0)
+    assert quality_at(SLOW, 100.0) == 26.0 and math.isnan(quality_at(SLOW, 5.0))
+
+
+def test_milestones():
+    table = milestones(CURVES).set_index("label")
+    assert table.loc["slow", "seconds to 22 dB"] == pytest.approx(15.0)
+    assert table.loc["fast", "dB at 40.0 s (slow)"] == 27.0 and table.loc["short", "end_psnr"] == 24.0
+
+
+def test_shares_of_the_speed_up_add_up():
+    table = attribution(CURVES, ["slow", "fast", "short"])
+    assert list(table["factor"]) == [pytest.approx(2.0), pytest.approx(2.5)]
+    assert table["share"].sum() == pytest.approx(1.0) and table["saved"].iloc[-1] == pytest.approx(0.8)
+    assert attribution(CURVES, ["slow", "missing"]).empty
+
+
+def test_faster_at_equal_iterations_quality_and_time():
+    table = faster_by(CURVES, "slow", ["fast", "short", "missing"]).set_index("label")
+    assert list(table.index) == ["fast", "short"]
+    assert table.loc["fast", "whole runs"] == pytest.approx(0.5)
+    assert table.loc["fast", "that quality (dB)"] == 26.0
+    assert table.loc["fast", "equal quality"] == pytest.approx(1 - 15 / 40)
+    assert table.loc["fast", "dB more at equal time"] == pytest.approx(27 - 24)
+    assert table.loc["short", "equal iterations"] == pytest.approx(1 - 8 / 20)
+
+
+def experiment(data_root, *overrides):
+    return config(
+        "+experiment=error_time", *SMALL, f"data.root={data_root}", "budget.iterations=20", "job.samples=3",
+        "job.scenes=[turntable]", *overrides,
+    )  # fmt: skip
+
+
+def test_a_curve_is_sampled_along_a_training(data_root):
+    cfg = experiment(data_root)
+    runs = runs_of(cfg)
+    assert [run.method for run in runs] == ["msmg", "thermal", "thermal", "thermal", "tdg", "tdg"]
+    found = sample_curve(cfg, "turntable", runs[-1], 3)
+    assert list(found["iteration"]) == [7]  # a third of 20: fewer than the first sample
+    found = sample_curve(cfg, "turntable", runs[2], 3)
+    assert found["iteration"].iloc[-1] == 20 and found["seconds"].is_monotonic_increasing
+    assert found["psnr"].between(5, 60).all() and found["depth_abs_rel"].between(0, 1).all()
+
+
+def test_each_link_changes_one_thing(data_root):
+    cfg = experiment(data_root)
+    chain = [{**cfg.job.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
+    for one in chain:
+        one.pop("_target_")
+        one.update({"weight": 1.0, "lambda_depth": 0.0, "decay_end": 0.0} | one)
+    changes = [{k for k in before if k in after and before[k] != after[k]} for before, after in pairwise(chain)]
+    assert changes[1:] == [{"weight"}, {"smooth"}, {"lambda_depth", "decay_end"}, {"share"}]
+
+
+def test_points_of_a_curve_are_models_that_could_be_saved(data_root):
+    often = ("budget.density.start=4", "budget.density.every=4", "budget.density.opacity_reset_every=1000")
+    cfg = experiment(data_root, *often, "budget.iterations=40", "job.samples=20")
+    found = sample_curve(cfg, "turntable", runs_of(cfg)[-2], 20)
+    assert set(found["iteration"]) == {20, 24, 28, 32, 36, 40}
+
+
+def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
+    original, told = sample_curve, []
+
+    def failing(cfg, scene, run, samples):
+        if run.method == "msmg":
+            raise RuntimeError("no")
+        return original(cfg, scene, run, samples)
+
+    monkeypatch.setattr(training, "sample_curve", failing)
+    curves, failed = sample_all(experiment(data_root), lambda *seen: told.append(seen))
+    assert failed == 1 and isinstance(told[0][2], RuntimeError) and curves["label"].nunique() == 5
+
+
+def test_a_method_that_the_job_lacks_is_named(data_root):
+    with pytest.raises(ValueError, match="no method 'splat' among msmg, thermal, tdg"):
+        runs_of(experiment(data_root, "job.runs=[{label: x, method: splat}]"))

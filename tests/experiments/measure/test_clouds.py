@@ -1,0 +1,24 @@
+import torch
+
+from tdgbench.experiments.measure.clouds import random_cloud, trained_cloud
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.ply import save_ply
+from tdgbench.splats.rasterization import render_view
+
+
+def test_a_random_cloud_is_its_seed_and_lies_before_the_camera():
+    a, b, c = random_cloud(50, 64, 48), random_cloud(50, 64, 48), random_cloud(50, 64, 48, seed=1)
+    assert torch.equal(a.means, b.means) and not torch.equal(a.means, c.means)
+    assert a.means[:, 2].min() >= 2 and a.colors.shape == (50, 3)
+
+
+def test_a_trained_model_from_a_test_view(small_gray_scene, tmp_path):
+    points = small_gray_scene.points
+    save_ply(gaussians_from_points(points.points, points.colors, 1, 1), tmp_path / "model.ply")
+    folder = small_gray_scene.train[0].thermal_path.parents[1]
+    cloud = trained_cloud(tmp_path / "model.ply", folder)
+    assert cloud.colors.shape == (len(points.points), 3) and (cloud.width, cloud.height) == (48, 36)
+    view = render_view(
+        cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors, cloud.viewmat, cloud.K, 48, 36
+    )
+    assert view.transmittance.min() < 0.9  # something is in sight

@@ -1,0 +1,19 @@
+import torch
+
+from tdgbench.experiments.measure.clouds import random_cloud
+from tdgbench.experiments.measure.oracle import leaves_of, render
+from tdgbench.splats.rasterization import render_view
+
+
+def test_tile_by_tile_is_the_reference():
+    cloud = random_cloud(300, 70, 50)
+    cloud.means[:10, 2] *= -1  # behind the camera
+    weights = torch.randn(50, 70, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    got = render(cloud, torch.float64, weights)
+    leaves = leaves_of(cloud, torch.float64)
+    view = render_view(*leaves, cloud.viewmat, cloud.K, 70, 50, depth=True, backend="reference")
+    assert torch.allclose(got.image, torch.cat([view.image, view.depth[..., None]], -1).detach(), atol=1e-12)
+    loss = (view.image * weights[..., :3]).sum() + (view.depth * weights[..., 3]).sum()
+    (loss + (view.transmittance * weights[..., 4]).sum()).backward()
+    for leaf, gradient in zip(leaves, got.gradients.values(), strict=True):
+        assert torch.allclose(leaf.grad, gradient, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,22 @@
+import pytest
+
+from tdgbench.experiments.measure.timing import fma_peak_gflops, interleave, median_ms
+
+
+def test_candidates_take_turns_after_a_warm_up():
+    called = []
+
+    def candidate(name):
+        def run():
+            called.append(name)
+            return float(len(called))
+
+        return run
+
+    seconds = interleave({"a": candidate("a"), "b": candidate("b")}, 2)
+    assert called == ["a", "b", "a", "b", "a", "b"] and seconds == {"a": [3.0, 5.0], "b": [4.0, 6.0]}
+    assert median_ms(seconds["a"]) == pytest.approx(4000.0)
+
+
+def test_the_peak_is_one_that_a_processor_can_have():
+    assert 1 < fma_peak_gflops() < 1e5

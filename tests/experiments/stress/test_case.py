@@ -1,0 +1,38 @@
+import math
+
+import pytest
+
+from tdgbench.experiments.stress.case import Case, Close, Holds, Raises, judge
+from tdgbench.experiments.stress.outcome import Seen
+
+
+def verdict(expected, act):
+    return judge(Case("family", "name", expected, lambda backend: act()), "cpu")
+
+
+def fail(error):
+    raise error
+
+
+def test_errors_within_and_beyond_what_is_allowed():
+    close = Close(1e-3, 1e-2)
+    good = verdict(close, lambda: Seen(numbers={"image": 5e-4, "gradients": 1e-3}))
+    assert good.passed and good.share == pytest.approx(0.5)
+    assert not verdict(close, lambda: Seen(numbers={"image": 0.0, "gradients": 0.02})).passed
+    lost = verdict(close, lambda: Seen(numbers={"image": math.nan, "gradients": 0.0}))
+    assert not lost.passed and math.isnan(lost.share)
+    raised = verdict(close, lambda: fail(ValueError("no")))
+    assert not raised.passed and raised.seen == "ValueError: no" and raised.share is None
+
+
+def test_a_named_error_is_that_error():
+    expected = Raises("ValueError", "broken")
+    assert verdict(expected, lambda: fail(ValueError("it is broken"))).passed
+    assert not verdict(expected, lambda: fail(TypeError("it is broken"))).passed
+    assert not verdict(expected, lambda: fail(ValueError("something else"))).passed
+    assert not verdict(expected, lambda: Seen("nothing happened")).passed
+
+
+def test_a_statement_holds_until_its_assertion_fails():
+    assert verdict(Holds("so"), lambda: Seen("it is so")).passed
+    assert not verdict(Holds("so"), lambda: fail(AssertionError("it is not"))).passed

@@ -1,0 +1,46 @@
+"""What the reference is checked against: closed forms, and independence of how it is cut into pieces."""
+
+import pytest
+import torch
+
+from tdgbench.splats import rasterization
+from tdgbench.splats.backends import reference
+from tests.conftest import random_gaussians, turned_camera
+
+
+def test_rotations_are_rotations():
+    r = reference.rotation_matrices(torch.randn(20, 4, dtype=torch.float64) * 5)
+    eye = torch.eye(3, dtype=torch.float64)
+    assert torch.allclose(r @ r.transpose(1, 2), eye.expand(20, 3, 3)) and torch.allclose(
+        torch.linalg.det(r), r.new_ones(20)
+    )
+    quarter = reference.rotation_matrices(torch.tensor([[1.0, 0, 0, 1]]))  # 90° about z
+    assert torch.allclose(quarter[0] @ torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]), atol=1e-6)
+
+
+def test_pieces_do_not_matter(monkeypatch):
+    parameters = [p.double() for p in random_gaussians(30, 1, None, 2)]
+    whole = rasterization(*parameters, *turned_camera(20, 13), 20, 13, backend="reference")[0]
+    monkeypatch.setattr(reference, "PAIRS_AT_ONCE", 100)
+    pieces = rasterization(*parameters, *turned_camera(20, 13), 20, 13, backend="reference")[0]
+    assert torch.equal(whole, pieces)
+
+
+def test_order_of_the_input_does_not_matter():
+    parameters = [p.double() for p in random_gaussians(30, 1, None, 2)]
+    shuffled = [p[torch.randperm(30, generator=torch.Generator().manual_seed(0))] for p in parameters]
+    a, b = (rasterization(*p, *turned_camera(20, 13), 20, 13, backend="reference")[0] for p in (parameters, shuffled))
+    assert torch.allclose(a, b, atol=1e-12)
+
+
+def test_two_layers():
+    """Two huge opaque-ish sheets: the front one by its opacity, the back one through what is left."""
+    quats, scales = torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), torch.tensor([[50.0, 50.0, 1e-6]]).repeat(2, 1)
+    means, opacities = torch.tensor([[0.0, 0, 2], [0, 0, 5]]), torch.tensor([0.5, 0.8])
+    K = torch.tensor([[[10.0, 0, 4], [0, 10.0, 4], [0, 0, 1]]])
+    colors = torch.tensor([[1.0], [10.0]])
+    image, alpha, _ = rasterization(
+        means, quats, scales, opacities, colors, torch.eye(4)[None], K, 8, 8, render_mode="RGB+ED", backend="reference"
+    )
+    assert image[0, 4, 4].tolist() == pytest.approx([0.5 + 0.5 * 0.8 * 10, (0.5 * 2 + 0.4 * 5) / 0.9], rel=1e-4)
+    assert alpha[0, 4, 4, 0].item() == pytest.approx(0.9, rel=1e-4)

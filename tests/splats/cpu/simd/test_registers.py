@@ -1,0 +1,94 @@
+"""The SIMD type, operation by operation, against numpy."""
+
+import numpy as np
+
+from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.scratch import empty_aligned
+from tdgbench.splats.cpu.simd import memory
+from tdgbench.splats.cpu.simd import registers as simd
+from tdgbench.splats.cpu.simd.registers import LANES
+
+F = np.float32
+
+
+def aligned(values) -> np.ndarray:
+    out = empty_aligned((len(values),), F)
+    out[:] = values
+    return out
+
+
+@kernel()
+def arithmetic(a, b, s, out):
+    x, y = memory.load(a, 0), memory.load(b, 0)
+    memory.store(out, 0 * LANES, x + y)
+    memory.store(out, 1 * LANES, x - s)
+    memory.store(out, 2 * LANES, s * y)
+    memory.store(out, 3 * LANES, simd.minimum(x, y))
+    memory.store(out, 4 * LANES, simd.maximum(x, s))
+    memory.store(out, 5 * LANES, simd.select(simd.greater(x, y), x, s))
+    memory.store(out, 6 * LANES, simd.select(simd.both(simd.greater_equal(x, y), simd.less_equal(x, s)), x, y))
+    memory.store(out, 7 * LANES, simd.negative_abs(x))
+    memory.store(out, 8 * LANES, simd.absolute(x))
+    memory.store(out, 9 * LANES, simd.reciprocal(y))
+    memory.store(out, 10 * LANES, simd.lane_index() + simd.splat(s))
+    memory.store(out, 11 * LANES, simd.divide(x, y))
+    memory.store(out, 12 * LANES, simd.square_root(simd.absolute(x)))
+    memory.store(out, 13 * LANES, simd.round_up(x * s))
+    memory.store(out, 14 * LANES, simd.round_down(x * s))
+    memory.store(out, 15 * LANES, -x)
+    memory.store(out, 16 * LANES, simd.select(simd.equal(x, y), y, s))
+
+
+def test_lane_by_lane():
+    rng = np.random.default_rng(0)
+    a, b = aligned(4 * rng.normal(size=LANES).astype(F)), aligned(rng.normal(size=LANES).astype(F))
+    a[0] = b[0]
+    s, out = F(0.3), aligned(np.zeros(17 * LANES, F))
+    arithmetic(a, b, s, out)
+    expected = [
+        a + b, a - s, s * b, np.minimum(a, b), np.maximum(a, s), np.where(a > b, a, s),
+        np.where((a >= b) & (a <= s), a, b), -np.abs(a), np.abs(a), 1 / b, np.arange(LANES) + s, a / b,
+        np.sqrt(np.abs(a)), np.ceil(a * s), np.floor(a * s), -a, np.where(a == b, b, s),
+    ]  # fmt: skip
+    for row, want in zip(out.reshape(17, LANES), expected, strict=True):
+        assert np.allclose(row, want, rtol=1e-6, atol=0)
+
+
+@kernel()
+def zeros_sign(out):
+    memory.store(out, 0, simd.negative_abs(simd.splat(F(0.0))))
+
+
+def test_the_sign_of_zero_is_set():
+    out = aligned(np.ones(LANES, F))
+    zeros_sign(out)
+    assert (out == 0).all() and np.signbit(out).all()
+
+
+@kernel()
+def exponential(values, out):
+    for i in range(0, values.shape[0], LANES):
+        memory.store(out, i, simd.exp2(memory.load(values, i)))
+
+
+def test_exp2():
+    values = aligned(np.linspace(-125, 125, 4096 * LANES).astype(F))
+    out = aligned(np.zeros(len(values), F))
+    exponential(values, out)
+    exact = np.exp2(values.astype(np.float64))
+    assert np.abs(out / exact - 1).max() < 2.5e-7
+
+
+@kernel()
+def logarithm(values, out):
+    for i in range(0, values.shape[0], LANES):
+        memory.store(out, i, simd.log2(memory.load(values, i)))
+
+
+def test_log2():
+    near_one, wide = np.linspace(0.5, 2, 1024 * LANES), np.exp2(np.linspace(-120, 120, 1024 * LANES))
+    for given, relative, absolute in ((near_one, 0, 1e-7), (wide, 2e-7, 2e-7)):
+        values = aligned(given.astype(F))
+        out = aligned(np.zeros(len(values), F))
+        logarithm(values, out)
+        assert np.allclose(out, np.log2(values.astype(np.float64)), rtol=relative, atol=absolute)

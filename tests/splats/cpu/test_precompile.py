@@ -1,0 +1,62 @@
+import os
+import subprocess
+import sys
+
+from tdgbench.splats.cpu import jit, pool
+from tdgbench.splats.cpu.precompile import compiled_alongside
+from tests.conftest import ROOT
+
+# What is compiled ahead must be what training calls, type by type, or it was compiled in vain.
+SAME_TYPES = """
+import torch
+from hydra.utils import instantiate
+from tdgbench.splats.cpu.precompile import compile_late_kernels
+from tdgbench.splats.cpu.raster.blend import make_blend
+from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
+from tdgbench.splats.cpu.raster.projection_backward import projection_backward
+from tdgbench.training.warmup import compile_kernels
+from tests.conftest import config
+
+compile_late_kernels([1])
+kernels = [projection_backward]
+for depth in (False, True):
+    kernels += [make_blend(1, depth, False), make_blend_backward(1, depth, False, False)]
+before = [len(kernel.signatures) for kernel in kernels]
+compile_kernels({1}, instantiate(config("budget=demo").budget), "cpu")
+print(before, [len(kernel.signatures) for kernel in kernels])
+"""
+
+
+def test_what_is_compiled_ahead_is_what_training_calls():
+    run = subprocess.run(
+        [sys.executable, "-c", SAME_TYPES], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
+        capture_output=True, timeout=600,
+    )  # fmt: skip
+    assert run.stdout.strip() == "[1, 1, 1, 1, 1] [1, 1, 1, 1, 1]", run.stderr[-2000:]
+
+
+def test_it_is_done_once(monkeypatch, tmp_path):
+    started = []
+
+    class Helper:
+        def __init__(self, command, **_):
+            started.append(command)
+            (tmp_path / "kernels").mkdir(exist_ok=True)
+
+        def wait(self):
+            return 0
+
+        def kill(self):
+            pass
+
+    monkeypatch.setattr(subprocess, "Popen", Helper)
+    monkeypatch.setattr(jit, "CACHE_DIR", tmp_path / "kernels")
+    monkeypatch.setattr(pool, "available_cores", lambda: 2)
+    for channels in ({1}, {1}, {3, 1}, {1, 3}):
+        with compiled_alongside(channels):
+            pass
+    assert [command[3:] for command in started] == [["1"], ["1", "3"]]
+    monkeypatch.setattr(pool, "available_cores", lambda: 1)
+    with compiled_alongside({3}):
+        pass
+    assert len(started) == 2
