@@ -60,8 +60,8 @@ class Parts:
             "find_candidates": "project", "project_and_list": "project",
             "count_digits": "bin", "move_by_digit": "bin", "count_pairs": "bin", "fill_lists": "bin",
             "blend": "blend", "blend_backward": "blend backward", "projection_backward": "projection backward",
-            "coast_candidates": "Adam", "touched_rows": "Adam", "settle_rows": "Adam",
-            "observe_seen": "density control", "observe_gradients": "density control",
+            "update_rows": "Adam", "step_rows": "Adam", "flush_rows": "Adam",
+            "observe_visible": "density control", "observe_gradients": "density control",
         }  # fmt: skip
         original = pool.run
 

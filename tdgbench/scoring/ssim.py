@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy.ndimage import correlate1d
 
-WINDOW, SIGMA = 11, 1.5
-C1, C2 = 0.01**2, 0.03**2
+from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
 
 Border = Literal["zero", "valid"]
 
@@ -35,8 +34,6 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border) -> float:
 
 
 def _blur(image: np.ndarray) -> np.ndarray:
-    offsets = np.arange(WINDOW) - WINDOW // 2
-    weights = np.exp(-(offsets**2) / (2 * SIGMA**2))
-    weights /= weights.sum()
+    weights = window()
     rows = correlate1d(image, weights, axis=0, mode="constant")
     return correlate1d(rows, weights, axis=1, mode="constant")

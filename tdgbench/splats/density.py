@@ -1,8 +1,8 @@
 """Adaptive density control of 3DGS (section 5): clone, split, prune, reset opacity.
 
-Constants and order follow `train.py` and `gaussian_model.py` of 3DGS. One of its facts is easily missed: the call
-that appends clones zeroes the screen radii, so its test "screen radius > 20 px" never removes anything.
-`screen_radius_prune` chooses between that (false) and the test as it is described (true).
+Constants and order follow `train.py` and `gaussian_model.py` of 3DGS. There the call that appends clones zeroes the
+screen radii, so that the test "screen radius > 20 px" never removes anything: `screen_radius_prune: false` does the
+same, `true` applies the test as described.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.columns import MEANS_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.statistics import observe_gradients, observe_seen
+from tdgbench.splats.cpu.statistics import observe_gradients, observe_visible
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
@@ -26,11 +26,11 @@ from tdgbench.splats.state import TrainingState
 class DensityRules:
     """When and how the number of Gaussians changes. Iterations count from 1."""
 
-    start: int  # densify after this iteration
-    stop: int  # and before this one
-    every: int
+    start: int  # the first round is after this iteration
+    stop: int  # the last round is before this iteration
+    every: int  # iterations between rounds
     grad_threshold: float  # mean image-plane gradient of the centre, in units of half the image
-    clone_max_scale: float  # × extent: smaller ones are cloned, larger ones split
+    clone_max_scale: float  # × extent: smaller Gaussians are cloned, larger ones split
     split_into: int
     split_shrink: float  # children's scale = parent's / (this × split_into)
     min_opacity: float
@@ -39,22 +39,32 @@ class DensityRules:
     screen_radius_prune: bool
     opacity_reset_every: int
     opacity_reset_to: float
-    round_recovery: int  # × every: iterations that must follow a round of cloning, splitting and pruning
-    reset_recovery: int  # × every: and an opacity reset; what would come later in a training is left out
+    round_recovery: int  # × every: no round in the last iterations of a training, which the model needs to recover
+    reset_recovery: int  # × every: the same for opacity resets
     max_gaussians: int | None = None  # no growth beyond this
 
     def is_round(self, iteration: int, iterations: int) -> bool:
-        """Whether Gaussians are cloned, split and pruned at an iteration of a training of so many."""
-        on_time = self.start < iteration < self.stop and iteration % self.every == 0
-        return on_time and iterations - iteration >= self.round_recovery * self.every
+        """Whether a training of so many iterations clones, splits and prunes at an iteration.
+
+        >>> rules = DensityRules(
+        ...     start=500, stop=15_000, every=100, grad_threshold=2e-4, clone_max_scale=0.01, split_into=2,
+        ...     split_shrink=0.8, min_opacity=0.005, max_world_scale=0.1, max_screen_radius=20,
+        ...     screen_radius_prune=False, opacity_reset_every=3000, opacity_reset_to=0.01, round_recovery=1,
+        ...     reset_recovery=5,
+        ... )
+        >>> [rules.is_round(iteration, 10_000) for iteration in (500, 600, 650, 9_900, 10_000)]
+        [False, True, False, True, False]
+        """
+        is_due = self.start < iteration < self.stop and iteration % self.every == 0
+        return is_due and iterations - iteration >= self.round_recovery * self.every
 
     def is_reset(self, iteration: int, iterations: int) -> bool:
-        """Whether opacities are reset at an iteration of a training of so many."""
-        on_time = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
-        return on_time and iterations - iteration >= self.reset_recovery * self.every
+        """Whether a training of so many iterations resets opacities at an iteration."""
+        is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
+        return is_due and iterations - iteration >= self.reset_recovery * self.every
 
-    def is_settled(self, iteration: int, iterations: int) -> bool:
-        """Whether the model before this iteration's density control has recovered from all earlier rounds and resets.
+    def has_recovered(self, iteration: int, iterations: int) -> bool:
+        """Whether the model at an iteration, before its density control, has recovered from all rounds and resets.
 
         Only such a model is worth saving: a reset costs more than 10 dB, a round some tenths.
         """
@@ -67,7 +77,7 @@ class DensityRules:
 
 @dataclass
 class DensityChange:
-    """What one iteration did to the set of Gaussians."""
+    """Changes of the set of Gaussians in one iteration."""
 
     densified: bool = False  # a round of cloning, splitting and pruning took place
     opacity_reset: bool = False
@@ -77,69 +87,70 @@ class DensityChange:
 
 
 class DensityControl:
-    """Gathers gradients and radii view by view and changes the set of Gaussians when its rules say so."""
+    """Accumulates gradients and radii over views, and changes the set of Gaussians by its rules."""
 
     def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
-        """extent: of the scene, in world units. iterations: length of the training, which its end depends on."""
+        """extent: of the scene, world units. iterations: length of the training."""
         self.rules, self.extent, self.state, self.iterations = rules, extent, state, iterations
         self._clear()
 
     def _clear(self) -> None:
-        self.grad_sum, self.seen, self.max_radii = self.state.values.new_zeros(3, len(self.state))
+        self.grad_sum, self.view_counts, self.max_radii = self.state.values.new_zeros(3, len(self.state))
 
     @torch.no_grad()
     def observe(self, gradients: Gradients, width: int, height: int) -> None:
-        """Take in one backward pass of a view of width × height px."""
+        """Accumulate the gradients of a view of width × height px."""
         half = (0.5 * width, 0.5 * height)
         if self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32:
-            seen = (gradients.seen.numpy(), gradients.radii.numpy(), self.seen.numpy(), self.max_radii.numpy())
-            pool.run(observe_seen, [(*piece, *seen) for piece in gradients.seen_pieces])
-            pulls = (gradients.index.numpy(), gradients.image.numpy(), *half, self.grad_sum.numpy())
-            pool.run(observe_gradients, [(*piece, *pulls) for piece in gradients.pieces])
+            counts, radii = self.view_counts.numpy(), self.max_radii.numpy()
+            views = (gradients.projected.numpy(), gradients.radii.numpy(), counts, radii)
+            pool.run(observe_visible, [(*span, *views) for span in gradients.projected_spans])
+            rows = (gradients.index.numpy(), gradients.image.numpy(), *half, self.grad_sum.numpy())
+            pool.run(observe_gradients, [(*span, *rows) for span in gradients.spans])
             return
         index, radii = gradients.visible()
-        self.seen[index] += 1
+        self.view_counts[index] += 1
         self.max_radii[index] = torch.maximum(self.max_radii[index], radii.to(self.max_radii))
         index, _, image = gradients.rows()
         norm = (image[:, :2] * image.new_tensor(half)).norm(dim=1)
-        self.grad_sum.index_add_(0, index, torch.where(image[:, 4] > 0, norm, 0.0))
+        self.grad_sum.index_add_(0, index, torch.where(image[:, -1] > 0, norm, 0.0))
 
     def state_dict(self) -> dict[str, Tensor]:
-        """What was gathered since the last change, as `torch.save` takes it."""
-        return {"grad_sum": self.grad_sum.cpu(), "seen": self.seen.cpu(), "max_radii": self.max_radii.cpu()}
+        """What was accumulated since the last change, as `torch.save` takes it."""
+        return {name: getattr(self, name).cpu() for name in ("grad_sum", "view_counts", "max_radii")}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
-        """Take over what `state_dict` gave, once the rows are those of then."""
+        """Restore what `state_dict` returned, after the rows were restored."""
         self._clear()
         for name, tensor in saved.items():
             getattr(self, name).copy_(tensor)
 
     def is_active(self, iteration: int) -> bool:
-        """Whether views are still observed at this iteration."""
+        """Whether density control still observes views at an iteration."""
         return iteration < self.rules.stop
 
     @torch.no_grad()
     def update(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> DensityChange:
-        """Apply what is due at this iteration."""
+        """Clone, split, prune and reset opacities as due at an iteration; children's positions are random."""
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
             return change
         change.densified = rules.is_round(iteration, self.iterations)
         change.opacity_reset = rules.is_reset(iteration, self.iterations)
         if change.densified or change.opacity_reset:
-            optimizer.settle()
+            optimizer.flush()
         if change.densified:
             self._densify_and_prune(change, iteration, generator)
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
             self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
-            optimizer.forget("opacity_logits")
+            optimizer.reset_moments("opacity_logits")
         return change
 
     def _densify_and_prune(self, change: DensityChange, iteration: int, generator: torch.Generator) -> None:
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
-        grads = torch.nan_to_num(self.grad_sum / self.seen)
+        grads = torch.nan_to_num(self.grad_sum / self.view_counts)
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
         hot = grads >= rules.grad_threshold
@@ -165,7 +176,7 @@ class DensityControl:
         self._clear()
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
-        """Smaller Gaussians drawn from inside each parent's own distribution; rows (n, columns) in and out."""
+        """Children (split_into · n, columns) of parents (n, columns): smaller, at points drawn from their parent."""
         n = self.rules.split_into
         children = parents.repeat(n, 1)
         many = self.state.split(children)
@@ -176,11 +187,11 @@ class DensityControl:
         return children
 
 
-def _hottest(hot: Tensor, grads: Tensor, room: int) -> Tensor:
-    """At most `room` of the marked Gaussians, those with the largest gradients."""
-    if int(hot.sum()) <= room:
+def _hottest(hot: Tensor, grads: Tensor, quota: int) -> Tensor:
+    """At most `quota` of the marked Gaussians (N,), those with the largest gradients."""
+    if int(hot.sum()) <= quota:
         return hot
     chosen = torch.zeros_like(hot)
-    if room > 0:
-        chosen[torch.where(hot, grads, -1.0).argsort(descending=True, stable=True)[:room]] = True
+    if quota > 0:
+        chosen[torch.where(hot, grads, -1.0).argsort(descending=True, stable=True)[:quota]] = True
     return chosen

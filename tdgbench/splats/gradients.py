@@ -1,4 +1,4 @@
-"""Gradients of some of the Gaussians, and what a camera saw of all: what a backward pass leaves for a training step."""
+"""Gradients of some Gaussians of a view, and which ones it sees: what a backward pass leaves for a training step."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from torch import Tensor
 
 @dataclass
 class Gradients:
-    """Rows in pieces (first, count); the arrays may hold more, unused, between them."""
+    """Rows in spans (first, count) of arrays with more capacity; a Gaussian has at most one row."""
 
-    pieces: list[tuple[int, int]]
-    index: Tensor  # (room,) int32: the Gaussian of each row; a Gaussian occurs once
-    values: Tensor  # (room, columns): as in `tdgbench.splats.columns`, perhaps without the last ones, which are zero
-    image: Tensor  # (room, 5): d loss / d image mean per px, Σ over the pixels of its absolute parts, radius in px
-    seen_pieces: list[tuple[int, int]]
-    seen: Tensor  # (room,) int32: Gaussians that were projected
-    radii: Tensor  # (room,) int32 px: their radii; 0 is out of sight
-    pairs: int = 0  # (tile, Gaussian) pairs that the view listed; 0 where a backend does not tell
-    blended: int = 0  # of them, those looked at before their tile had ended
-    owner: object = field(default=None, repr=False)  # of memory that is used again once this is gone
+    spans: list[tuple[int, int]]
+    index: Tensor  # (capacity,) int32: the Gaussian of each row
+    values: (
+        Tensor  # (capacity, columns): as in `tdgbench.splats.columns`; trailing columns that are zero may be missing
+    )
+    image: Tensor  # (capacity, 3 or more): d loss / d image mean per px in the first two, radius in px in the last
+    projected_spans: list[tuple[int, int]]
+    projected: Tensor  # (capacity,) int32: Gaussians that were projected
+    radii: Tensor  # (capacity,) int32 px: their radii; 0 is not visible
+    pairs: int = 0  # (tile, Gaussian) pairs of the view; 0 where a backend does not count them
+    blended: int = 0  # pairs that the blend read before their tile ended
+    lease: object = field(default=None, repr=False)  # keeps the memory of the arrays from being reused
 
     @classmethod
     def dense(cls, values: Tensor, image: Tensor, radii: Tensor) -> Gradients:
-        """From a backend that gives gradients (N, columns) and (N, 2) to every Gaussian."""
+        """Gradients of every Gaussian: values (N, columns), image means (N, 2) per px; radii (N,) px."""
         everything = torch.arange(len(values), dtype=torch.int32, device=values.device)
         whole = [(0, len(values))]
-        image = torch.cat([image, torch.zeros_like(image), radii[:, None].to(image)], dim=1)
+        image = torch.cat([image, radii[:, None].to(image)], dim=1)
         return cls(whole, everything, values, image, whole, everything, radii)
 
     @classmethod
     def total(cls, parts: list[Gradients], count: int) -> Gradients:
-        """The sum of several views' gradients, for `count` Gaussians."""
+        """Sum of the gradients of several views, for `count` Gaussians."""
         if len(parts) == 1:
             return parts[0]
         like = parts[0].values
@@ -44,17 +46,17 @@ class Gradients:
             index, rows, on_image = part.rows()
             values[:, : rows.shape[1]].index_add_(0, index, rows)
             image.index_add_(0, index, on_image[:, :2])
-            seen, own = part.visible()
-            radii[seen] = torch.maximum(radii[seen], own)
+            visible, view_radii = part.visible()
+            radii[visible] = torch.maximum(radii[visible], view_radii)
         return cls.dense(values, image, radii)
 
     def rows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """index, values and image without the unused places."""
-        parts = [slice(first, first + count) for first, count in self.pieces]
+        """index (n,), values (n, columns) and image (n, 3 or more) of the rows in use."""
+        parts = [slice(first, first + count) for first, count in self.spans]
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 
     def visible(self) -> tuple[Tensor, Tensor]:
-        """Gaussians in sight and their radii."""
-        parts = [slice(first, first + count) for first, count in self.seen_pieces]
-        seen, radii = (torch.cat([t[part] for part in parts]) for t in (self.seen, self.radii))
-        return seen[radii > 0], radii[radii > 0]
+        """Visible Gaussians (n,) and their radii (n,) in px."""
+        parts = [slice(first, first + count) for first, count in self.projected_spans]
+        projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
+        return projected[radii > 0], radii[radii > 0]

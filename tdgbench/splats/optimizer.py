@@ -1,35 +1,44 @@
-"""Adam over Gaussians, with 3DGS's learning rates. A step costs what it touches, and is the same as a step for all."""
+"""Adam over Gaussians, with 3DGS's learning rates. The cost of a step depends on the rows that have a gradient."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import coast_candidates, settle_rows, touched_rows, write_drift
+from tdgbench.splats.cpu.adam import (
+    Decay,
+    Deferred,
+    Rows,
+    Update,
+    flush_rows,
+    step_rows,
+    sum_displacements,
+    update_rows,
+)
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.state import TrainingState
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
 RHO = BETA1 / math.sqrt(BETA2)
-SETTLE_EVERY = 128  # steps after which every row is brought up to date
-# |m| / √v is at most (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
+FLUSH_EVERY = 128  # steps
+# |m| / √v ≤ (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
 MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
-MAX_COAST = MAX_SPEED * RHO / (1 - RHO)  # rates that a row can move while it is not touched
+MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can move a row
 
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Learning rates; that of the means falls log-linearly and is in units of the scene extent."""
+    """Learning rates of the parameters. That of the means falls log-linearly and is in units of the scene extent."""
 
     position_initial: float
     position_final: float
-    position_steps: int
+    position_steps: int  # iterations
     sh_dc: float
     sh_rest: float
     opacity: float
@@ -37,35 +46,48 @@ class LearningRates:
     quaternion: float
 
     def position(self, iteration: int) -> float:
-        """Rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant."""
+        """Rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant.
+
+        >>> rates = LearningRates(1e-2, 1e-4, 50, sh_dc=0.0, sh_rest=0.0, opacity=0.0, log_scale=0.0, quaternion=0.0)
+        >>> [round(rates.position(iteration), 6) for iteration in (0, 25, 50, 500)]
+        [0.01, 0.001, 0.0001, 0.0001]
+        """
         t = min(max(iteration / self.position_steps, 0.0), 1.0)
         return math.exp(math.log(self.position_initial) * (1 - t) + math.log(self.position_final) * t)
+
+
+class Tolerance(NamedTuple):
+    """How far deferred steps can move a Gaussian from the bounds that culling tests."""
+
+    mean: float  # world units
+    log_scale: float
 
 
 class Adam:
     """torch.optim.Adam's update for one set of Gaussians.
 
-    On the CPU in float32 rows without gradient are left where they are until someone looks at them (see
-    `tdgbench.splats.cpu.adam`): `settle` before reading `state.values`. Elsewhere every row moves at every step.
+    On the CPU in float32 the steps of rows without gradient are deferred (see `tdgbench.splats.cpu.adam`): call `flush`
+    before reading `state.values`. Elsewhere every step moves every row.
     """
 
     def __init__(self, state: TrainingState, rates: LearningRates, extent: float) -> None:
+        """extent: of the scene, world units."""
         self.state, self.rates, self.extent = state, rates, extent
         self.steps = dict.fromkeys(Gaussians.names(), 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
-        self._settled = 0
+        self._flushed = 0  # step of the last flush
         self._used = 0  # columns that ever had a gradient
         width = state.values.shape[1]
-        self._coefficients = torch.zeros(SETTLE_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
-        self._drift = torch.zeros((SETTLE_EVERY + 1) * width).numpy()
-        exponents = np.arange(SETTLE_EVERY + 2, dtype=np.float64)
-        self._powers = tuple((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2))
+        self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
+        self._displacements = torch.zeros((FLUSH_EVERY + 1) * width).numpy()
+        exponents = np.arange(FLUSH_EVERY + 2, dtype=np.float64)
+        self._decay = Decay(*((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2)))
         self._rho_powers = (RHO**exponents).astype(np.float32)
 
     def step(self, gradients: Gradients, iteration: int, without: str | None = None) -> str | None:
-        """Take one step at an iteration (1-based); the parameter named `without` rests, as torch's without gradient.
+        """Take one step at an iteration (1-based); the parameter `without` has no gradient, in torch's sense.
 
-        Returns the name of a parameter whose gradient is not finite, None if all are.
+        Returns the name of a parameter whose gradient is not finite, or None.
         """
         state = self.state
         if without is not None:
@@ -77,53 +99,50 @@ class Adam:
         if not self.is_sparse:
             self._step_all(gradients.values, rates / bias1, np.sqrt(bias2))
             finite = bool(torch.isfinite(gradients.values.sum()))
-            return None if finite else self._name_of_bad(gradients.values)
+            return None if finite else self._not_finite(gradients.values)
         self._used = max(self._used, gradients.values.shape[1])
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
-        self._coefficients[state.now % SETTLE_EVERY] = rates * np.sqrt(bias2) / bias1
-        constants = (*self._coasting(), *self._powers, step_sizes.numpy(), per_bias2.numpy())
-        small = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
-        arrays = (gradients.index.numpy(), gradients.values.numpy(), *self._arrays())
-        fine = pool.run(touched_rows, [(*p, *arrays, state.now, *constants, *small) for p in _cut(gradients.pieces)])
-        behind = state.now - self._settled
-        rho = np.float32(RHO)
-        write_drift(behind, state.now, len(rates), self._coefficients, rho, self._drift)
-        if behind >= SETTLE_EVERY - 1:
-            self.settle()
-        return None if all(fine) else self._name_of_bad(gradients.rows()[1])
+        self._coefficients[state.now % FLUSH_EVERY] = rates * np.sqrt(bias2) / bias1
+        update = Update(step_sizes.numpy(), per_bias2.numpy(), *(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS)))
+        index, values = gradients.index.numpy(), gradients.values.numpy()
+        common = (index, values, self._rows(values.shape[1]), self._deferred(state.now - 1), self._decay, update)
+        finite_spans = pool.run(step_rows, [(*span, *common) for span in _split(gradients.spans)])
+        deferred = state.now - self._flushed
+        sum_displacements(deferred, state.now, self._coefficients, np.float32(RHO), self._displacements)
+        if deferred >= FLUSH_EVERY - 1:
+            self.flush()
+        return None if all(finite_spans) else self._not_finite(gradients.rows()[1])
 
-    def _name_of_bad(self, rows: torch.Tensor) -> str | None:
-        """The first parameter with a gradient that is not finite."""
+    def _not_finite(self, rows: torch.Tensor) -> str | None:
+        """Name of the first parameter with a gradient that is not finite; rows (n, columns)."""
         bad = (~torch.isfinite(rows)).any(dim=0)
         return next((name for name in self.steps if bool(bad[self.state.column_of(name)].any())), None)
 
-    def catch_up(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
-        """Bring the parameters of candidates[first : first + count] up to date, for every span."""
-        if self.state.now == self._settled:
+    def update_rows(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
+        """Apply the deferred steps of the rows candidates[first : first + count] of every span; candidates int32."""
+        if self.state.now == self._flushed:
             return
-        stride, values, first, second, _, clocks = self._arrays()
-        arrays = (candidates, self._used, stride, values, first, second, clocks)
-        pool.run(coast_candidates, [(*s, *arrays, self.state.now, *self._coasting()) for s in _cut(spans)])
+        common = (candidates, self._rows(self._used), self._deferred(self.state.now))
+        pool.run(update_rows, [(*span, *common) for span in _split(spans)])
 
-    def settle(self) -> None:
-        """Bring every row up to date."""
+    def flush(self) -> None:
+        """Apply the deferred steps of every row."""
         state = self.state
-        if state.now == self._settled:
+        if state.now == self._flushed:
             return
         if self.is_sparse:
-            arrays = (self._used, *self._arrays(), state.now, *self._coasting(), *self._powers)
-            pieces = pool.chunks(len(state), pool.get_threads())
-            pool.run(settle_rows, [(*piece, *arrays) for piece in pieces])
-        self._settled = state.now
+            common = (self._rows(self._used), self._deferred(state.now), self._decay)
+            pool.run(flush_rows, [(*part, *common) for part in pool.chunks(len(state), pool.get_threads())])
+        self._flushed = state.now
 
-    def slack(self, iteration: int) -> tuple[float, float]:
-        """How far a row can be from its bounds: of the mean in world units, of the logarithm of a deviation."""
-        fastest = self.rates.position(max(iteration - SETTLE_EVERY, 0)) * self.extent
-        return MAX_COAST * fastest, MAX_COAST * self.rates.log_scale
+    def tolerance(self, iteration: int) -> Tolerance:
+        """How far rows can be from their bounds at an iteration."""
+        fastest = self.rates.position(max(iteration - FLUSH_EVERY, 0)) * self.extent
+        return Tolerance(MAX_DEFERRED * fastest, MAX_DEFERRED * self.rates.log_scale)
 
-    def forget(self, name: str) -> None:
-        """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); all rows must be current."""
+    def reset_moments(self, name: str) -> None:
+        """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); `flush` first."""
         columns = self.state.column_of(name)
         self.state.first[:, columns] = 0
         self.state.second[:, columns] = 0
@@ -132,32 +151,32 @@ class Adam:
         """What a step depends on beside the rows, as `torch.save` takes it."""
         return {
             "steps": dict(self.steps),
-            "settled": self._settled,
+            "flushed": self._flushed,
             "used": self._used,
             "coefficients": torch.from_numpy(self._coefficients),
-            "drift": torch.from_numpy(self._drift),
+            "displacements": torch.from_numpy(self._displacements),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """Restore what `state_dict` returned."""
         self.steps = dict(saved["steps"])
-        self._settled, self._used = saved["settled"], saved["used"]
+        self._flushed, self._used = saved["flushed"], saved["used"]
         self._coefficients[:] = saved["coefficients"].numpy()
-        self._drift[:] = saved["drift"].numpy()
+        self._displacements[:] = saved["displacements"].numpy()
 
-    def _arrays(self):
-        """stride, then flat parameters and moments, bounds and clocks, as the kernels take them."""
+    def _rows(self, columns: int) -> Rows:
+        """The state's memory, as the kernels take it."""
         state = self.state
         flat = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
-        return (state.values.shape[1], *flat, state.bounds.numpy(), state.clocks.numpy())
+        return Rows(*flat, state.bounds.numpy(), state.clocks.numpy(), state.values.shape[1], columns)
 
-    def _coasting(self) -> tuple[np.ndarray, np.ndarray, np.float32]:
-        """How rows move while they are not touched: drift, powers of ρ, and eps beside a √v without bias correction."""
-        still = np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
-        return self._drift, self._rho_powers, still
+    def _deferred(self, last: int) -> Deferred:
+        """Constants of the deferred steps up to step `last`."""
+        eps = np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
+        return Deferred(last, self._displacements, self._rho_powers, eps)
 
     def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Learning rate, 1 − β1^t and 1 − β2^t of each column."""
+        """Learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
         width = self.state.values.shape[1]
         rates, steps = np.zeros(width), np.ones(width)
         by_name = {
@@ -176,6 +195,7 @@ class Adam:
 
     @torch.no_grad()
     def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:
+        """Step every row by its gradient (N, columns)."""
         values, first, second = self.state.values, self.state.first, self.state.second
         sizes, bias = (torch.as_tensor(a, dtype=values.dtype, device=values.device) for a in (step_sizes, bias2_sqrt))
         first.lerp_(grad, 1 - BETA1)
@@ -183,8 +203,8 @@ class Adam:
         values.sub_(sizes * first / (second.sqrt() / bias + EPS))
 
 
-def _cut(pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """As many pieces (first, count) as there are threads, if there is only one."""
-    if len(pieces) > 1:
-        return pieces
-    return [(pieces[0][0] + a, b - a) for a, b in pool.chunks(pieces[0][1], pool.get_threads())]
+def _split(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Spans (first, count) for the threads: a single one is split into one per thread."""
+    if len(spans) > 1:
+        return spans
+    return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

@@ -19,7 +19,7 @@ from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_b
 from tdgbench.splats.state import TrainingState
 
 Collect = Callable[[Gradients], None]
-EVERYWHERE = 1e30  # a slack that nothing is out of sight with
+EVERYWHERE = 1e30
 
 
 def render_state(
@@ -47,7 +47,7 @@ def render_state(
     if choose_backend(backend, like.device, like.dtype) == "cpu":
         return _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
                               skip_unseen)  # fmt: skip
-    optimizer.settle()
+    optimizer.flush()
     rows = like.detach()
     if torch.is_grad_enabled():
         rows = rows.requires_grad_()
@@ -74,9 +74,9 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
     columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
     layout = np.array([n for column in columns for n in (stride, column)], np.int64)
     bounds = state.bounds.numpy().reshape(-1)
-    slack, growth = optimizer.slack(iteration) if skip_unseen else (EVERYWHERE, 0.0)
+    slack, growth = optimizer.tolerance(iteration) if skip_unseen else (EVERYWHERE, 0.0)
     source = Source(
-        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.catch_up
+        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.update_rows
     )
     settings = Settings(
         camera=pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),

@@ -74,7 +74,7 @@ def train(
         step = method.step(iteration)
         loss = _finite_loss(step, models, iteration)
         on_plateau = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
-        ends = iteration == iterations or (on_plateau and all(m.is_settled(iteration) for m in models.values()))
+        ends = iteration == iterations or (on_plateau and all(m.has_recovered(iteration) for m in models.values()))
         if on_model is not None:
             log.iterations, log.seconds = iteration, clock.seconds()
             on_model(log)

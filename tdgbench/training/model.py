@@ -38,7 +38,7 @@ class Work:
 
     def add(self, gradients: Gradients, count: int) -> None:
         self.rows += count
-        self.touched += sum(n for _, n in gradients.pieces)
+        self.touched += sum(n for _, n in gradients.spans)
         self.pairs += gradients.pairs
         self.blended += gradients.blended
 
@@ -105,13 +105,13 @@ class SplatModel:
     @property
     def gaussians(self) -> Gaussians:
         """The Gaussians as they are now; they share memory with the model."""
-        self.optimizer.settle()
+        self.optimizer.flush()
         return self.state.split(self.state.values)
 
     def copy(self) -> Gaussians:
         """A copy of the Gaussians as they are now. Unlike `gaussians`, it leaves the model as it is to the last bit."""
         state, optimizer = copy.deepcopy((self.state, self.optimizer))
-        optimizer.settle()
+        optimizer.flush()
         return state.split(state.values)
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
@@ -168,9 +168,9 @@ class SplatModel:
         """Drop the gradients that were gathered since the last step."""
         self._gradients = []
 
-    def is_settled(self, iteration: int) -> bool:
+    def has_recovered(self, iteration: int) -> bool:
         """Whether the model is worth saving at an iteration: it has recovered from its last density control."""
-        return self.budget.density.is_settled(iteration, self.budget.iterations)
+        return self.budget.density.has_recovered(iteration, self.budget.iterations)
 
     def finish(self, iteration: int) -> str | None:
         """After the backward pass: density control, then Adam, which rests where parameters were just replaced.
@@ -184,6 +184,6 @@ class SplatModel:
             gradients = Gradients.total(parts, len(self.state))
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None)
             if not self.skips.unseen.allowed:
-                self.optimizer.settle()
+                self.optimizer.flush()
             return bad
         return None

@@ -44,4 +44,4 @@ def _take_steps(channels: set[int], budget: Budget, backend: str) -> None:
                 loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
             loss.backward()
             model.finish(iteration)
-        model.optimizer.settle()
+        model.optimizer.flush()

@@ -49,7 +49,7 @@ class _Pulled(torch.autograd.Function):
 def pulled_render(state, optimizer, *_, iteration, collect, **__):
     """Stands in for `render_state`: rows that are seen are brought up to date, looked at and pulled."""
     seen = seen_at(state.values[:, :COLUMNS], iteration).nonzero().squeeze(1).int()
-    optimizer.catch_up([(0, len(seen))], seen.numpy())
+    optimizer.update_rows([(0, len(seen))], seen.numpy())
     given = pull(state.values[seen, :COLUMNS], iteration)
     rows = torch.zeros(len(seen), state.values.shape[1])
     rows[:, :COLUMNS] = given.rows
@@ -112,7 +112,7 @@ def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 
 def rows_of(model: SplatModel) -> np.ndarray:
-    model.optimizer.settle()
+    model.optimizer.flush()
     return model.state.values[:, :COLUMNS].numpy().copy()
 
 

@@ -51,7 +51,7 @@ def update(density, iteration):
     state = density.state
     optimizer = Adam(state, RATES, EXTENT)
     change = density.update(optimizer, iteration, torch.Generator().manual_seed(0))
-    assert len(state) == len(density.seen)
+    assert len(state) == len(density.view_counts)
     return state.split(state.values), change
 
 

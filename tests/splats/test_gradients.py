@@ -3,7 +3,7 @@ import torch
 from tdgbench.splats.gradients import Gradients
 
 
-def test_dense_gradients_name_everyone():
+def test_dense_gradients_have_every_gaussian():
     values, image = torch.rand(3, 16), torch.rand(3, 2)
     dense = Gradients.dense(values, image, torch.tensor([4, 0, 2], dtype=torch.int32))
     index, rows, on_image = dense.rows()
@@ -11,13 +11,13 @@ def test_dense_gradients_name_everyone():
     assert [t.tolist() for t in dense.visible()] == [[0, 2], [4, 2]]
 
 
-def sparse(index, seen, radii, columns: int, factor: float) -> Gradients:
-    """Rows with an unused place before each piece."""
-    room = torch.tensor([99, *index], dtype=torch.int32)
-    values = factor * torch.ones(len(room), columns)
+def sparse(index, visible, radii, columns: int, factor: float) -> Gradients:
+    """Rows with an unused one before the span."""
+    padded = torch.tensor([99, *index], dtype=torch.int32)
+    values = factor * torch.ones(len(padded), columns)
     return Gradients(
-        [(1, len(index))], room, values, factor * torch.ones(len(room), 5), [(0, len(seen))],
-        torch.tensor(seen, dtype=torch.int32), torch.tensor(radii, dtype=torch.int32),
+        [(1, len(index))], padded, values, factor * torch.ones(len(padded), 3), [(0, len(visible))],
+        torch.tensor(visible, dtype=torch.int32), torch.tensor(radii, dtype=torch.int32),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import torch
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients
-from tdgbench.splats.optimizer import BETA1, BETA2, EPS, MAX_COAST, MAX_SPEED, SETTLE_EVERY, Adam, LearningRates
+from tdgbench.splats.optimizer import BETA1, BETA2, EPS, FLUSH_EVERY, MAX_DEFERRED, MAX_SPEED, Adam, LearningRates
 from tdgbench.splats.state import TrainingState
 from tests.splats.test_ply import model
 
@@ -19,15 +19,15 @@ EXTENT = 2.0
 
 
 def step_gradients(state: TrainingState, step: int, share: float) -> Gradients:
-    """Random gradients for a random share of the Gaussians, in two pieces with a gap."""
+    """Random gradients for a random share of the Gaussians, in two spans with a gap."""
     g = torch.Generator().manual_seed(step)
     index = (torch.rand(len(state), generator=g) < share).nonzero().squeeze(1).to(torch.int32)
     values = torch.zeros(len(index) + 3, state.values.shape[1], dtype=state.values.dtype)
     values[:, : state.columns] = torch.randn(len(values), state.columns, generator=g) * 10.0 ** (step % 7 - 4)
     half = len(index) // 2
-    pieces = [(0, half), (half + 3, len(index) - half)]
-    room = torch.cat([index[:half], torch.zeros(3, dtype=torch.int32), index[half:]])
-    return Gradients(pieces, room, values, torch.zeros(len(room), 5), [], room[:0], room[:0])
+    spans = [(0, half), (half + 3, len(index) - half)]
+    padded = torch.cat([index[:half], torch.zeros(3, dtype=torch.int32), index[half:]])
+    return Gradients(spans, padded, values, torch.zeros(len(padded), 3), [], padded[:0], padded[:0])
 
 
 def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
@@ -38,7 +38,7 @@ def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_is_torch_adam(share, channels):
-    """Rows without gradient included: torch moves them by their momentum, step after step."""
+    """Rows without gradient included: torch moves them by their momentum at each step."""
     state = TrainingState(model(channels, 2, count=133))
     start = state.split(state.values.clone())
     optimizer = Adam(state, RATES, EXTENT)
@@ -47,7 +47,7 @@ def test_is_torch_adam(share, channels):
     groups = torch_groups(state, theirs)
     groups += [{"params": [dc], "lr": RATES.sh_dc}, {"params": [rest], "lr": RATES.sh_rest}]
     peer = torch.optim.Adam(groups, betas=(BETA1, BETA2), eps=EPS)
-    for step in range(1, 2 * SETTLE_EVERY + 40):
+    for step in range(1, 2 * FLUSH_EVERY + 40):
         gradients = step_gradients(state, step, share)
         index, rows, _ = gradients.rows()
         dense = torch.zeros(len(state), state.values.shape[1], dtype=torch.float64)
@@ -60,7 +60,7 @@ def test_is_torch_adam(share, channels):
         peer.param_groups[0]["lr"] = RATES.position(step) * EXTENT
         optimizer.step(gradients, step)
         peer.step()
-    optimizer.settle()
+    optimizer.flush()
     ours = state.split(state.values)
     moved = {"sh": torch.cat([dc, rest], dim=1)}
     for name, tensor in ours.items():
@@ -85,47 +85,47 @@ def test_gradients_too_small_to_be_squared_move_nothing_far():
             dense[:, column] = sizes[:, None]
         else:
             index, dense = index[:0], dense[:0]
-        pieces = [(0, len(index))]
-        optimizer.step(Gradients(pieces, index, dense.clone(), torch.zeros(60, 5), [], index, index), step)
+        spans = [(0, len(index))]
+        optimizer.step(Gradients(spans, index, dense.clone(), torch.zeros(60, 3), [], index, index), step)
         theirs.grad = torch.zeros_like(theirs)
         theirs.grad[: len(dense)] = dense.double()
         peer.step()
-    optimizer.settle()
+    optimizer.flush()
     moved, wanted = ((p[:, column] - start[:, column]).double().squeeze(1) for p in (state.values, theirs.detach()))
     assert torch.allclose(moved[sizes > 1e-11], wanted[sizes > 1e-11], rtol=1e-3)
     assert moved[sizes < 1e-18].abs().max() < 0.05 * RATES.opacity
     assert (moved - wanted).abs().max() < 0.2 * wanted.abs().max()  # where eps weighs as much as √v
 
 
-def test_a_look_brings_only_candidates_up_to_date():
+def test_only_candidates_are_updated():
     state = TrainingState(model(1, 0, count=40))
     optimizer = Adam(state, RATES, EXTENT)
     for step in range(1, 8):
         optimizer.step(step_gradients(state, step, 1.0 if step == 1 else 0.0), step)
     stale = state.values.clone()
     candidates = np.arange(0, 40, 2, dtype=np.int32)
-    optimizer.catch_up([(0, 20)], candidates)
-    looked_at = state.values.clone()
-    optimizer.settle()
-    assert torch.equal(looked_at[1::2], stale[1::2]) and not torch.equal(stale[1::2], state.values[1::2])
-    assert torch.equal(looked_at[::2], state.values[::2])  # a second look adds nothing
+    optimizer.update_rows([(0, 20)], candidates)
+    updated = state.values.clone()
+    optimizer.flush()
+    assert torch.equal(updated[1::2], stale[1::2]) and not torch.equal(stale[1::2], state.values[1::2])
+    assert torch.equal(updated[::2], state.values[::2])  # a second update adds nothing
     assert (state.clocks == 7).all()
 
 
-def test_nothing_coasts_farther_than_the_slack():
+def test_deferred_steps_stay_within_the_tolerance():
     state = TrainingState(model(1, 0, count=60))
     optimizer = Adam(state, RATES, EXTENT)
     for step in range(1, 20):
         gradients = step_gradients(state, step, 1.0)
         gradients.values.abs_()  # all in one direction: as fast as it gets
         optimizer.step(gradients, step)
-    slack, growth = optimizer.slack(20)
+    tolerance = optimizer.tolerance(20)
     before, bounds = state.values.clone(), state.bounds.clone()
-    for step in range(20, 20 + SETTLE_EVERY // 2):
+    for step in range(20, 20 + FLUSH_EVERY // 2):
         optimizer.step(step_gradients(state, step, 0.0), step)
-    optimizer.catch_up([(0, 60)], np.arange(60, dtype=np.int32))
+    optimizer.update_rows([(0, 60)], np.arange(60, dtype=np.int32))
     moved = (state.values - before).abs()
-    assert 0 < moved[:, :3].max() < slack and 0 < moved[:, 3:6].max() < growth
+    assert 0 < moved[:, :3].max() < tolerance.mean and 0 < moved[:, 3:6].max() < tolerance.log_scale
     assert torch.equal(state.bounds, bounds)
 
 
@@ -136,7 +136,7 @@ def test_no_step_is_longer_than_the_bound():
         g = (BETA2 / BETA1) ** step * 1e-9
         m, v = BETA1 * m + (1 - BETA1) * g, BETA2 * v + (1 - BETA2) * g * g
     assert 0.99 * MAX_SPEED < abs(m) / math.sqrt(v) <= MAX_SPEED * (1 + 1e-9)
-    assert pytest.approx(MAX_SPEED * sum((BETA1 / math.sqrt(BETA2)) ** j for j in range(1, 2000))) == MAX_COAST
+    assert pytest.approx(MAX_SPEED * sum((BETA1 / math.sqrt(BETA2)) ** j for j in range(1, 2000))) == MAX_DEFERRED
 
 
 def test_same_bytes_on_any_number_of_threads():
@@ -148,14 +148,14 @@ def test_same_bytes_on_any_number_of_threads():
             optimizer = Adam(state, RATES, EXTENT)
             for step in range(1, 30):
                 optimizer.step(step_gradients(state, step, 0.4), step)
-            optimizer.settle()
+            optimizer.flush()
             results.append(state.values.numpy().tobytes())
     finally:
         pool.set_threads(None)
     assert len(set(results)) == 1
 
 
-def test_float64_moves_everyone_at_once():
+def test_float64_defers_no_step():
     given = model(1, 1, count=30)
     fast, exact = TrainingState(given), TrainingState(given.map(torch.Tensor.double))
     optimizers = Adam(fast, RATES, EXTENT), Adam(exact, RATES, EXTENT)
@@ -168,7 +168,7 @@ def test_float64_moves_everyone_at_once():
         radii = torch.zeros(30, dtype=torch.int32)
         optimizers[1].step(Gradients.dense(dense, torch.zeros(30, 2), radii), step)
     for optimizer in optimizers:
-        optimizer.settle()
+        optimizer.flush()
     assert (fast.values.double() - exact.values).abs().max() < 1e-4
 
 
@@ -178,11 +178,11 @@ def test_position_rate_is_log_linear():
     assert RATES.position(50) == pytest.approx(1e-4) == RATES.position(500)
 
 
-def test_a_parameter_that_rests():
+def test_a_step_without_one_parameter():
     state = TrainingState(model(1, 0, count=9))
     optimizer = Adam(state, RATES, EXTENT)
     optimizer.step(step_gradients(state, 1, 1.0), 1)
-    optimizer.forget("opacity_logits")
+    optimizer.reset_moments("opacity_logits")
     column = state.column_of("opacity_logits")
     before, others = state.values[:, column].clone(), state.values[:, :3].clone()
     optimizer.step(step_gradients(state, 2, 1.0), 2, without="opacity_logits")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.splats.state import ORDER_AGAIN, TrainingState
+from tdgbench.splats.state import REORDER_AT, TrainingState
 from tests.splats.test_ply import model
 
 
@@ -69,7 +69,7 @@ def test_neighbours_stand_beside_each_other():
     steps, random_steps = ((p[1:] - p[:-1]).norm(dim=1).mean() for p in (held, points))
     assert steps < 0.15 * random_steps
     state.first[:, 0] = held[:, 0]
-    state.exchange(torch.tensor([], dtype=torch.int64), state.rows_of(model(1, 0, count=int(4096 * ORDER_AGAIN))) + 0.5)
+    state.exchange(torch.tensor([], dtype=torch.int64), state.rows_of(model(1, 0, count=int(4096 * REORDER_AT))) + 0.5)
     assert torch.equal(state.first[state.first[:, 0] != 0][:, 0], state.values[state.first[:, 0] != 0][:, 0])
 
 

@@ -77,7 +77,7 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
         assert log.ended and log.lines[-1].iteration == log.iterations
     assert ends[0] == 32 + 2 * views
     rules = instantiate(config("budget=demo", *OFTEN).budget.density)
-    assert ends[3] == next(i for i in range(ends[0], 1000) if rules.is_settled(i, 1000))
+    assert ends[3] == next(i for i in range(ends[0], 1000) if rules.has_recovered(i, 1000))
 
 
 def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
@@ -112,7 +112,7 @@ LENGTHS = st.builds(
 def test_no_length_is_a_bad_one(budget, length):
     """Around multiples of 100, 500 and 3 000: the model that is scored has recovered from the last density control."""
     rules = _rules(budget)
-    assert rules.is_settled(length, length)
+    assert rules.has_recovered(length, length)
     rounds = [i for i in range(1, length + 1) if rules.is_round(i, length)]
     resets = [i for i in range(1, length + 1) if rules.is_reset(i, length)]
     assert all(length - i >= 100 for i in rounds) and all(length - i >= 500 for i in resets)

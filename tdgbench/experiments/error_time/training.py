@@ -64,7 +64,9 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     scorer: Scorer = instantiate(cfg.metrics)
     even = np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)
     rules = budget.density
-    moments = {next(i for i in range(m, budget.iterations + 1) if rules.is_settled(i, budget.iterations)) for m in even}
+    moments = {
+        next(i for i in range(m, budget.iterations + 1) if rules.has_recovered(i, budget.iterations)) for m in even
+    }
     rows: list[dict[str, Any]] = []
 
     def look(log: TrainingLog) -> None:

@@ -1,12 +1,15 @@
-"""Adam (Kingma & Ba 2015) on rows that a step touched, exact for those it did not touch.
+"""Adam (Kingma & Ba 2015) on the rows that have a gradient; the steps of all other rows are deferred.
 
-An untouched row goes on moving: its moments fade, m ← β1 m and v ← β2 v, and it coasts by  c_s ρ^j m / √v  at the j-th
-such step s, with ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). Those steps are summed when the row is next
-looked at. What differs from torch.optim.Adam is rounding, and while coasting eps = 1e-15 beside a √v of that size: then
-it is `still` = eps √(1 − β2^now). It cannot be left out: where g² is too small for float32, v is 0 and m is not.
+A row without gradient keeps moving: its moments decay, m ← β1 m and v ← β2 v, and step s moves it by c_s ρ^j m / √v,
+where j counts the steps since its last gradient, ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). These steps
+are summed and applied when the row is next read. The result differs from torch.optim.Adam by rounding and by eps, which
+enters all deferred steps as the eps √(1 − β2^t) of the step t that applies them. It cannot be dropped: where g²
+underflows in float32, v is 0 and m is not.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,128 +20,153 @@ from tdgbench.splats.cpu.simd.reductions import any_positive
 from tdgbench.splats.cpu.simd.registers import LANES, divide, is_finite, maximum, select, splat, square_root
 
 F, U = np.float32, np.uint64
-AHEAD = 6  # rows for which memory is asked before they are worked on
+PREFETCH_DISTANCE = 6  # rows
+
+
+class Rows(NamedTuple):
+    """Parameters and moments of N Gaussians, `stride` floats a row, of which the first `columns` are in use."""
+
+    parameters: np.ndarray  # float32 (N · stride,)
+    first: np.ndarray  # float32 (N · stride,): m
+    second: np.ndarray  # float32 (N · stride,): v
+    bounds: np.ndarray  # float32 (N, 4): mean (world units) and largest log scale, for culling
+    clocks: np.ndarray  # int32 (N, 2): the steps up to which moments and parameters are current
+    stride: int
+    columns: int
+
+
+class Deferred(NamedTuple):
+    """Constants of deferred steps: the k steps up to `now` move a row by displacements[k] · ρ^j · m / (√v + eps)."""
+
+    now: int  # the last step, counted from 1
+    displacements: np.ndarray  # float32 ((steps + 1) · stride,), see `sum_displacements`
+    rho_powers: np.ndarray  # float32 (steps,): ρ^j
+    eps: np.float32  # eps √(1 − β2^t)
+
+
+class Decay(NamedTuple):
+    """Powers of β1 and β2: float32 (steps,) each."""
+
+    first: np.ndarray
+    second: np.ndarray
+
+
+class Update(NamedTuple):
+    """Constants of one step."""
+
+    step_sizes: np.ndarray  # float32 (stride,): rate / (1 − β1^t) of each column
+    per_bias2: np.ndarray  # float32 (stride,): 1 / √(1 − β2^t) of each column
+    rest1: np.float32  # 1 − β1
+    rest2: np.float32  # 1 − β2
+    eps: np.float32
 
 
 @kernel(inline=True)
-def note_bounds(bounds, i, row, parameters):
-    """What culling looks at: the mean and the largest logarithm of a deviation."""
+def write_bounds(rows, i, row):
+    """Store the mean and the largest log scale of Gaussian i, which starts at `row`, for culling."""
     for j in range(U(3)):
-        bounds[i, j] = parameters[row + j]
+        rows.bounds[i, j] = rows.parameters[row + j]
     s = row + U(SCALES_AT)
-    bounds[i, U(3)] = max(parameters[s], max(parameters[s + U(1)], parameters[s + U(2)]))
+    rows.bounds[i, U(3)] = max(rows.parameters[s], max(rows.parameters[s + U(1)], rows.parameters[s + U(2)]))
 
 
 @kernel(inline=True)
-def prefetch_row_of_each(i, columns, stride, parameters, first_moments, second_moments):
-    """Ask for the row of Gaussian i in all three arrays, cache line by cache line."""
-    prefetch_columns(parameters, i, stride, 0, columns)
-    prefetch_columns(first_moments, i, stride, 0, columns)
-    prefetch_columns(second_moments, i, stride, 0, columns)
+def prefetch_row(rows, i):
+    """Prefetch the parameters and moments of Gaussian i."""
+    prefetch_columns(rows.parameters, i, rows.stride, 0, rows.columns)
+    prefetch_columns(rows.first, i, rows.stride, 0, rows.columns)
+    prefetch_columns(rows.second, i, rows.stride, 0, rows.columns)
 
 
 @kernel(inline=True)
-def coast(row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers, still):
-    """Move one row to where it is at `now`; its moments stay as they are."""
-    behind = now - clocks[i, U(1)]
-    faded = clocks[i, U(1)] - clocks[i, U(0)]
-    if behind > 0:
-        share = rho_powers[U(faded)]
-        for j in range(0, columns, LANES):
+def apply_deferred(rows, i, row, deferred):
+    """Apply the deferred steps of Gaussian i, which starts at `row`; its moments stay as they are."""
+    steps = deferred.now - rows.clocks[i, U(1)]
+    decayed = rows.clocks[i, U(1)] - rows.clocks[i, U(0)]
+    if steps > 0:
+        decay = deferred.rho_powers[U(decayed)]
+        for j in range(0, rows.columns, LANES):
             o = row + U(j)
-            speed = divide(load(first_moments, o), square_root(load(second_moments, o)) + still)
-            store(parameters, o, load(parameters, o) - speed * (load(drift, behind * stride + j) * share))
-    clocks[i, U(1)] = now
+            speed = divide(load(rows.first, o), square_root(load(rows.second, o)) + deferred.eps)
+            displacement = load(deferred.displacements, steps * rows.stride + j) * decay
+            store(rows.parameters, o, load(rows.parameters, o) - speed * displacement)
+    rows.clocks[i, U(1)] = deferred.now
 
 
 @kernel()
-def touched_rows(first, count, index, gradients, stride, parameters, first_moments, second_moments, bounds, clocks,
-                 now, drift, rho_powers, still, powers1, powers2, step_sizes, per_bias2, rest1, rest2,
-                 eps):  # fmt: skip
-    """One step, the `now`-th, for the rows named by index[first : first + count]; drift is that of the step before.
+def step_rows(first, count, index, gradients, rows, deferred, decay, update):
+    """Take one step with the rows index[first : first + count]; `deferred` ends with the step before.
 
-    gradients (rows, g) with g ≤ stride, columns beyond being zero; parameters and moments flat, `stride` floats a row;
-    powers[k] = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when
-    the moments and the parameters of a row were last brought up to date. Returns whether all gradients are finite.
+    index: int32 (capacity,). gradients: float32 (capacity, rows.columns), d loss / d parameter; the columns beyond are
+    zero. Returns whether all gradients are finite.
     """
     zero, one = splat(F(0)), splat(F(1))
     bad = zero
-    columns = gradients.shape[1]
+    now = deferred.now + 1
     flat = gradients.reshape(-1)
     last = U(first + count - 1)
     for r in range(U(first), U(first + count)):
-        ahead = np.int64(index[min(r + U(AHEAD), last)])
-        prefetch_row_of_each(ahead, columns, stride, parameters, first_moments, second_moments)
+        prefetch_row(rows, np.int64(index[min(r + U(PREFETCH_DISTANCE), last)]))
         i = U(index[r])
-        behind = U(now - clocks[i, U(0)])
-        fade1, fade2 = powers1[behind], powers2[behind]
-        row, source = i * U(stride), r * U(columns)
-        if clocks[i, U(1)] < now - 1:
-            coast(
-                row, i, columns, stride, parameters, first_moments, second_moments, clocks, now - 1, drift, rho_powers,
-                still,
-            )  # fmt: skip
-        for j in range(0, columns, LANES):
+        steps = U(now - rows.clocks[i, U(0)])
+        decay1, decay2 = decay.first[steps], decay.second[steps]
+        row, source = i * U(rows.stride), r * U(rows.columns)
+        if rows.clocks[i, U(1)] < deferred.now:
+            apply_deferred(rows, i, row, deferred)
+        for j in range(0, rows.columns, LANES):
             g = load(flat, source + U(j))
             bad = maximum(bad, select(is_finite(g), zero, one))
             o = row + U(j)
-            m = load(first_moments, o) * fade1 + g * rest1
-            v = load(second_moments, o) * fade2 + g * g * rest2
-            store(first_moments, o, m)
-            store(second_moments, o, v)
-            move = divide(m, square_root(v) * load(per_bias2, j) + eps) * load(step_sizes, j)
-            store(parameters, o, load(parameters, o) - move)
-        clocks[i, U(0)] = now
-        clocks[i, U(1)] = now
-        note_bounds(bounds, i, row, parameters)
+            m = load(rows.first, o) * decay1 + g * update.rest1
+            v = load(rows.second, o) * decay2 + g * g * update.rest2
+            store(rows.first, o, m)
+            store(rows.second, o, v)
+            move = divide(m, square_root(v) * load(update.per_bias2, j) + update.eps) * load(update.step_sizes, j)
+            store(rows.parameters, o, load(rows.parameters, o) - move)
+        rows.clocks[i, U(0)] = now
+        rows.clocks[i, U(1)] = now
+        write_bounds(rows, i, row)
     return not any_positive(bad)
 
 
 @kernel()
-def coast_candidates(first, count, candidates, columns, stride, parameters, first_moments, second_moments, clocks, now,
-                     drift, rho_powers, still):  # fmt: skip
-    """Bring the parameters of candidates[first : first + count] up to date; `columns` of them are in use."""
+def update_rows(first, count, candidates, rows, deferred):
+    """Apply the deferred steps of the rows candidates[first : first + count], int32 (capacity,)."""
     last = U(first + count - 1)
     for k in range(U(first), U(first + count)):
-        ahead = np.int64(candidates[min(k + U(AHEAD), last)])
-        prefetch_row_of_each(ahead, columns, stride, parameters, first_moments, second_moments)
+        prefetch_row(rows, np.int64(candidates[min(k + U(PREFETCH_DISTANCE), last)]))
         i = U(candidates[k])
-        if clocks[i, U(1)] < now:
-            coast(
-                i * U(stride), i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift,
-                rho_powers, still,
-            )  # fmt: skip
+        if rows.clocks[i, U(1)] < deferred.now:
+            apply_deferred(rows, i, i * U(rows.stride), deferred)
 
 
 @kernel()
-def settle_rows(start, stop, columns, stride, parameters, first_moments, second_moments, bounds, clocks, now, drift,
-                rho_powers, still, powers1, powers2):  # fmt: skip
-    """Bring parameters and moments of rows [start, stop) up to date."""
+def flush_rows(start, stop, rows, deferred, decay):
+    """Bring parameters, moments and bounds of rows [start, stop) up to date."""
     for i in range(U(start), U(stop)):
-        row = i * U(stride)
-        coast(
-            row, i, columns, stride, parameters, first_moments, second_moments, clocks, now, drift, rho_powers, still
-        )  # fmt: skip
-        behind = U(now - clocks[i, U(0)])
-        if behind > U(0):
-            for j in range(0, columns, LANES):
+        row = i * U(rows.stride)
+        apply_deferred(rows, i, row, deferred)
+        steps = U(deferred.now - rows.clocks[i, U(0)])
+        if steps > U(0):
+            for j in range(0, rows.columns, LANES):
                 o = row + U(j)
-                store(first_moments, o, load(first_moments, o) * powers1[behind])
-                store(second_moments, o, load(second_moments, o) * powers2[behind])
-        clocks[i, U(0)] = now
-        note_bounds(bounds, i, row, parameters)
+                store(rows.first, o, load(rows.first, o) * decay.first[steps])
+                store(rows.second, o, load(rows.second, o) * decay.second[steps])
+        rows.clocks[i, U(0)] = deferred.now
+        write_bounds(rows, i, row)
 
 
 @kernel()
-def write_drift(count, now, stride, coefficients, rho, drift):
-    """drift[k] = Σ_{j=1..k} c_{now−k+j} ρ^j for k ≤ count: how far k untouched steps carry, in units of m / √v.
+def sum_displacements(count, now, coefficients, rho, displacements):
+    """displacements[k] = Σ_{j=1..k} c_{now−k+j} ρ^j for k ≤ count: how far the last k steps move a row, × m / √v.
 
-    coefficients[s % len]: c of step s, for each column.
+    coefficients: float32 (period, stride), c of step s in row s % period.
+    displacements: float32 ((count + 1) · stride,).
     """
-    period = coefficients.shape[0]
+    period, stride = coefficients.shape
     for c in range(U(stride)):
-        drift[c] = F(0)
+        displacements[c] = F(0)
     for k in range(U(1), U(count + 1)):
         step = coefficients[U((now - np.int64(k) + 1) % period)]
         for c in range(U(stride)):
-            drift[k * U(stride) + c] = rho * (step[c] + drift[(k - U(1)) * U(stride) + c])
+            displacements[k * U(stride) + c] = rho * (step[c] + displacements[(k - U(1)) * U(stride) + c])

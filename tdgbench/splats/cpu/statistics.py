@@ -1,4 +1,4 @@
-"""What density control gathers from a view: how often each Gaussian was seen, how large, and how hard it was pulled."""
+"""What density control gathers from a view: which Gaussians it sees, their radii, their image-plane gradients."""
 
 from __future__ import annotations
 
@@ -12,19 +12,27 @@ U = np.uint64
 
 
 @kernel()
-def observe_seen(first, count, index, radii, times_seen, max_radii):
-    """Count the Gaussians in sight (radius above zero) and keep their largest radius."""
+def observe_visible(first, count, index, radii, view_counts, max_radii):
+    """Count the view for the visible Gaussians (radius above zero) and update their largest radius.
+
+    index, radii: int32 (capacity,), of which [first, first + count) is read; view_counts, max_radii (px): float32 (N,).
+    """
     for r in range(U(first), U(first + count)):
         if radii[r] > 0:
             i = U(index[r])
-            times_seen[i] += np.float32(1)
+            view_counts[i] += np.float32(1)
             max_radii[i] = max(max_radii[i], np.float32(radii[r]))
 
 
 @kernel()
 def observe_gradients(first, count, index, image, half_width, half_height, grad_sum):
-    """Add the length of the image gradient, in units of half the image, of Gaussians in sight."""
+    """Add the length of the image-plane gradient of the visible Gaussians, in units of half the image.
+
+    index: int32 (capacity,); image: float32 (capacity, columns), see `Gradients.image`; of both [first, first + count)
+    is read. grad_sum: float32 (N,).
+    """
+    radius = U(image.shape[1] - 1)
     for r in range(U(first), U(first + count)):
-        if image[r, U(4)] > np.float32(0):
+        if image[r, radius] > np.float32(0):
             gu, gv = image[r, U(0)] * half_width, image[r, U(1)] * half_height
             grad_sum[U(index[r])] += math.sqrt(gu * gu + gv * gv)

@@ -2,7 +2,7 @@
 
     dL/dd_i = g_i / r  − [i is the minimum] Σ g (1 − a) / r  − [i is the maximum] Σ g a / r,   r = max − min
 
-Several equal extremes share their part evenly, as torch's min and max do.
+Pixels that tie for an extreme share its part evenly, as with torch's min and max.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ ONE = F(1)
 
 @kernel(free_sums=True)
 def extreme_rows(start, stop, values, extremes):
-    """extremes[y] = smallest, largest of row y."""
+    """extremes[y] = minimum, maximum of row y; values (rows, columns), extremes (rows, 2)."""
     for y in range(start, stop):
         row = values[y]
         low, high = row[0], row[0]
@@ -29,6 +29,7 @@ def extreme_rows(start, stop, values, extremes):
 
 @kernel()
 def normalise_rows(start, stop, values, low, inverse_range, out):
+    """out = (values − low) · inverse_range in rows [start, stop); values, out (rows, columns)."""
     for y in range(start, stop):
         row, target = values[y], out[y]
         for x in range(U(row.shape[0])):
@@ -36,21 +37,25 @@ def normalise_rows(start, stop, values, low, inverse_range, out):
 
 
 @kernel(free_sums=True)
-def pull_rows(start, stop, grad, normalised, sums):
-    """sums[y] = Σ g (1 − a), Σ g a, and how many pixels of row y are the minimum and the maximum."""
+def sum_rows(start, stop, grad, normalised, sums):
+    """sums[y] = Σ g (1 − a), Σ g a, and the number of minima and of maxima in row y.
+
+    grad, normalised: (rows, columns); sums: float64 (rows, 4).
+    """
     for y in range(start, stop):
         g, a = grad[y], normalised[y]
-        to_low, to_high, n_low, n_high = 0.0, 0.0, 0.0, 0.0
+        low_sum, high_sum, n_low, n_high = 0.0, 0.0, 0.0, 0.0
         for x in range(U(g.shape[0])):
-            to_high += np.float64(g[x] * a[x])
-            to_low += np.float64(g[x] * (ONE - a[x]))
+            high_sum += np.float64(g[x] * a[x])
+            low_sum += np.float64(g[x] * (ONE - a[x]))
             n_low += 1.0 if a[x] == F(0) else 0.0
             n_high += 1.0 if a[x] == ONE else 0.0
-        sums[y, 0], sums[y, 1], sums[y, 2], sums[y, 3] = to_low, to_high, n_low, n_high
+        sums[y, 0], sums[y, 1], sums[y, 2], sums[y, 3] = low_sum, high_sum, n_low, n_high
 
 
 @kernel()
-def spread_rows(start, stop, grad, normalised, inverse_range, at_low, at_high, out):
+def normalise_gradient_rows(start, stop, grad, normalised, inverse_range, at_low, at_high, out):
+    """out = (g − at_low or at_high at an extreme) · inverse_range in rows [start, stop); arrays (rows, columns)."""
     for y in range(start, stop):
         g, a, target = grad[y], normalised[y], out[y]
         for x in range(U(g.shape[0])):
@@ -59,7 +64,12 @@ def spread_rows(start, stop, grad, normalised, inverse_range, at_low, at_high, o
 
 
 def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] | None:
-    """The normalised map (H, W) and 1 / range; None where the range is below `min_range`."""
+    """Normalised map (H, W) of float32 values (H, W), and 1 / range; None where the range is below `min_range`.
+
+    >>> out, inverse_range = normalise(np.array([[1.0, 2.0], [3.0, 5.0]], np.float32), 1e-8)
+    >>> out.tolist(), inverse_range
+    ([[0.0, 0.25], [0.5, 1.0]], 0.25)
+    """
     bands = pool.chunks(len(values), min(len(values), pool.get_threads()))
     extremes = np.empty((len(values), 2), np.float32)
     pool.run(extreme_rows, [(*band, values, extremes) for band in bands])
@@ -68,25 +78,25 @@ def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] 
         return None
     out, inverse_range = np.empty_like(values), F(1) / (high - low)
     pool.run(normalise_rows, [(*band, values, low, inverse_range, out) for band in bands])
-    out[values == high] = 1.0  # exactly, whatever the rounding: the gradient finds the extremes by it
+    out[values == high] = 1.0  # exactly: the gradient finds the maxima by it
     return out, float(inverse_range)
 
 
 def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: float) -> np.ndarray:
-    """The gradient by the map, given that by the normalised map."""
+    """Gradient (H, W) by the map, from the one by the normalised map (H, W)."""
     bands = pool.chunks(len(grad), min(len(grad), pool.get_threads()))
     sums = np.empty((len(grad), 4), np.float64)
-    pool.run(pull_rows, [(*band, grad, normalised, sums) for band in bands])
-    to_low, to_high, n_low, n_high = sums.sum(axis=0)
-    shares = F(inverse_range), F(to_low / n_low), F(to_high / n_high)
+    pool.run(sum_rows, [(*band, grad, normalised, sums) for band in bands])
+    low_sum, high_sum, n_low, n_high = sums.sum(axis=0)
+    shares = F(inverse_range), F(low_sum / n_low), F(high_sum / n_high)
     out = np.empty_like(grad)
-    pool.run(spread_rows, [(*band, grad, normalised, *shares, out) for band in bands])
+    pool.run(normalise_gradient_rows, [(*band, grad, normalised, *shares, out) for band in bands])
     return out
 
 
 @kernel()
 def inverse_rows(start, stop, depth, transmittance, min_alpha, out):
-    """out = alpha / accumulated depth, the inverse of the expected depth; 0 where alpha ≤ min_alpha."""
+    """out = alpha / depth, the inverse of the expected depth; 0 where alpha ≤ min_alpha. Maps (rows, columns)."""
     for y in range(start, stop):
         d, t, target = depth[y], transmittance[y], out[y]
         for x in range(U(d.shape[0])):
@@ -96,18 +106,18 @@ def inverse_rows(start, stop, depth, transmittance, min_alpha, out):
 
 @kernel()
 def inverse_gradient_rows(start, stop, grad, depth, transmittance, min_alpha, grad_depth, grad_transmittance):
-    """d(alpha / depth): −alpha / depth² by the depth, −1 / depth by the transmittance."""
+    """Gradient of alpha / depth: −alpha / depth² by depth, −1 / depth by transmittance. Maps (rows, columns)."""
     for y in range(start, stop):
         g, d, t, by_d, by_t = grad[y], depth[y], transmittance[y], grad_depth[y], grad_transmittance[y]
         for x in range(U(d.shape[0])):
             alpha = ONE - t[x]
-            pull = g[x] / d[x] if alpha > min_alpha else F(0)
-            by_t[x] = -pull
-            by_d[x] = -pull * alpha / d[x] if alpha > min_alpha else F(0)
+            slope = g[x] / d[x] if alpha > min_alpha else F(0)
+            by_t[x] = -slope
+            by_d[x] = -slope * alpha / d[x] if alpha > min_alpha else F(0)
 
 
 def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float) -> np.ndarray:
-    """Map (H, W) of inverse expected depths."""
+    """Inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
     out = np.empty_like(depth)
     bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
     pool.run(inverse_rows, [(*band, depth, transmittance, F(min_alpha), out) for band in bands])
@@ -115,7 +125,7 @@ def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float
 
 
 def inverse_depth_gradient(grad, depth, transmittance, min_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """The gradients by depth and by transmittance, given that by the inverse depth."""
+    """Gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
     out = np.empty_like(depth), np.empty_like(depth)
     bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
     pool.run(inverse_gradient_rows, [(*band, grad, depth, transmittance, F(min_alpha), *out) for band in bands])

@@ -1,30 +1,49 @@
 """L1 and mean SSIM of two images and their gradient, fused (SSIM: 11×11 Gaussian window, sigma 1.5, zero padding).
 
-Images are (rows, columns × channels), channels interleaved: neighbours in a row lie `channels` floats apart, so one
-kernel serves every channel count. A band of rows is streamed: the last eleven rows of everything stay in the cache.
-With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the
-first image is  G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
+Images are (rows, columns × channels), channels interleaved: neighbours in a row are `channels` floats apart, so one
+kernel serves every channel count. A band of rows is streamed: the last eleven rows of every quantity stay in cache.
+With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the first image is
+G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.losses import ssim
 from tdgbench.splats.cpu.losses.smoothness import difference_row
 
 F, U = np.float32, np.uint64
-RADIUS, TAPS = 5, 11
-_weights = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
-W0, W1, W2, W3, W4, W5 = (F(w) for w in (_weights / _weights.sum())[:6])
+TAPS, RADIUS = ssim.WINDOW, ssim.WINDOW // 2
+W0, W1, W2, W3, W4, W5 = (F(w) for w in ssim.window()[: RADIUS + 1])
 ZERO, ONE, TWO = F(0), F(1), F(2)
-C1, C2 = F(0.01**2), F(0.03**2)
+C1, C2 = F(ssim.C1), F(ssim.C2)
+
+
+class Images(NamedTuple):
+    """Two images, float32 (rows, columns · channels) each."""
+
+    a: np.ndarray
+    b: np.ndarray
+    channels: int
+
+
+class Scales(NamedTuple):
+    """Factors of the gradients of Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a|."""
+
+    l1: np.float32
+    ssim: np.float32
+    smooth: np.float32
+    wrap: bool  # neighbours wrap around at the border
 
 
 @kernel(inline=True)
 def along_row(line, x, c):
-    """The window along a padded row; x is the place of the window's first tap, c the channel count."""
+    """The window along a padded row (padded columns,); x is its first tap, c the channel count."""
     return (
         W5 * line[x + U(5) * c]
         + W4 * (line[x + U(4) * c] + line[x + U(6) * c])
@@ -37,7 +56,7 @@ def along_row(line, x, c):
 
 @kernel()
 def across_rows(ring, field, centre, out):
-    """out = the window across rows centre − 5 … centre + 5, row y standing at ring[y mod 11]."""
+    """out (columns,) = the window across rows centre − 5 … centre + 5 of a field; row y is ring[y mod 11, field]."""
     first = centre + 2 * TAPS - RADIUS
     r0, r1, r2 = ring[first % TAPS, field], ring[(first + 1) % TAPS, field], ring[(first + 2) % TAPS, field]
     r3, r4, r5 = ring[(first + 3) % TAPS, field], ring[(first + 4) % TAPS, field], ring[(first + 5) % TAPS, field]
@@ -56,7 +75,10 @@ def across_rows(ring, field, centre, out):
 
 @kernel()
 def moments_of_row(ra, rb, channels, line, out):
-    """out (5, columns) = a, b, a², b², ab filtered along the row; line (5, padded columns) is room to work in."""
+    """out (5, columns) = a, b, a², b², ab filtered along the row; ra, rb (columns,).
+
+    line (5, padded columns) is scratch.
+    """
     n = ra.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
@@ -76,7 +98,11 @@ def moments_of_row(ra, rb, channels, line, out):
 
 @kernel(free_sums=True)
 def similarity_of_row(filtered, channels, line, values, out):
-    """Σ SSIM of a row, given its five moments; out (3, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along it."""
+    """Σ SSIM of a row, from its five moments `filtered` (5, columns).
+
+    out (3, columns) = dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along the row; line (3, padded columns) and
+    values (columns,) are scratch.
+    """
     n = values.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
@@ -113,7 +139,10 @@ def similarity_of_row(filtered, channels, line, values, out):
 
 @kernel(free_sums=True)
 def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
-    """Σ |a − b| of a row; out = l1_scale · sign(a − b) + ssim_scale · dS/da."""
+    """Σ |a − b| of rows a and b (columns,); out = l1_scale · sign(a − b) + ssim_scale · dS/da.
+
+    filtered (3, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along rows and columns.
+    """
     n = ra.shape[0]
     f0, f1, f2 = filtered[0], filtered[1], filtered[2]
     total = ZERO
@@ -127,8 +156,12 @@ def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
 
 
 @kernel()
-def photometric_band(start, stop, a, b, channels, l1_scale, ssim_scale, smooth_scale, wrap, gradient, sums):
-    """Rows [start, stop) of the gradient; sums[y] = Σ |a − b|, Σ SSIM and Σ neighbour differences of row y."""
+def photometric_band(start, stop, images, scales, gradient, sums):
+    """Rows [start, stop) of the gradient (rows, columns) by a, and of sums (rows, 3).
+
+    sums[y] = Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a| of row y.
+    """
+    a, b, channels = images.a, images.b, images.channels
     rows, n = a.shape
     padded = n + 2 * RADIUS * channels
     line, slope_line = np.zeros((5, padded), np.float32), np.zeros((3, padded), np.float32)
@@ -157,24 +190,30 @@ def photometric_band(start, stop, a, b, channels, l1_scale, ssim_scale, smooth_s
             continue
         for k in range(3):
             across_rows(slopes, k, g, filtered[k])
-        sums[g, 0] = gradient_of_row(a[g], b[g], filtered, l1_scale, ssim_scale, gradient[g])
-        if smooth_scale != ZERO:
-            sums[g, 2] = difference_row(g, a, channels, wrap, smooth_scale, gradient[g])
+        sums[g, 0] = gradient_of_row(a[g], b[g], filtered, scales.l1, scales.ssim, gradient[g])
+        if scales.smooth != ZERO:
+            sums[g, 2] = difference_row(g, a, channels, scales.wrap, scales.smooth, gradient[g])
 
 
 def photometric_and_gradient(
     a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float, smooth_scale: float = 0.0, wrap: bool = False
 ) -> tuple[float, float, float, np.ndarray]:
-    """L1, mean SSIM, Σ |differences of neighbours in a| (0 unless asked for), and a gradient by a.
+    """L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their weighted gradient by a.
 
-    The gradient is that of l1_weight · L1 + ssim_weight · SSIM, plus smooth_scale · that of the sum of differences
-    (see `tdgbench.splats.cpu.losses.smoothness`). Images are float32 (H, W, C), contiguous, in [0, 1].
+    The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
+    are float32 (H, W, C), contiguous, in [0, 1]. See `tdgbench.splats.cpu.losses.smoothness` for `wrap`.
+
+    >>> a, b = np.full((8, 8, 1), 0.5, np.float32), np.full((8, 8, 1), 0.25, np.float32)
+    >>> l1, _, _, gradient = photometric_and_gradient(a, b, 1.0, 0.0)
+    >>> l1, float(gradient[0, 0, 0]) == 1 / 64
+    (0.25, True)
     """
     height, width, channels = a.shape
     flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
-    scales = F(l1_weight / a.size), F(ssim_weight / a.size), F(smooth_scale)
+    scales = Scales(F(l1_weight / a.size), F(ssim_weight / a.size), F(smooth_scale), wrap)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    pool.run(photometric_band, [(*band, flat_a, flat_b, channels, *scales, wrap, gradient, sums) for band in bands])
+    common = (Images(flat_a, flat_b, channels), scales, gradient, sums)
+    pool.run(photometric_band, [(*band, *common) for band in bands])
     error, similarity, differences = sums.sum(axis=0).tolist()
     return error / a.size, similarity / a.size, differences, gradient.reshape(a.shape)

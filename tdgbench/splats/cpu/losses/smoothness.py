@@ -1,6 +1,6 @@
 """Differences of neighbouring pixels and their gradient, row by row.
 
-Every pair of neighbours (i, j) adds |T_i − T_j| to the sum and ± sign(T_i − T_j) to the gradient of both.
+Each pair of neighbours (i, j) adds |T_i − T_j| to the sum and ± sign(T_i − T_j) to the gradient of both.
 """
 
 from __future__ import annotations
@@ -16,47 +16,55 @@ ZERO, ONE = F(0), F(1)
 
 @kernel(inline=True)
 def sign(x):
+    """−1, 0 or 1."""
     return ONE if x > ZERO else (-ONE if x < ZERO else ZERO)
 
 
 @kernel(free_sums=True)
 def difference_row(y, image, channels, wrap, scale, out):
-    """Σ |right − own| + Σ |below − own| of row y; out += scale · Σ over the 4 neighbours of sign(own − other).
+    """Σ |right − here| + Σ |below − here| of row y; out += scale · Σ over the 4 neighbours of sign(here − neighbour).
 
-    Without `wrap` pairs across the border do not exist; with it the image is a torus.
+    image: (rows, columns · channels); out: (columns · channels,). With `wrap` the image is a torus; without it, there
+    are no pairs across the border.
     """
     rows, columns = image.shape
     c = U(channels)
-    own = image[y]
-    above = image[y - 1] if y > 0 else (image[rows - 1] if wrap else own)
-    below = image[y + 1] if y < rows - 1 else (image[0] if wrap else own)
+    here = image[y]
+    above = image[y - 1] if y > 0 else (image[rows - 1] if wrap else here)
+    below = image[y + 1] if y < rows - 1 else (image[0] if wrap else here)
     total = ZERO
     for x in range(U(columns)):
-        total += abs(below[x] - own[x])
-        out[x] += scale * (sign(own[x] - above[x]) + sign(own[x] - below[x]))
+        total += abs(below[x] - here[x])
+        out[x] += scale * (sign(here[x] - above[x]) + sign(here[x] - below[x]))
     for x in range(U(columns - channels)):
-        total += abs(own[x + c] - own[x])
-        out[x] += scale * sign(own[x] - own[x + c])
+        total += abs(here[x + c] - here[x])
+        out[x] += scale * sign(here[x] - here[x + c])
     for x in range(c, U(columns)):
-        out[x] += scale * sign(own[x] - own[x - c])
+        out[x] += scale * sign(here[x] - here[x - c])
     if wrap:
         for x in range(c):
             last = U(columns - channels) + x
-            total += abs(own[x] - own[last])
-            out[last] += scale * sign(own[last] - own[x])
-            out[x] += scale * sign(own[x] - own[last])
+            total += abs(here[x] - here[last])
+            out[last] += scale * sign(here[last] - here[x])
+            out[x] += scale * sign(here[x] - here[last])
     return total
 
 
 @kernel()
 def difference_rows(start, stop, image, channels, wrap, sums, gradient):
-    """`difference_row` for rows [start, stop)."""
+    """`difference_row` for rows [start, stop): sums (rows,) and gradient (rows, columns · channels)."""
     for y in range(start, stop):
         sums[y] = difference_row(y, image, channels, wrap, ONE, gradient[y])
 
 
 def differences_and_gradient(image: np.ndarray, wrap: bool) -> tuple[float, np.ndarray]:
-    """Σ over neighbouring pairs of |difference| of a float32 image (H, W, C), and its gradient."""
+    """Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
+
+    >>> image = np.array([[[1.0], [3.0]]], np.float32)
+    >>> total, gradient = differences_and_gradient(image, wrap=False)
+    >>> total, gradient[..., 0].tolist()
+    (2.0, [[-1.0, 1.0]])
+    """
     height, width, channels = image.shape
     flat = image.reshape(height, width * channels)
     sums, gradient = np.empty(height, np.float64), np.zeros_like(flat)
