@@ -15,7 +15,7 @@ class Gradients:
     pieces: list[tuple[int, int]]
     index: Tensor  # (room,) int32: the Gaussian of each row; a Gaussian occurs once
     values: Tensor  # (room, columns): as in `tdgbench.splats.columns`, perhaps without the last ones, which are zero
-    image: Tensor  # (room, 5): d loss / d image mean per px, Σ over the pixels of its absolute parts, radius in px
+    image: Tensor  # (room, 3): d loss / d image mean per px, radius in px
     seen_pieces: list[tuple[int, int]]
     seen: Tensor  # (room,) int32: Gaussians that were projected
     radii: Tensor  # (room,) int32 px: their radii; 0 is out of sight
@@ -28,7 +28,7 @@ class Gradients:
         """From a backend that gives gradients (N, columns) and (N, 2) to every Gaussian."""
         everything = torch.arange(len(values), dtype=torch.int32, device=values.device)
         whole = [(0, len(values))]
-        image = torch.cat([image, torch.zeros_like(image), radii[:, None].to(image)], dim=1)
+        image = torch.cat([image, radii[:, None].to(image)], dim=1)
         return cls(whole, everything, values, image, whole, everything, radii)
 
     @classmethod

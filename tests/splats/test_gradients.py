@@ -16,7 +16,7 @@ def sparse(index, seen, radii, columns: int, factor: float) -> Gradients:
     room = torch.tensor([99, *index], dtype=torch.int32)
     values = factor * torch.ones(len(room), columns)
     return Gradients(
-        [(1, len(index))], room, values, factor * torch.ones(len(room), 5), [(0, len(seen))],
+        [(1, len(index))], room, values, factor * torch.ones(len(room), 3), [(0, len(seen))],
         torch.tensor(seen, dtype=torch.int32), torch.tensor(radii, dtype=torch.int32),
     )  # fmt: skip
 

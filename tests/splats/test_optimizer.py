@@ -27,7 +27,7 @@ def step_gradients(state: TrainingState, step: int, share: float) -> Gradients:
     half = len(index) // 2
     pieces = [(0, half), (half + 3, len(index) - half)]
     room = torch.cat([index[:half], torch.zeros(3, dtype=torch.int32), index[half:]])
-    return Gradients(pieces, room, values, torch.zeros(len(room), 5), [], room[:0], room[:0])
+    return Gradients(pieces, room, values, torch.zeros(len(room), 3), [], room[:0], room[:0])
 
 
 def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
@@ -86,7 +86,7 @@ def test_gradients_too_small_to_be_squared_move_nothing_far():
         else:
             index, dense = index[:0], dense[:0]
         pieces = [(0, len(index))]
-        optimizer.step(Gradients(pieces, index, dense.clone(), torch.zeros(60, 5), [], index, index), step)
+        optimizer.step(Gradients(pieces, index, dense.clone(), torch.zeros(60, 3), [], index, index), step)
         theirs.grad = torch.zeros_like(theirs)
         theirs.grad[: len(dense)] = dense.double()
         peer.step()

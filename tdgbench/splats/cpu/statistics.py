@@ -25,6 +25,6 @@ def observe_seen(first, count, index, radii, times_seen, max_radii):
 def observe_gradients(first, count, index, image, half_width, half_height, grad_sum):
     """Add the length of the image gradient, in units of half the image, of Gaussians in sight."""
     for r in range(U(first), U(first + count)):
-        if image[r, U(4)] > np.float32(0):
+        if image[r, U(2)] > np.float32(0):
             gu, gv = image[r, U(0)] * half_width, image[r, U(1)] * half_height
             grad_sum[U(index[r])] += math.sqrt(gu * gu + gv * gv)

@@ -12,6 +12,6 @@ def test_only_what_is_in_sight_counts():
 
 def test_gradients_are_in_units_of_half_the_image():
     total = np.zeros(4, np.float32)
-    image = np.array([[0.3, 0.2, 0, 0, 5], [1, 1, 0, 0, 0], [0, -1, 0, 0, 2]], np.float32)
+    image = np.array([[0.3, 0.2, 5], [1, 1, 0], [0, -1, 2]], np.float32)
     observe_gradients(0, 3, np.array([2, 1, 0], np.int32), image, 10.0, 20.0, total)
     assert np.allclose(total, [20, 0, 5, 0])
