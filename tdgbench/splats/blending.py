@@ -12,7 +12,6 @@ class Blending:
     max_alpha: the cap of alpha. min_alpha: what is fainter is skipped. min_transmittance: a pixel stops before the
     Gaussian that would let through less. tight: tiles are listed by the ellipse in which alpha ≥ min_alpha, else by
     the square around it, whatever the opacity, as 3DGS does. end_early: a tile ends once all its pixels have stopped.
-    rough_exp: powers of two to 7.5e-5 instead of 2.5e-7.
     """
 
     max_alpha: float = 0.99
@@ -20,7 +19,6 @@ class Blending:
     min_transmittance: float = 1e-4
     tight: bool = True
     end_early: bool = True
-    rough_exp: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_alpha < self.max_alpha < 1:

@@ -113,7 +113,7 @@ class DensityControl:
         self.max_radii[index] = torch.maximum(self.max_radii[index], radii.to(self.max_radii))
         index, _, image = gradients.rows()
         norm = (image[:, :2] * image.new_tensor(half)).norm(dim=1)
-        self.grad_sum.index_add_(0, index, torch.where(image[:, -1] > 0, norm, 0.0))
+        self.grad_sum.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
     def state_dict(self) -> dict[str, Tensor]:
         """What was accumulated since the last change, as `torch.save` takes it."""

@@ -17,7 +17,7 @@ class Gradients:
     values: (
         Tensor  # (capacity, columns): as in `tdgbench.splats.columns`; trailing columns that are zero may be missing
     )
-    image: Tensor  # (capacity, 3 or more): d loss / d image mean per px in the first two, radius in px in the last
+    image: Tensor  # (capacity, 3): d loss / d image mean per px (2), radius in px
     projected_spans: list[tuple[int, int]]
     projected: Tensor  # (capacity,) int32: Gaussians that were projected
     radii: Tensor  # (capacity,) int32 px: their radii; 0 is not visible
@@ -51,7 +51,7 @@ class Gradients:
         return cls.dense(values, image, radii)
 
     def rows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """index (n,), values (n, columns) and image (n, 3 or more) of the rows in use."""
+        """index (n,), values (n, columns) and image (n, 3) of the rows in use."""
         parts = [slice(first, first + count) for first, count in self.spans]
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 

@@ -167,8 +167,9 @@ class Adam:
     def _rows(self, columns: int) -> Rows:
         """The state's memory, as the kernels take it."""
         state = self.state
-        flat = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
-        return Rows(*flat, state.bounds.numpy(), state.clocks.numpy(), state.values.shape[1], columns)
+        values, first, second = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
+        bounds, clocks = state.bounds.numpy(), state.clocks.numpy()
+        return Rows(values, first, second, bounds, clocks, state.values.shape[1], columns)
 
     def _deferred(self, last: int) -> Deferred:
         """Constants of the deferred steps up to step `last`."""

@@ -53,7 +53,6 @@ def rasterization(
     sh_degree: int | None = None,
     backgrounds: Tensor | None = None,
     render_mode: str = "RGB",
-    absgrad: bool = False,
     backend: str = "auto",
     blending: Blending = AS_3DGS,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
@@ -73,7 +72,6 @@ def rasterization(
         backgrounds: (C, D) colour behind the Gaussians; None is black. Depth has no background.
         render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that divided by alpha),
             "RGB+D", "RGB+ED" (depth is the last channel).
-        absgrad: also sum the absolute image gradients per Gaussian (AbsGS), left in `meta["means2d"].absgrad`.
         backend: "auto", "reference", "cpu" or "cuda".
         blending: the constants below, and shortcuts of the `cpu` backend; gsplat has its own.
 
@@ -94,7 +92,7 @@ def rasterization(
         render_view(
             means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height, near_plane=near_plane,
             far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree,
-            background=None if backgrounds is None else backgrounds[c], depth="D" in render_mode, absgrad=absgrad,
+            background=None if backgrounds is None else backgrounds[c], depth="D" in render_mode,
             backend=backend, blending=blending,
         )
         for c in range(len(viewmats))
@@ -134,7 +132,6 @@ def render_view(
     sh_degree: int | None = None,
     background: Tensor | None = None,
     depth: bool = False,
-    absgrad: bool = False,
     backend: str = "auto",
     blending: Blending = AS_3DGS,
 ) -> RenderedView:
@@ -150,10 +147,6 @@ def render_view(
         options["blending"] = blending
     elif blending != AS_3DGS:
         raise ValueError("backend cuda blends with gsplat's own constants; leave `blending` as it is")
-    if chosen != "reference":
-        options["absgrad"] = absgrad
-    elif absgrad:
-        raise ValueError("backend reference does not compute absgrad; use 'cpu'")
     rasterize: Any = {"cpu": cpu.rasterize, "cuda": cuda.rasterize, "reference": reference.rasterize}[chosen]
     return rasterize(
         means, quats, scales, opacities, colors, viewmat, K, width, height,

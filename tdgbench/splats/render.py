@@ -86,7 +86,6 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
         depth_channel=depth,
         background=np.zeros(state.channels, np.float32),
         limits=pack_limits(blending),
-        rough_exp=blending.rough_exp,
     )
 
     def deliver(rows, done) -> None:

@@ -54,7 +54,7 @@ def pulled_render(state, optimizer, *_, iteration, collect, **__):
     rows = torch.zeros(len(seen), state.values.shape[1])
     rows[:, :COLUMNS] = given.rows
     per_px = given.image / torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])
-    image = torch.cat([per_px, torch.zeros_like(per_px), given.radii[:, None].float()], dim=1)
+    image = torch.cat([per_px, given.radii[:, None].float()], dim=1)
     whole = [(0, len(seen))]
     gradients = Gradients(whole, seen, rows, image, whole, seen, given.radii.int())
     anchor = torch.zeros((), requires_grad=True)

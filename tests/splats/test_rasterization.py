@@ -190,23 +190,6 @@ def test_bitwise_equal_on_any_number_of_threads(backend):
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-def test_absgrad_sums_absolute_pixel_gradients():
-    parameters, camera, size = random_gaussians(25, 2, None, 1), turned_camera(9, 7), (9, 7)
-    weights = torch.randn(1, 7, 9, 1, dtype=torch.float64)
-    expected = torch.zeros(25, 2, dtype=torch.float64)
-    for y in range(7):
-        for x in range(9):
-            one = torch.zeros_like(weights)
-            one[0, y, x] = weights[0, y, x]
-            _, _, grads, _ = render(parameters, camera, size, "reference", (one, torch.zeros(1, 7, 9, 1)))
-            expected += grads["means2d"][0].abs()
-    leaves = [p.requires_grad_() for p in parameters]
-    image, _, meta = rasterization(*leaves, *camera, *size, absgrad=True, backend="cpu")
-    (image * weights.float()).sum().backward()
-    got = meta["means2d"][0].absgrad.double()
-    assert (got - expected).norm() / expected.norm() < 1e-4
-
-
 @pytest.mark.parametrize("lanes", ["8", "16"])
 def test_other_instruction_sets(lanes):
     """The kernels compiled for half or full registers, in a process of their own, agree with the reference."""
@@ -285,14 +268,14 @@ def test_other_constants_agree_with_reference(blending):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("option", [{"tight": False}, {"end_early": False}, {"rough_exp": True}], ids=str)
+@pytest.mark.parametrize("option", [{"tight": False}, {"end_early": False}], ids=str)
 def test_shortcuts_change_the_way_and_not_the_result(option):
     parameters, camera, size = random_gaussians(300, 5, None, 1), turned_camera(70, 40), (70, 40)
     parameters[3][:] = 0.9  # tiles fill up
     weights = torch.randn(1, 40, 70, 1), torch.randn(1, 40, 70, 1)
     plain = render(parameters, camera, size, "cpu", weights)
     other = render(parameters, camera, size, "cpu", weights, blending=replace(AS_3DGS, **option))
-    tolerance = 1e-3 if "rough_exp" in option else 1e-5
+    tolerance = 1e-5
     assert (other[0] - plain[0]).abs().max() < tolerance
     for name, want in plain[2].items():
         assert (other[2][name] - want).norm() / want.norm().clamp_min(1e-8) < 10 * tolerance, name

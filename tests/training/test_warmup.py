@@ -9,4 +9,4 @@ from tests.conftest import config
 def test_compiles_what_a_gray_scene_needs():
     compile_kernels({1}, instantiate(config("budget=demo").budget), "auto")
     for depth in (False, True):
-        assert make_blend(1, depth, False).signatures and make_blend_backward(1, depth, False, False).signatures
+        assert make_blend(1, depth).signatures and make_blend_backward(1, depth).signatures

@@ -72,15 +72,13 @@ class Rasterize(torch.autograd.Function):
         grads = (None if g is None else g.numpy() for g in (grad_image, grad_depth, grad_transmittance))
         rows = backward(source, settings, done, *grads)
         per_color = int(np.prod(color_shape[1:]))
-        dense = (torch.from_numpy(a) for a in dense_gradients(rows, source.count, per_color, settings.absgrad))
-        means, scales, quats, opacities, colors, means2d, abs_means2d = dense
-        if settings.absgrad:
-            probe.absgrad = abs_means2d
+        dense = (torch.from_numpy(a) for a in dense_gradients(rows, source.count, per_color))
+        means, scales, quats, opacities, colors, means2d = dense
         return means, quats, scales, opacities, colors.view(color_shape), means2d, None
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel, blending, absgrad) -> RenderedView:  # fmt: skip
+              eps2d, sh_degree, background, depth_channel, blending) -> RenderedView:  # fmt: skip
     """Render one camera; what `tdgbench.splats.backends.reference.rasterize` does, fast."""
     if colors.dim() == 2:
         colors = colors[:, None, :]
@@ -95,8 +93,6 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
         depth_channel=depth_channel,
         background=black if background is None else background.detach().contiguous().numpy(),
         limits=pack_limits(blending),
-        rough_exp=blending.rough_exp,
-        absgrad=absgrad,
     )
     probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
     image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)

@@ -27,13 +27,13 @@ def why_not() -> str | None:
 
 
 def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel, absgrad) -> RenderedView:  # fmt: skip
+              eps2d, sh_degree, background, depth_channel) -> RenderedView:  # fmt: skip
     """Render one camera; what `tdgbench.splats.backends.reference.rasterize` does, on a GPU."""
     from gsplat import rasterization
 
     rendered, alphas, meta = rasterization(
         means, quats, scales, opacities, colors, viewmat[None], K[None], width, height, near_plane=near_plane,
-        far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree, packed=False, tile_size=16, absgrad=absgrad,
+        far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree, packed=False, tile_size=16,
         render_mode="RGB+D" if depth_channel else "RGB",
     )  # fmt: skip
     transmittance = 1.0 - alphas[0, ..., 0]
@@ -44,11 +44,11 @@ def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height
     radii = meta["radii"][0]
     if radii.dim() == 2:  # one per axis since 1.5
         radii = radii.amax(dim=1) * (radii > 0).all(dim=1)
-    probe = _probe_of(meta["means2d"], absgrad)
+    probe = _probe_of(meta["means2d"])
     return RenderedView(image, depth, transmittance, probe, meta["depths"][0], radii.to(torch.int32))
 
 
-def _probe_of(means2d: Tensor, absgrad: bool) -> Any:
+def _probe_of(means2d: Tensor) -> Any:
     """A tensor (N, 2) that holds the image means, and in `.grad` their gradient once a backward pass is through."""
     probe = means2d[0].detach().clone()
     if means2d.requires_grad:
@@ -56,8 +56,6 @@ def _probe_of(means2d: Tensor, absgrad: bool) -> Any:
 
         def receive(grad: Tensor) -> None:
             probe.grad = grad[0].clone()
-            if absgrad:
-                probe.absgrad = means2d.absgrad[0]  # type: ignore[attr-defined]
 
         means2d.register_hook(receive)
     return probe

@@ -1,20 +1,16 @@
-"""How the CPU kernels are compiled: one decorator, one instruction set, one on-disk cache that never goes stale.
-
-Numba checks only the file in which a kernel stands; a kernel that inlines helpers from another file would keep its
-old machine code when that file changes. The cache folder therefore carries a fingerprint of every file of this room.
-"""
+"""How the CPU kernels are compiled: one decorator, one instruction set, one cache on disk."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
 import numba
 from numba import njit
+
+from tdgbench.splats.cpu.cache import open_cache
 
 # Fast-math without reassociation: float sums keep the order in which they are written, so that results do not
 # depend on how the compiler unrolls, and the exp2 rounding trick survives.
@@ -34,30 +30,21 @@ def lanes() -> int:
     return 16 if llvm.get_host_cpu_features().get("avx512f") else 8
 
 
-def _fingerprint() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+CACHE_DIR = open_cache(lanes())
 
 
-def cache_dir() -> Path:
-    """Where machine code of these sources for this kind of processor is kept."""
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "tdgbench" / "numba" / f"{_fingerprint()}-{lanes()}"
-
-
-CACHE_DIR = cache_dir()
-
-
-def kernel(inline: bool = False, free_sums: bool = False) -> Callable[[Callable[..., Any]], Any]:
+def kernel(inline: bool = False, free_sums: bool = False, variant: str = "") -> Callable[[Callable[..., Any]], Any]:
     """Compile a function to machine code that runs without the GIL.
 
     inline: a helper that kernels call. free_sums: sums may be reordered, and so vectorised; for kernels whose sums
-    run over one row, so that results still do not depend on the number of threads.
+    run over one row, so that results still do not depend on the number of threads. variant: name of one of several
+    kernels made from the same source; each has its own files in the cache. Its closure may hold numbers only: Numba
+    hashes it to find the machine code, and a function in it hashes differently in every process.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
+        if variant:
+            function.__qualname__ += f".{variant}"
         fastmath = FASTMATH | {"reassoc"} if free_sums else FASTMATH
         options: dict[str, Any] = {
             "fastmath": fastmath,

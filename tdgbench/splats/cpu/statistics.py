@@ -28,11 +28,10 @@ def observe_visible(first, count, index, radii, view_counts, max_radii):
 def observe_gradients(first, count, index, image, half_width, half_height, grad_sum):
     """Add the length of the image-plane gradient of the visible Gaussians, in units of half the image.
 
-    index: int32 (capacity,); image: float32 (capacity, columns), see `Gradients.image`; of both [first, first + count)
+    index: int32 (capacity,); image: float32 (capacity, 3), see `Gradients.image`; of both [first, first + count)
     is read. grad_sum: float32 (N,).
     """
-    radius = U(image.shape[1] - 1)
     for r in range(U(first), U(first + count)):
-        if image[r, radius] > np.float32(0):
+        if image[r, U(2)] > np.float32(0):
             gu, gv = image[r, U(0)] * half_width, image[r, U(1)] * half_height
             grad_sum[U(index[r])] += math.sqrt(gu * gu + gv * gv)

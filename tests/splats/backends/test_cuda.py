@@ -17,7 +17,7 @@ from tests.conftest import random_gaussians, turned_camera
 
 def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=0.01,
                          far_plane=1e10, radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=16,
-                         backgrounds=None, render_mode="RGB", sparse_grad=False, absgrad=False):  # fmt: skip
+                         backgrounds=None, render_mode="RGB", sparse_grad=False):  # fmt: skip
     """gsplat 1.5.3's face: renders (C, H, W, D), alphas (C, H, W, 1), means2d (C, N, 2), radii per axis (C, N, 2)."""
     assert not packed and backgrounds is None
     view = reference.rasterize(
@@ -53,7 +53,7 @@ def test_hands_over_and_takes_back(stand_in, degree, depth, background):
         "depth_channel": depth,
     }  # fmt: skip
     results = []
-    for rasterize, extra in ((cuda.rasterize, {"absgrad": False}), (reference.rasterize, {"blending": AS_3DGS})):
+    for rasterize, extra in ((cuda.rasterize, {}), (reference.rasterize, {"blending": AS_3DGS})):
         leaves = [p.clone().requires_grad_() for p in given]
         out = rasterize(*leaves, view, K, 20, 15, **options, **extra)
         g = torch.Generator().manual_seed(0)

@@ -32,7 +32,7 @@ from tdgbench.splats.cpu.raster.limits import END_EARLY, LOG2_MIN_ALPHA, MAX_ALP
 from tdgbench.splats.cpu.raster.records import CHANNELS
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
-from tdgbench.splats.cpu.simd.powers import exp2_exactly, exp2_roughly
+from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import any_bit, any_positive
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
@@ -63,13 +63,12 @@ def still_alive(alive, pixels, size):
 
 
 @functools.cache
-def make_blend(colors: int, depth: bool, rough_exp: bool):
+def make_blend(colors: int, depth: bool):
     """The forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
     channels = colors + depth
     size = (3 + channels) * LANES  # of a block: x, y, T, then the channels
-    exp2 = exp2_roughly if rough_exp else exp2_exactly
 
-    @kernel()
+    @kernel(variant=f"{colors}_depth" if depth else f"{colors}")
     def blend(counter, width, height, records, tile_start, gaussian_of, background, limits, powers, grid,
               image, depth_map, transmittance, reached, lit):  # fmt: skip
         """Blend tiles until none is left.
@@ -117,7 +116,7 @@ def make_blend(colors: int, depth: bool, rough_exp: bool):
                         blocks &= blocks - U(1)
                         o = block * U(size)
                         log2_alpha = log2_alpha_in(pixels, o, form)
-                        alpha = minimum(exp2(log2_alpha, powers), max_alpha)
+                        alpha = minimum(exp2_in_memory(log2_alpha, powers), max_alpha)
                         t = load(pixels, o + T)
                         t_alive = maximum(t, zero)
                         weight = select(greater_equal(log2_alpha, log2_min_alpha), alpha * t_alive, zero)

@@ -45,11 +45,10 @@ from tdgbench.splats.cpu.simd.memory import (
     store_anywhere,
     take_next,
 )
-from tdgbench.splats.cpu.simd.powers import exp2_exactly, exp2_roughly
+from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import lane_sums_of_4, lane_sums_of_8
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
-    absolute,
     both,
     greater,
     greater_equal,
@@ -63,24 +62,22 @@ from tdgbench.splats.cpu.simd.registers import (
 )
 
 F, U = np.float32, np.uint64
-TWO = F(2)
 LOOK_AHEAD = 4
 
 
-def slot_size(channels: int, absgrad: bool) -> int:
-    """Floats per gradient slot: six moments, the channels, and with absgrad the two absolute sums."""
-    return 6 + channels + 2 * absgrad
+def slot_size(channels: int) -> int:
+    """Floats per gradient slot: six moments and the channels."""
+    return 6 + channels
 
 
 @functools.cache
-def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool):
-    """The backward kernel of `make_blend`; with `absgrad` also Σ |d/du|, Σ |d/dv| over the pixels."""
+def make_blend_backward(colors: int, depth: bool):
+    """The backward kernel of `make_blend`."""
     channels = colors + depth
     block_size = (4 + channels) * LANES  # x, y, T, light behind, then the gradients of the channels
-    size = slot_size(channels, absgrad)
-    exp2 = exp2_roughly if rough_exp else exp2_exactly
+    size = slot_size(channels)
 
-    @kernel()
+    @kernel(variant=f"{colors}_depth" if depth else f"{colors}")
     def blend_backward(counter, width, height, records, tile_start, gaussian_of, slot_of, limits, powers, grid,
                        image, depth_map, transmittance, grad_image, grad_depth, grad_transmittance, reached, lit,
                        slots, written):  # fmt: skip
@@ -127,7 +124,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                     continue
                 i = U(gaussian_of[U(k)])
                 form = form_of(records, i, left, top)
-                dx0, dy0, A, B, C, _ = form
+                dx0, dy0, _, _, _, _ = form
                 c0, c1 = splat(records[i, CHANNELS]), splat(records[i, CHANNELS + 1])
                 c2, c3 = splat(records[i, CHANNELS + 2]), splat(records[i, CHANNELS + 3])
                 ahead = blocks  # first what needs no sums: the registers do not hold all at once
@@ -136,7 +133,7 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                     ahead &= ahead - U(1)
                     o = block * U(block_size)
                     log2_alpha = log2_alpha_in(pixels, o, form)
-                    uncapped = exp2(log2_alpha, powers)
+                    uncapped = exp2_in_memory(log2_alpha, powers)
                     uncapped = select(greater_equal(log2_alpha, log2_min_alpha), uncapped, zero)
                     alpha = minimum(uncapped, max_alpha)
                     pull = select(less_equal(uncapped, max_alpha), alpha * reciprocal(alpha - ONE), splat(ONE))
@@ -152,8 +149,6 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                 k1 = zero
                 k2 = zero
                 k3 = zero
-                abs_u = zero
-                abs_v = zero
                 while blocks != NONE:
                     block = lowest(blocks)
                     blocks &= blocks - U(1)
@@ -196,9 +191,6 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                     mxy = mxy + g_dx * dy
                     my = my + g_dy
                     myy = myy + g_dy * dy
-                    if absgrad:
-                        abs_u = abs_u + absolute(g * (dx * A * TWO + dy * B))
-                        abs_v = abs_v + absolute(g * (dx * B + dy * C * TWO))
                 slot = U(slot_of[U(k)])
                 written[slot] = True
                 o = slot * U(size)
@@ -209,14 +201,10 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool, rough_exp: bool
                     store(sums, 0, first_sums)
                     for j in range(U(min(size, 8))):
                         slots[o + j] = sums[j]
-                if channels > 2 or absgrad:
-                    store(sums, LANES, lane_sums_of_4(k2, k3, abs_u, abs_v))
-                    if channels > 2:
-                        slots[o + U(8)] = sums[U(LANES)]
+                if channels > 2:
+                    store(sums, LANES, lane_sums_of_4(k2, k3, zero, zero))
+                    slots[o + U(8)] = sums[U(LANES)]
                     if channels > 3:
                         slots[o + U(9)] = sums[U(LANES + 1)]
-                    if absgrad:
-                        slots[o + U(size - 2)] = sums[U(LANES + 2)]
-                        slots[o + U(size - 1)] = sums[U(LANES + 3)]
 
     return blend_backward

@@ -18,11 +18,10 @@ ZERO = np.float32(0)
 
 
 @kernel()
-def spread_gradients(first, count, start, stop, index, rows, image, means, scales, quats, opacities, colors, means2d,
-                     abs_means2d):  # fmt: skip
-    """Fill Gaussians [start, stop) of arrays (N, 3), (N, 3), (N, 4), (N,), (N, colours), (N, 2), (N, 2) or (0, 2)."""
+def spread_gradients(first, count, start, stop, index, rows, image, means, scales, quats, opacities, colors,
+                     means2d):  # fmt: skip
+    """Fill Gaussians [start, stop) of arrays (N, 3), (N, 3), (N, 4), (N,), (N, colours), (N, 2)."""
     width, used = U(colors.shape[1]), U(min(colors.shape[1], rows.shape[1] - COLORS_AT))
-    absgrad = abs_means2d.shape[0] > 0
     r = U(first)
     for i in range(U(start), U(stop)):
         if r < U(first + count) and U(index[r]) == i:
@@ -38,8 +37,6 @@ def spread_gradients(first, count, start, stop, index, rows, image, means, scale
                 colors[i, j] = ZERO
             for j in range(U(2)):
                 means2d[i, j] = image[r, j]
-                if absgrad:
-                    abs_means2d[i, j] = image[r, U(2) + j]
             r += U(1)
         else:
             for j in range(U(3)):
@@ -52,8 +49,6 @@ def spread_gradients(first, count, start, stop, index, rows, image, means, scale
                 colors[i, j] = ZERO
             for j in range(U(2)):
                 means2d[i, j] = ZERO
-                if absgrad:
-                    abs_means2d[i, j] = ZERO
 
 
 @kernel()
@@ -77,9 +72,9 @@ def _ranges(pieces: list[tuple[int, int]], index: np.ndarray, count: int) -> lis
     return [(*piece, starts[t], starts[t + 1]) for t, piece in enumerate(pieces)]
 
 
-def dense_gradients(rows, count: int, colors: int, absgrad: bool) -> list[np.ndarray]:
-    """Gradients of means, scales, quats, opacities, colours and image means, and Σ |d/d image mean| (or empty)."""
-    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, colors), (count, 2), (count if absgrad else 0, 2))
+def dense_gradients(rows, count: int, colors: int) -> list[np.ndarray]:
+    """Gradients of means, scales, quats, opacities, colours and image means."""
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, colors), (count, 2))
     out = [empty_aligned(shape, np.float32) for shape in shapes]
     pool.run(
         spread_gradients,

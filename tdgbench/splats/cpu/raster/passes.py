@@ -23,7 +23,7 @@ from tdgbench.splats.cpu.raster.projection_forward import project_and_list
 from tdgbench.splats.cpu.raster.records import RECORD
 from tdgbench.splats.cpu.raster.tiles import TILE, list_by_tile, sort_by_key
 from tdgbench.splats.cpu.scratch import Lease
-from tdgbench.splats.cpu.simd.powers import coefficients
+from tdgbench.splats.cpu.simd.powers import COEFFICIENTS
 from tdgbench.splats.cpu.simd.registers import LANES
 
 F = np.float32
@@ -40,8 +40,6 @@ class Settings:
     depth_channel: bool
     background: np.ndarray  # float32 (colours,)
     limits: np.ndarray  # float32 (7,), see tdgbench.splats.cpu.raster.limits
-    rough_exp: bool = False
-    absgrad: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class GradientRows:
     pieces: list[tuple[int, int]]  # (first, count) of rows
     index: np.ndarray  # (room,) int32: the Gaussian
     values: np.ndarray  # (room, columns)
-    image: np.ndarray  # (room, 5): d/du, d/dv, Σ |d/du|, Σ |d/dv|, radius
+    image: np.ndarray  # (room, 3): d/du, d/dv, radius
     lease: Lease
 
 
@@ -192,10 +190,10 @@ def blend(settings: Settings, records, tile_start, gaussian_of, lit) -> tuple[np
     transmittance, reached = np.empty(size, np.float32), np.empty(len(tile_start) - 1, np.int32)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, records, tile_start, gaussian_of,
-        settings.background, settings.limits, coefficients(settings.rough_exp), GRID,
+        settings.background, settings.limits, COEFFICIENTS, GRID,
         image, depth, transmittance, reached, lit,
     )  # fmt: skip
-    pool.run(make_blend(channels, settings.depth_channel, settings.rough_exp), [arguments] * pool.get_threads())
+    pool.run(make_blend(channels, settings.depth_channel), [arguments] * pool.get_threads())
     return image, depth, transmittance, reached
 
 
@@ -211,20 +209,20 @@ def backward(
         )
     ]  # fmt: skip
     lease, passing = Lease(), Lease()
-    size = slot_size(channels + settings.depth_channel, settings.absgrad)
+    size = slot_size(channels + settings.depth_channel)
     slots, written = passing.take("slots", done.pair_room * size, np.float32), np.zeros(done.pair_room, np.bool_)
     arguments = (
         np.zeros(1, np.int64), settings.width, settings.height, done.records, done.tile_start,
-        done.gaussian_of, done.slot_of, settings.limits, coefficients(settings.rough_exp), GRID,
+        done.gaussian_of, done.slot_of, settings.limits, COEFFICIENTS, GRID,
         done.image, done.depth, done.transmittance, *gradients, done.reached, done.lit, slots, written,
     )  # fmt: skip
-    variant = make_blend_backward(channels, settings.depth_channel, settings.absgrad, settings.rough_exp)
+    variant = make_blend_backward(channels, settings.depth_channel)
     pool.run(variant, [arguments] * pool.get_threads())
     bases = (settings.degree + 1) ** 2 if settings.degree >= 0 else 1
     stride = padded(COLORS_AT + bases * channels)
     room = -(-len(done.records) // LANES) * LANES
     values = lease.take("gradients", (room, stride), np.float32)
-    image = lease.take("image gradients", (room, 5), np.float32)
+    image = lease.take("image gradients", (room, 3), np.float32)
     index = lease.take("touched", room, np.int32)
     touched = pool.run(
         projection_backward,
@@ -232,7 +230,7 @@ def backward(
             (
                 *piece, done.owners, *source.arrays, source.layout, source.raw, channels, settings.degree,
                 settings.camera, settings.depth_channel, done.records, done.pairs, slots, written, size,
-                settings.absgrad, stride, index, values, image,
+                stride, index, values, image,
             )
             for piece in done.kept
         ],

@@ -6,8 +6,6 @@ Gaussians that some pixel pulls at get a row of gradients; LANES of them are wor
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
@@ -37,9 +35,8 @@ from tdgbench.splats.cpu.simd.registers import LANES, divide, equal, greater, se
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-LN_2 = F(math.log(2))
 LOOK_AHEAD = 16
-MAX_SLOT = 12  # floats: six moments, four channels, two absolute sums
+MAX_SLOT = 10  # floats: six moments, four channels
 
 
 @kernel(inline=True)
@@ -82,12 +79,12 @@ def quaternion_gradient(w, x, y, z, n, g0, g1, g2):
 @kernel()
 def projection_backward(
     first, count, owners, means, scales, quats, opacities, colors, layout, raw, channels, degree, camera,
-    depth_channel, records, pairs, slots, written, slot_size, absgrad, stride, touched, gradients, image_gradients,
+    depth_channel, records, pairs, slots, written, slot_size, stride, touched, gradients, image_gradients,
 ):  # fmt: skip
     """Gradients of records [first, first + count), for those that have any; returns how many rows that is.
 
     Rows are written from `first` on: touched (the Gaussian), gradients (means, scales, quats, opacity, colours, zeros
-    up to `stride`), image_gradients (d/du, d/dv, with absgrad Σ |d/du|, Σ |d/dv| over the pixels, and the radius).
+    up to `stride`), image_gradients (d/du, d/dv, radius).
     """
     total, basis = aligned_floats(MAX_SLOT * LANES), aligned_floats(16 * LANES)
     pull = aligned_floats(16 * LANES)
@@ -152,15 +149,9 @@ def projection_backward(
 
         gu = cx * t1 + cy * t2
         gv = cz * t2 + cy * t1
-        put_column(image_gradients, done, 5, 0, gu)
-        put_column(image_gradients, done, 5, 1, gv)
-        abs_u, abs_v = zero, zero
-        if absgrad:
-            abs_u = LN_2 * load(total, (slot_size - 2) * LANES)
-            abs_v = LN_2 * load(total, (slot_size - 1) * LANES)
-        put_column(image_gradients, done, 5, 2, abs_u)
-        put_column(image_gradients, done, 5, 3, abs_v)
-        put_column(image_gradients, done, 5, 4, gather(records, place, 0, RECORD, RADIUS))
+        put_column(image_gradients, done, 3, 0, gu)
+        put_column(image_gradients, done, 3, 1, gv)
+        put_column(image_gradients, done, 3, 2, gather(records, place, 0, RECORD, RADIUS))
         moments = (-HALF * t3, -HALF * t4, -HALF * t5)
         y0 = whitened(p_unit[0], q_unit[0], p, q, 1, 2, camera[21], inverse)
         y1 = whitened(p_unit[1], q_unit[1], p, q, 2, 0, camera[21], inverse)

@@ -208,9 +208,8 @@ def lane_index(typing_context):
     return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
 
 
-# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomials of 2^r, from the highest power down.
-EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)  # to 2.5e-7 relative
-EXP2_ROUGH = (0.0551714178, 0.24261117, 0.693261056, 0.999928073)  # to 7.5e-5 relative
+# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomial of 2^r to 2.5e-7 relative, from the highest power down.
+EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)
 
 
 def _power_of_two(builder, x, coefficients):

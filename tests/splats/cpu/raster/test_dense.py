@@ -11,21 +11,20 @@ def test_rows_go_to_their_gaussians_and_the_others_are_zero():
     rng = np.random.default_rng(0)
     index = np.array([1, 4, -1, -1, 6, 9, -1], np.int32)  # three pieces, one of them empty, with gaps
     pieces = [(0, 2), (3, 0), (4, 2)]
-    values, image = rng.normal(size=(7, 16)).astype(F), rng.normal(size=(7, 5)).astype(F)
+    values, image = rng.normal(size=(7, 16)).astype(F), rng.normal(size=(7, 3)).astype(F)
     rows = GradientRows(pieces, index, values, image, Lease())
-    want, want_image = np.zeros((12, 16), F), np.zeros((12, 5), F)
+    want, want_image = np.zeros((12, 16), F), np.zeros((12, 3), F)
     for r in (0, 1, 4, 5):
         want[index[r]], want_image[index[r]] = values[r], image[r]
-    means, scales, quats, opacities, colors, means2d, absolute = dense_gradients(rows, 12, 8, absgrad=True)
+    means, scales, quats, opacities, colors, means2d = dense_gradients(rows, 12, 8)
     assert np.array_equal(np.concatenate([means, scales, quats, opacities[:, None]], axis=1), want[:, :11])
     assert np.array_equal(colors[:, :5], want[:, 11:]) and not colors[:, 5:].any()
-    assert np.array_equal(means2d, want_image[:, :2]) and np.array_equal(absolute, want_image[:, 2:4])
-    assert dense_gradients(rows, 12, 3, absgrad=False)[-1].shape == (0, 2)
+    assert np.array_equal(means2d, want_image[:, :2])
 
 
 def test_no_rows_at_all():
-    rows = GradientRows([(0, 0)], np.zeros(1, np.int32), np.ones((1, 16), F), np.ones((1, 5), F), Lease())
-    assert not any(array.any() for array in dense_gradients(rows, 4, 1, absgrad=True))
+    rows = GradientRows([(0, 0)], np.zeros(1, np.int32), np.ones((1, 16), F), np.ones((1, 3), F), Lease())
+    assert not any(array.any() for array in dense_gradients(rows, 4, 1))
 
 
 def test_what_was_not_projected_has_no_radius():
