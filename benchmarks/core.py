@@ -23,10 +23,11 @@ from matplotlib.figure import Figure
 from tdgbench.experiments.measure import oracle
 from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.experiments.measure.timing import fma_peak_gflops, interleave, median_ms
-from tdgbench.splats.backends import cuda
+from tdgbench.splats.backends import fast_backends, load_backend
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
@@ -35,12 +36,12 @@ MOST = "3+depth"  # what the others are held against
 
 def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
     """Seconds of one forward pass, backward pass, or both, through autograd as training uses it."""
-    device = torch.device("cuda" if backend == "cuda" else "cpu")
+    device = torch.device(load_backend(backend).device)
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :channels])
     leaves = [t.to(device).clone().requires_grad_() for t in given]
     size = (cloud.height, cloud.width)
     grads = [torch.ones(*size, channels, device=device), *([torch.ones(size, device=device)] if depth else [])]
-    view, K = cloud.viewmat.to(device), cloud.K.to(device)
+    camera = Pinhole(cloud.viewmat.to(device), cloud.K.to(device), cloud.width, cloud.height)
 
     def now() -> float:
         if device.type == "cuda":
@@ -49,7 +50,7 @@ def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> C
 
     def run() -> float:
         start = now()
-        rendered = render_view(*leaves, view, K, cloud.width, cloud.height, depth=depth, backend=backend)
+        rendered = render_view(GaussianTensors(*leaves), camera, depth=depth, backend=backend)
         middle = now()
         outputs = [rendered.image, *([rendered.depth] if rendered.depth is not None else [])]
         torch.autograd.backward(outputs, grads)
@@ -99,7 +100,8 @@ def pairs_with_weight(cloud: Cloud) -> int:
     """Pixel-Gaussian pairs that a blend cannot do without, in registers of 8 or 16 pixels in which any has weight."""
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
     leaves = [t.clone().requires_grad_() for t in given]
-    view = render_view(*leaves, cloud.viewmat, cloud.K, cloud.width, cloud.height, backend="cpu")
+    camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height)
+    view = render_view(GaussianTensors(*leaves), camera, backend="cpu")
     lists = view.image.grad_fn.saved[2]  # type: ignore[union-attr]
     place = np.arange(len(lists.lit)) - np.repeat(lists.tile_start[:-1], np.diff(lists.tile_start))
     seen = place < np.repeat(lists.reached, np.diff(lists.tile_start))
@@ -113,7 +115,7 @@ def candidates_for(cloud: Cloud, variant: str, peer: Path | None, with_torch: bo
         "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
         "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
     }
-    if cuda.why_not() is None:
+    if "cuda" in fast_backends():
         candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
     if peer is not None:
         candidates["prototype"] = prototype(cloud, channels, depth, peer)

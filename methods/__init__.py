@@ -1,1 +1,1 @@
-"""One method a file: its losses and its step, to be read beside the paper. `conf/method/` names their constants."""
+"""One method per file: its losses and its step, readable beside the paper. Constants are in `conf/method/`."""

@@ -1,7 +1,7 @@
 """MSMG, multiple single-modal Gaussians: an RGB and a thermal model trained together (ThermalGaussian, Lu et al. 2024).
 
-The two models share nothing but their first points and one sum: each loss is weighted by the *other* model's share
-of all Gaussians, which shrinks the gradients that density control looks at, and so how many Gaussians grow.
+The models share their initial points and the loss. In it, each term is weighted by the share of the *other* model in
+all Gaussians. This scales the gradients that density control tests, and so limits the growth of the larger model.
 """
 
 from __future__ import annotations
@@ -9,13 +9,17 @@ from __future__ import annotations
 import torch
 
 from tdgbench.scenes import Camera
+from tdgbench.splats.view import Render
 from tdgbench.training.losses import photometric, thermal
 from tdgbench.training.method import Context, Step, rgb_tensor, thermal_tensor
-from tdgbench.training.model import Render, SplatModel
+from tdgbench.training.model import SplatModel
 
 
 class MSMG:
-    """total = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, w: shares of the Gaussian counts."""
+    """L = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, with w the shares in all Gaussians.
+
+    L_rgb is 3DGS's loss (eq. 7), L_thermal that of ThermalGaussian, with smoothness.
+    """
 
     name = "msmg"
     needs_rgb = True

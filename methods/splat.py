@@ -1,6 +1,6 @@
-"""One Gaussian model on thermal images alone: plain 3DGS (Kerbl et al. 2023), or MSMG's thermal model without its twin.
+"""One Gaussian model on thermal images alone: plain 3DGS (Kerbl et al. 2023), or the thermal model of MSMG.
 
-Both show where TDg's gain comes from: the former what depth and smoothness bring, the latter what leaving out RGB does.
+3DGS compared with TDg shows the gain of depth and smoothness; MSMG's model compared with MSMG that of leaving out RGB.
 """
 
 from __future__ import annotations
@@ -8,15 +8,16 @@ from __future__ import annotations
 import torch
 
 from tdgbench.scenes import Camera
+from tdgbench.splats.view import Render
 from tdgbench.training.losses import thermal
 from tdgbench.training.method import Context, Step, thermal_tensor
-from tdgbench.training.model import Render, SplatModel
+from tdgbench.training.model import SplatModel
 
 
 class Splat:
     """L = weight · ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth): 3DGS, eq. 7; ThermalGaussian.
 
-    Adam hardly sees the weight, density control does: in MSMG it is 0.6 × the RGB model's share of all Gaussians.
+    The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
     name = "splat"

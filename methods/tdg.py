@@ -1,7 +1,15 @@
-"""TDg: one Gaussian model trained on thermal images, guided by a depth prior estimated from them.
+"""TDg: one Gaussian model trained on thermal images, guided by depth estimated from them.
 
-Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimation", section Method, and the code that
-its authors released (HannahHaensen/TDg, commit b881cee). The two differ; `depth` and `smooth` choose between them.
+Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimation", section Method:
+
+- eq. 2, estimated depth D: `tdgbench.priors`
+- eq. 3, rendered depth: `Render.depth`
+- eq. 4, depth loss: `depth_loss`
+- eqs. 5 and 6, thermal loss and smoothness: `tdgbench.training.losses.thermal`
+- eq. 7, progressive weight: `decay_weight`
+- eq. 8, total loss: `TDg.step`
+
+The released code (HannahHaensen/TDg, commit b881cee) differs; the options `depth` and `smooth` choose the reading.
 """
 
 from __future__ import annotations
@@ -14,96 +22,16 @@ from torch import Tensor
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
 from tdgbench.training.method import Context, Step, thermal_tensor
-from tdgbench.training.model import Render, SplatModel
+from tdgbench.training.model import SplatModel
 
-MIN_ALPHA = 1e-3  # where less light than this is stopped, there is no depth to invert
+MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
 RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
 DEPTHS = ("written", "released")
 DECAYS = ("linear", "switch")
-
-
-def comparable_depth(render: Render, kind: str) -> Tensor:
-    """The rendered map in the prior's own kind of number: accumulated z (eq. 3), or inverse z for a disparity."""
-    assert render.depth is not None
-    if kind != "disparity":
-        return render.depth
-    return inverse_expected_depth(render.depth, render.transmittance, MIN_ALPHA)
-
-
-@dataclass(frozen=True)
-class DepthTarget:
-    """A prior made ready for the loss: normalised, and where it is known (None: everywhere)."""
-
-    normalised: Tensor  # (H, W) in [0, 1]; 0 where unknown
-    valid: Tensor | None  # (H, W) bool
-    kind: str
-
-    @classmethod
-    def of(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
-        values = torch.from_numpy(prior.values).to(device)
-        valid = torch.isfinite(values)
-        if bool(valid.all()):
-            return cls(min_max(values), None, prior.kind)
-        normalised = torch.where(valid, min_max(_known(values, valid)), 0.0)
-        return cls(normalised, valid, prior.kind)
-
-
-def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Depth loss (TDg, eq. 4): L1 + (1 − SSIM) of the min-max normalised maps (H, W), where the prior is known."""
-    if target.valid is None:
-        return l1_and_dssim(min_max(rendered)[..., None], target.normalised[..., None], 1.0, 1.0)
-    a = torch.where(target.valid, min_max(_known(rendered, target.valid)), 0.0)[..., None]
-    b = target.normalised[..., None]
-    share = target.valid.sum() / target.valid.numel()
-    return l1(a, b) / share + (1 - ssim(a, b))
-
-
-def _known(values: Tensor, valid: Tensor) -> Tensor:
-    """The map with unknown pixels set to a known one, so that they are no extremes."""
-    return torch.where(valid, values, values[valid][0].detach())
-
-
-@torch.no_grad()
-def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor:
-    """Rendered depth map (H, W) in [0, 1] as released (gaussian_renderer/__init__.py, from line 404).
-
-    Each Gaussian's z is min-max normalised over all Gaussians with z > 0 (the others get 0), blended, and divided by
-    alpha. z comes from the view matrix multiplied transposed: the camera's rotation is inverted and its position does
-    not enter.
-    """
-    view = torch.as_tensor(camera.world_to_camera).to(gaussians.means)
-    z = gaussians.means @ view[:3, 2] + view[3, 2]
-    valid = torch.isfinite(z) & (z > 0)
-    known = z[valid]
-    if not len(known):
-        normalised = torch.zeros_like(z)
-    elif known.max() - known.min() > 1e-9:
-        normalised = torch.where(valid, (z - known.min()) / (known.max() - known.min()), 0.0).clamp(0, 1)
-    else:
-        normalised = torch.where(valid, 0.5, 0.0)
-    rendered = render_view(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, normalised[:, None], view,
-        torch.as_tensor(camera.K).to(view), camera.width, camera.height, backend=backend,
-    )  # fmt: skip
-    return rendered.image[..., 0] / (1 - rendered.transmittance + RELEASED_EPSILON)
-
-
-def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) over the whole image; unknown depth is 0."""
-    return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)
-
-
-def decay_weight(iteration: int, start: int, end: int) -> float:
-    """Progressive weight (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`."""
-    return max(0.0, 1.0 - (iteration - start) / max(end - start, 1))
-
-
-def switch_weight(iteration: int, end: int) -> float:
-    """The hard supervision switch that the paper decays to avoid: 1 before `end`, then 0."""
-    return float(iteration < end)
 
 
 class TDg:
@@ -123,10 +51,10 @@ class TDg:
         decay: str,
         decay_end: float,
     ) -> None:
-        """depth: `written` (accumulated z, eq. 3, with its gradient) or `released` (without any gradient).
-        decay: `linear` (eq. 7) or `switch`. decay_end: share of the iterations after which depth weighs nothing.
+        """smooth: see `smoothness`. depth: `written` (eq. 3, with its gradient) or `released` (without gradient).
+        decay: `linear` (eq. 7) or `switch`. decay_end: t_end as a share of all iterations.
 
-        Raises ValueError for another word.
+        Raises ValueError for another value of `depth` or `decay`.
         """
         if depth not in DEPTHS or decay not in DECAYS:
             raise ValueError(f"depth is {depth!r} and decay {decay!r}; they must be among {DEPTHS} and {DECAYS}")
@@ -138,18 +66,8 @@ class TDg:
         self.views = context.view_order()
         self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
         self.backend = context.backend
-        iterations = context.budget.iterations
-        self.last_depth_iteration = int(self.decay_end * iterations)
-        without, reason = max(0, iterations - self.last_depth_iteration + 1), ""
-        if self.lambda_depth == 0 or self.depth == "released":
-            without = iterations
-        if self.depth == "released":
-            reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
-        self.skips_depth = context.skips.depth.decide(
-            without > 0,
-            reason or f"the depth loss weighs nothing from iteration {iterations - without + 1} on",
-            f"depth and its loss in {without} of {iterations} iterations",
-        )
+        self.last_depth_iteration = int(self.decay_end * context.budget.iterations)  # t_end
+        self.skips_depth = self._decide_skip(context)
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
@@ -165,6 +83,13 @@ class TDg:
             loss = loss + weight * depth
         return Step(loss, terms, render, target)
 
+    def models(self) -> dict[str, SplatModel]:
+        return {"thermal": self.model}
+
+    @torch.no_grad()
+    def render(self, camera: Camera) -> Render:
+        return self.model.render(camera, depth=True)
+
     def _decay(self, iteration: int) -> float:
         if self.decay == "switch":
             return switch_weight(iteration, self.last_depth_iteration)
@@ -176,9 +101,106 @@ class TDg:
             return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
-    def models(self) -> dict[str, SplatModel]:
-        return {"thermal": self.model}
+    def _decide_skip(self, context: Context) -> bool:
+        """Whether iterations in which the depth loss moves nothing leave it out."""
+        iterations = context.budget.iterations
+        without, reason = max(0, iterations - self.last_depth_iteration + 1), ""
+        if self.lambda_depth == 0 or self.depth == "released":
+            without = iterations
+        if self.depth == "released":
+            reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
+        return context.skips.depth.decide(
+            without > 0,
+            reason or f"the depth loss weighs nothing from iteration {iterations - without + 1} on",
+            f"depth and its loss in {without} of {iterations} iterations",
+        )
 
-    @torch.no_grad()
-    def render(self, camera: Camera) -> Render:
-        return self.model.render(camera, depth=True)
+
+@dataclass(frozen=True)
+class DepthTarget:
+    """A depth prior, normalised for the loss."""
+
+    normalised: Tensor  # (H, W) in [0, 1]; 0 where unknown
+    valid: Tensor | None  # (H, W) bool: where the prior is known; None: everywhere
+    kind: str
+
+    @classmethod
+    def of(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
+        values = torch.from_numpy(prior.values).to(device)
+        valid = torch.isfinite(values)
+        if bool(valid.all()):
+            return cls(min_max(values), None, prior.kind)
+        normalised = torch.where(valid, min_max(_fill_unknown(values, valid)), 0.0)
+        return cls(normalised, valid, prior.kind)
+
+
+def comparable_depth(render: Render, kind: str) -> Tensor:
+    """Rendered depth (H, W) of the prior's kind: accumulated z (TDg, eq. 3), or the inverse z for a disparity."""
+    assert render.depth is not None
+    if kind != "disparity":
+        return render.depth
+    return inverse_expected_depth(render.depth, render.transmittance, MIN_ALPHA)
+
+
+def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
+    """Depth loss (TDg, eq. 4): L1 + (1 − SSIM) of the min-max normalised maps (H, W), where the prior is known.
+
+    >>> depth = torch.rand(16, 16)
+    >>> target = DepthTarget.of(DepthPrior((3 * depth + 2).numpy(), "depth"), torch.device("cpu"))
+    >>> abs(depth_loss(depth, target).item()) < 1e-5
+    True
+    """
+    if target.valid is None:
+        return l1_and_dssim(min_max(rendered)[..., None], target.normalised[..., None], 1.0, 1.0)
+    a = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid)), 0.0)[..., None]
+    b = target.normalised[..., None]
+    share = target.valid.sum() / target.valid.numel()
+    return l1(a, b) / share + (1 - ssim(a, b))
+
+
+def _fill_unknown(values: Tensor, valid: Tensor) -> Tensor:
+    """The map (H, W) with a known value in all unknown pixels, so that these are no extremes."""
+    return torch.where(valid, values, values[valid][0].detach())
+
+
+def decay_weight(iteration: int, start: int, end: int) -> float:
+    """Progressive weight w_decay(t) (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`.
+
+    >>> [decay_weight(t, 1, 501) for t in (1, 251, 501, 900)]
+    [1.0, 0.5, 0.0, 0.0]
+    """
+    return max(0.0, 1.0 - (iteration - start) / max(end - start, 1))
+
+
+def switch_weight(iteration: int, end: int) -> float:
+    """The hard supervision switch that eq. 7 avoids: 1 before `end`, then 0."""
+    return float(iteration < end)
+
+
+@torch.no_grad()
+def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor:
+    """Rendered depth (H, W) in [0, 1] as released (gaussian_renderer/__init__.py, from line 404).
+
+    Each Gaussian's z is min-max normalised over all Gaussians with z > 0 (others get 0), blended, and divided by alpha.
+    z comes from the transposed view matrix: the rotation is inverted, and the translation is dropped.
+    """
+    pinhole = Pinhole.of(camera).to(gaussians.means)
+    z = gaussians.means @ pinhole.viewmat[:3, 2] + pinhole.viewmat[3, 2]
+    valid = torch.isfinite(z) & (z > 0)
+    known = z[valid]
+    if not len(known):
+        normalised = torch.zeros_like(z)
+    elif known.max() - known.min() > 1e-9:
+        normalised = torch.where(valid, (z - known.min()) / (known.max() - known.min()), 0.0).clamp(0, 1)
+    else:
+        normalised = torch.where(valid, 0.5, 0.0)
+    coloured = GaussianTensors(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, normalised[:, None]
+    )
+    rendered = render_view(coloured, pinhole, backend=backend)
+    return rendered.image[..., 0] / (1 - rendered.transmittance + RELEASED_EPSILON)
+
+
+def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
+    """Depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) of the maps (H, W); unknown depth is 0."""
+    return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)

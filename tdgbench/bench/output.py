@@ -21,8 +21,8 @@ from tdgbench.files import to_disk, write_text
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import METRICS, TRAIN_METRICS, RenderedImages, Scorer, mean_scores, to_8bit
 from tdgbench.splats import Gaussians
-from tdgbench.splats.rasterization import render_view
-from tdgbench.splats.view import RenderedView
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.method import Method
 
@@ -159,13 +159,9 @@ def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera
 
 
 @torch.no_grad()
-def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False) -> RenderedView:
+def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False) -> Render:
     """A stored model from a camera, at its full degree."""
-    return render_view(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-        torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height,
-        sh_degree=gaussians.sh_degree, depth=depth,
-    )  # fmt: skip
+    return render_view(gaussians.activated(gaussians.sh_degree), Pinhole.of(camera), depth=depth)
 
 
 def hashes(folder: Path) -> dict[str, str]:

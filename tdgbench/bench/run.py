@@ -23,8 +23,8 @@ from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.priors import DepthPrior, estimate_all
 from tdgbench.scenes import Dataset, Scene, View
 from tdgbench.scoring import Scorer, mean_scores, to_8bit
+from tdgbench.splats.backends import choose_backend
 from tdgbench.splats.ply import save_ply
-from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, train

@@ -1,4 +1,4 @@
-"""A set of 3-D Gaussians: five tensors, stored before their activations (3DGS, section 4)."""
+"""A set of 3-D Gaussians: five tensors before their activations (3DGS, section 4)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from tdgbench.splats.view import GaussianTensors
+
 
 @dataclass
 class Gaussians:
     """N Gaussians with C channels (1: gray, 3: colour) and K = (degree + 1)² harmonics coefficients.
 
-    The same shape of object also holds what belongs to each parameter, such as the optimiser's moments.
+    >>> one = Gaussians(
+    ...     means=torch.zeros(1, 3), log_scales=torch.zeros(1, 3), quats=torch.tensor([[1.0, 0, 0, 0]]),
+    ...     opacity_logits=torch.zeros(1), sh=torch.zeros(1, 4, 3),
+    ... )
+    >>> len(one), one.channels, one.sh_degree, one.opacities.item(), one.scales[0, 0].item()
+    (1, 3, 1, 0.5, 1.0)
     """
 
     means: Tensor  # (N, 3) world coordinates
@@ -24,9 +31,11 @@ class Gaussians:
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
+        """Names of the parameters."""
         return tuple(field.name for field in fields(cls))
 
     def items(self) -> Iterable[tuple[str, Tensor]]:
+        """Names and tensors of the parameters."""
         return [(name, getattr(self, name)) for name in self.names()]
 
     def __len__(self) -> int:
@@ -34,10 +43,12 @@ class Gaussians:
 
     @property
     def scales(self) -> Tensor:
+        """(N, 3) standard deviations, world units."""
         return self.log_scales.exp()
 
     @property
     def opacities(self) -> Tensor:
+        """(N,) in [0, 1]."""
         return self.opacity_logits.sigmoid()
 
     @property
@@ -48,25 +59,22 @@ class Gaussians:
     def sh_degree(self) -> int:
         return round(self.sh.shape[1] ** 0.5) - 1
 
+    def activated(self, sh_degree: int) -> GaussianTensors:
+        """The Gaussians after their activations, with the harmonics up to a degree."""
+        return GaussianTensors(self.means, self.quats, self.scales, self.opacities, self.sh, sh_degree)
+
     def map(self, function: Callable[[Tensor], Tensor]) -> Gaussians:
-        """The same function on every tensor."""
+        """Apply a function to every tensor."""
         return Gaussians(**{name: function(tensor) for name, tensor in self.items()})
 
     def select(self, index: Tensor | slice) -> Gaussians:
-        """The Gaussians at an index, in a slice, or where a mask holds."""
+        """The Gaussians at an index, in a slice or under a mask."""
         return self.map(lambda tensor: tensor[index])
 
-    def zeros_like(self) -> Gaussians:
-        return self.map(torch.zeros_like)
-
     def as_leaves(self) -> Gaussians:
-        """Detached tensors that ask for gradients."""
+        """Detached tensors that require gradients."""
         return self.map(lambda tensor: tensor.detach().contiguous().requires_grad_())
 
     def detach(self) -> Gaussians:
+        """Detached tensors."""
         return self.map(torch.Tensor.detach)
-
-
-def concatenate(parts: list[Gaussians]) -> Gaussians:
-    """All Gaussians of several sets, in order."""
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts]) for name in Gaussians.names()})

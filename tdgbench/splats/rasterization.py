@@ -1,4 +1,4 @@
-"""The public face of the splat core: `rasterization`, with gsplat's name, order and shapes."""
+"""The public function of the splat core: `rasterization`, with gsplat's name, argument order and shapes."""
 
 from __future__ import annotations
 
@@ -7,33 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tdgbench.splats.backends import cpu, cuda, reference
+from tdgbench.splats.backends import choose_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.harmonics import num_bases
-from tdgbench.splats.view import RenderedView
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import EPS2D, FAR_PLANE, NEAR_PLANE, GaussianTensors, Pinhole, Projection, Render
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
-BACKENDS = ("auto", "reference", "cpu", "cuda")
-NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
-
-
-def choose_backend(backend: str, device: torch.device, dtype: torch.dtype) -> str:
-    """What `auto` means: float32 goes to `cpu` or `cuda` by its device, everything else to the general `reference`.
-
-    Raises ValueError if a backend cannot take such tensors, RuntimeError if it cannot run here.
-    """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend is {backend!r}; it must be one of {', '.join(BACKENDS)}")
-    if backend == "auto":
-        return device.type if device.type in ("cpu", "cuda") and dtype == torch.float32 else "reference"
-    if backend in ("cpu", "cuda") and (device.type != backend or dtype != torch.float32):
-        where = "the CPU" if backend == "cpu" else "a CUDA GPU"
-        raise ValueError(
-            f"backend {backend} takes float32 tensors on {where}, not {dtype} on {device}; use 'reference'"
-        )
-    if backend == "cuda" and (reason := cuda.why_not()) is not None:
-        raise RuntimeError(f"backend cuda cannot run: {reason}")
-    return backend
 
 
 def rasterization(
@@ -56,120 +36,100 @@ def rasterization(
     backend: str = "auto",
     blending: Blending = AS_3DGS,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Splat N Gaussians into C cameras.
+    """Splat N Gaussians into C cameras, with gradients.
 
-    Args:
-        means: (N, 3) centres in world coordinates.
-        quats: (N, 4) rotations, wxyz; normalised inside.
-        scales: (N, 3) standard deviations along the axes, > 0.
-        opacities: (N,) in [0, 1].
-        colors: (N, D), or (N, K, D) spherical-harmonics coefficients with `sh_degree`.
-        viewmats: (C, 4, 4) world-to-camera, OpenCV axes (x right, y down, z forward).
-        Ks: (C, 3, 3) pinhole intrinsics in pixels; pixel centres lie at whole numbers + 1/2.
-        near_plane, far_plane: Gaussians whose camera-space z is outside are not drawn.
-        eps2d: added to the diagonal of the image covariance, px².
-        sh_degree: degree of the harmonics to use (0 to 3; at most that of `colors`).
-        backgrounds: (C, D) colour behind the Gaussians; None is black. Depth has no background.
-        render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that divided by alpha),
-            "RGB+D", "RGB+ED" (depth is the last channel).
-        backend: "auto", "reference", "cpu" or "cuda".
-        blending: the constants below, and shortcuts of the `cpu` backend; gsplat has its own.
+    The Gaussians are those of `GaussianTensors`, the cameras those of `Pinhole`: viewmats (C, 4, 4), Ks (C, 3, 3) px.
+    sh_degree: degree of the harmonics in use, 0 to 3, at most that of `colors`. backgrounds: (C, D), default black.
+    render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that over alpha), "RGB+D" or "RGB+ED"
+    (depth is the last channel). backend: "auto" or a module of `tdgbench.splats.backends`. blending: by default that
+    of 3DGS; `cuda` has gsplat's.
 
-    Returns:
-        renders (C, H, W, D [+ 1]), alphas (C, H, W, 1) and meta: `means2d` (list of C tensors (N, 2), px; after
-        backward each has `.grad`), `radii` (C, N) in px (0: unseen), `depths` (C, N), `backend`, `width`, `height`.
+    Returns renders (C, H, W, D [+ 1]), alphas (C, H, W, 1), and meta with `means2d` (C tensors (N, 2) px, whose `.grad`
+    the backward pass sets), `radii` (C, N) px (0: not visible), `depths` (C, N), `backend`, `width` and `height`.
+    A NaN in any Gaussian makes every image NaN. Raises ValueError for shapes or options that do not fit.
 
-    3DGS's blending constants: alpha ≤ 0.99, skipped below 1/255, stop at transmittance 1e-4. Results do not
-    depend on tiles. A NaN in any Gaussian makes the whole image NaN. Raises ValueError for shapes or options that do
-    not fit.
+    >>> means, quats = torch.tensor([[0.0, 0.0, 2.0]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    >>> scales, opacities, colors = torch.full((1, 3), 0.1), torch.tensor([0.5]), torch.ones(1, 3)
+    >>> Ks = torch.tensor([[[8.0, 0.0, 4.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]]])
+    >>> renders, alphas, meta = rasterization(means, quats, scales, opacities, colors, torch.eye(4)[None], Ks, 8, 8)
+    >>> tuple(renders.shape), tuple(alphas.shape), meta["backend"], meta["means2d"][0].tolist(), meta["radii"].tolist()
+    ((1, 8, 8, 3), (1, 8, 8, 1), 'cpu', [[4.0, 4.0]], [[3]])
     """
-    _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds)
-    if render_mode not in RENDER_MODES:
-        raise ValueError(f"render_mode is {render_mode!r}; it must be one of {', '.join(RENDER_MODES)}")
+    gaussians = GaussianTensors(means, quats, scales, opacities, colors, sh_degree)
+    _check(gaussians, viewmats, Ks, (width, height), backgrounds, render_mode)
     if render_mode in ("D", "ED"):
-        colors, sh_degree, backgrounds = colors.new_zeros(len(means), 0), None, None
-    views = [
-        render_view(
-            means, quats, scales, opacities, colors, viewmats[c], Ks[c], width, height, near_plane=near_plane,
-            far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree,
-            background=None if backgrounds is None else backgrounds[c], depth="D" in render_mode,
-            backend=backend, blending=blending,
-        )
-        for c in range(len(viewmats))
-    ]  # fmt: skip
-    alphas = torch.stack([1.0 - view.transmittance for view in views])[..., None]
+        gaussians, backgrounds = gaussians._replace(colors=colors.new_zeros(len(means), 0), sh_degree=None), None
+    views = []
+    for c in range(len(viewmats)):
+        camera = Pinhole(viewmats[c], Ks[c], width, height, near_plane, far_plane, eps2d)
+        background = None if backgrounds is None else backgrounds[c]
+        options: dict[str, Any] = {"depth": "D" in render_mode, "background": background, "blending": blending}
+        views.append(render_view(gaussians, camera, **options, backend=backend))
+    chosen = choose_backend(backend, means.device, means.dtype)
+    return *_stack(views, render_mode), {
+        **_stack_projections(views),
+        "backend": chosen,
+        "width": width,
+        "height": height,
+    }
+
+
+def _stack(views: list[Render], render_mode: str) -> tuple[Tensor, Tensor]:
+    """Renders (C, H, W, D [+ 1]) and alphas (C, H, W, 1) of the views."""
+    alphas = torch.stack([view.alpha for view in views])[..., None]
     renders = torch.stack([view.image for view in views])
     if "D" in render_mode:
         depth = torch.stack([view.depth for view in views if view.depth is not None])[..., None]
         if "ED" in render_mode:
             depth = depth / alphas.clamp_min(1e-10)
         renders = torch.cat([renders, depth], dim=-1)
-    meta = {
-        "means2d": [view.means2d for view in views],
-        "radii": torch.stack([view.radii for view in views]),
-        "depths": torch.stack([view.depths for view in views]),
-        "backend": choose_backend(backend, means.device, means.dtype),
-        "width": width,
-        "height": height,
+    return renders, alphas
+
+
+def _stack_projections(views: list[Render]) -> dict[str, Any]:
+    """`means2d`, `radii` and `depths` of the views, see `rasterization`."""
+    projections: list[Projection] = [view.projection for view in views if view.projection is not None]
+    return {
+        "means2d": [projection.means2d for projection in projections],
+        "radii": torch.stack([projection.radii for projection in projections]),
+        "depths": torch.stack([projection.depths for projection in projections]),
     }
-    return renders, alphas, meta
 
 
-def render_view(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    *,
-    near_plane: float = NEAR_PLANE,
-    far_plane: float = FAR_PLANE,
-    eps2d: float = EPS2D,
-    sh_degree: int | None = None,
-    background: Tensor | None = None,
-    depth: bool = False,
-    backend: str = "auto",
-    blending: Blending = AS_3DGS,
-) -> RenderedView:
-    """One camera's view, its parts in tensors of their own: what training uses, without joining and cutting them.
-
-    Arguments as in `rasterization`, for one camera: viewmat (4, 4), K (3, 3), background (D,).
-    """
-    if not near_plane > 0:
-        raise ValueError(f"near_plane is {near_plane}; it must be above 0")
-    options: dict[str, Any] = {"near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d, "sh_degree": sh_degree}
-    chosen = choose_backend(backend, means.device, means.dtype)
-    if chosen != "cuda":
-        options["blending"] = blending
-    elif blending != AS_3DGS:
-        raise ValueError("backend cuda blends with gsplat's own constants; leave `blending` as it is")
-    rasterize: Any = {"cpu": cpu.rasterize, "cuda": cuda.rasterize, "reference": reference.rasterize}[chosen]
-    return rasterize(
-        means, quats, scales, opacities, colors, viewmat, K, width, height,
-        background=background, depth_channel=depth, **options,
-    )  # fmt: skip
-
-
-def _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree, backgrounds):
-    """Raise ValueError with the name of the first argument whose shape does not fit."""
-    n = len(means)
+def _check(
+    gaussians: GaussianTensors,
+    viewmats: Tensor,
+    Ks: Tensor,
+    size: tuple[int, int],
+    backgrounds: Tensor | None,
+    render_mode: str,
+) -> None:
+    """Raise ValueError with the name of the first argument that does not fit."""
+    n, cameras = len(gaussians.means), len(viewmats)
     expected = {
-        "means": (means, (n, 3)),
-        "quats": (quats, (n, 4)),
-        "scales": (scales, (n, 3)),
-        "opacities": (opacities, (n,)),
-        "viewmats": (viewmats, (len(viewmats), 4, 4)),
-        "Ks": (Ks, (len(viewmats), 3, 3)),
+        "means": (gaussians.means, (n, 3)),
+        "quats": (gaussians.quats, (n, 4)),
+        "scales": (gaussians.scales, (n, 3)),
+        "opacities": (gaussians.opacities, (n,)),
+        "viewmats": (viewmats, (cameras, 4, 4)),
+        "Ks": (Ks, (cameras, 3, 3)),
     }
+    if backgrounds is not None:
+        expected["backgrounds"] = (backgrounds, (cameras, gaussians.colors.shape[-1]))
     for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}; expected {shape}")
-    if len(viewmats) < 1:
+    _check_colors(gaussians.colors, n, gaussians.sh_degree)
+    if cameras < 1:
         raise ValueError("viewmats is empty; give at least one camera")
+    if min(size) < 1:
+        raise ValueError(f"the image is {size[0]}×{size[1]}; both must be 1 or more")
+    if render_mode not in RENDER_MODES:
+        raise ValueError(f"render_mode is {render_mode!r}; it must be one of {', '.join(RENDER_MODES)}")
+
+
+def _check_colors(colors: Tensor, n: int, sh_degree: int | None) -> None:
+    """Raise ValueError if colours do not fit `n` Gaussians, or lack coefficients of the degree."""
     dims = 2 if sh_degree is None else 3
     if colors.dim() != dims or len(colors) != n:
         kind = "(N, D)" if sh_degree is None else "(N, K, D) with sh_degree"
@@ -178,9 +138,3 @@ def _check(means, quats, scales, opacities, colors, viewmats, Ks, width, height,
         raise ValueError(
             f"colors has {colors.shape[1]} coefficients; sh_degree {sh_degree} needs {num_bases(sh_degree)}"
         )
-    if backgrounds is not None and tuple(backgrounds.shape) != (len(viewmats), colors.shape[-1]):
-        raise ValueError(
-            f"backgrounds has shape {tuple(backgrounds.shape)}; expected {(len(viewmats), colors.shape[-1])}"
-        )
-    if width < 1 or height < 1:
-        raise ValueError(f"the image is {width}×{height}; both must be 1 or more")

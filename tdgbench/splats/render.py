@@ -1,99 +1,54 @@
-"""Render Gaussians in training, so that gradients come back as rows: through autograd, or past it on the CPU."""
+"""Render one camera's view on a backend: of tensors, or of a state in training."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
-import torch
 from torch import Tensor
 
-from tdgbench.splats.backends.cpu import pack_camera, render_rows
+from tdgbench.splats.backends import choose_backend, load_backend
+from tdgbench.splats.backends.backend import Collect, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.passes import Settings, Source
-from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_backend, render_view
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
-Collect = Callable[[Gradients], None]
-EVERYWHERE = 1e30
+
+def render_view(
+    gaussians: GaussianTensors,
+    camera: Pinhole,
+    *,
+    depth: bool = False,
+    background: Tensor | None = None,
+    blending: Blending = AS_3DGS,
+    backend: str = "auto",
+) -> Render:
+    """Render one view; the options are those of `RenderOptions`.
+
+    Raises ValueError for what the backend cannot render.
+
+    >>> import torch
+    >>> one = GaussianTensors(
+    ...     means=torch.tensor([[0.0, 0.0, 2.0]]), quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+    ...     scales=torch.full((1, 3), 5.0), opacities=torch.tensor([0.8]), colors=torch.tensor([[0.5]]),
+    ... )
+    >>> K = torch.tensor([[8.0, 0.0, 4.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]])
+    >>> view = render_view(one, Pinhole(torch.eye(4), K, 8, 8), depth=True, backend="reference")
+    >>> [round(value[4, 4].item(), 2) for value in (view.image, view.depth, view.alpha)]
+    [0.4, 1.6, 0.8]
+    """
+    if not camera.near_plane > 0:
+        raise ValueError(f"near_plane is {camera.near_plane}; it must be above 0")
+    chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
+    return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending))
 
 
 def render_state(
     state: TrainingState,
     optimizer: Adam,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    width: int,
-    height: int,
-    *,
-    degree: int,
-    depth: bool,
-    iteration: int,
-    backend: str,
+    camera: Pinhole,
+    options: StateOptions,
     collect: Collect,
-    blending: Blending = AS_3DGS,
-    skip_unseen: bool = True,
-) -> tuple[Tensor, Tensor | None, Tensor]:
-    """Image (H, W, C), depth (H, W) or None, transmittance (H, W), before black, as `render_view` gives them.
-
-    The backward pass calls collect(Gradients) once it is through. viewmat (4, 4), K (3, 3). skip_unseen: Gaussians
-    that four numbers show to be out of sight are not projected.
-    """
-    like = state.values
-    if choose_backend(backend, like.device, like.dtype) == "cpu":
-        return _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
-                              skip_unseen)  # fmt: skip
-    optimizer.flush()
-    rows = like.detach()
-    if torch.is_grad_enabled():
-        rows = rows.requires_grad_()
-    gaussians = state.split(rows)
-    view = render_view(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-        torch.as_tensor(viewmat).to(like), torch.as_tensor(K).to(like), width, height,
-        sh_degree=degree, depth=depth, backend=backend, blending=blending,
-    )  # fmt: skip
-    if rows.requires_grad:
-        rows.register_hook(lambda grad: collect(_dense(grad, view)))
-    return view.image, view.depth, view.transmittance
-
-
-def _dense(grad, view) -> Gradients:
-    assert view.means2d.grad is not None
-    return Gradients.dense(grad, view.means2d.grad, view.radii)
-
-
-def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
-                   skip_unseen):  # fmt: skip
-    values = state.values.numpy().reshape(-1)
-    stride = state.values.shape[1]
-    columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
-    layout = np.array([n for column in columns for n in (stride, column)], np.int64)
-    bounds = state.bounds.numpy().reshape(-1)
-    slack, growth = optimizer.tolerance(iteration) if skip_unseen else (EVERYWHERE, 0.0)
-    source = Source(
-        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.update_rows
-    )
-    settings = Settings(
-        camera=pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),
-        width=width,
-        height=height,
-        degree=degree,
-        depth_channel=depth,
-        background=np.zeros(state.channels, np.float32),
-        limits=pack_limits(blending),
-    )
-
-    def deliver(rows, done) -> None:
-        index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
-        seen, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
-        owner = (rows.lease, done.lease)
-        work = done.count_pairs(), int(done.reached.sum())
-        collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, *work, owner))
-
-    image, depth_map, transmittance = render_rows(source, settings, deliver)
-    return image, depth_map if depth else None, transmittance
+    backend: str = "auto",
+) -> Render:
+    """Render one view of a state in training, over black; the backward pass calls collect(Gradients)."""
+    chosen = choose_backend(backend, state.values.device, state.values.dtype)
+    return load_backend(chosen).render_state(state, optimizer, camera, options, collect)

@@ -1,19 +1,100 @@
-"""What a backend renders for one camera."""
+"""One camera's view: what a backend is given, and what it renders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
+import numpy as np
+import torch
 from torch import Tensor
+
+from tdgbench.splats.blending import AS_3DGS, Blending
+
+NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
+
+
+class GaussianTensors(NamedTuple):
+    """N Gaussians after their activations; the arguments of `rasterization`."""
+
+    means: Tensor  # (N, 3) world coordinates
+    quats: Tensor  # (N, 4) wxyz, any length
+    scales: Tensor  # (N, 3) standard deviations, world units
+    opacities: Tensor  # (N,) in [0, 1]
+    colors: Tensor  # (N, D), or (N, K, D) spherical-harmonics coefficients with `sh_degree`
+    sh_degree: int | None = None  # degree in use
+
+
+class CameraLike(Protocol):
+    """A calibrated camera, such as `tdgbench.scenes.Camera`."""
+
+    @property
+    def world_to_camera(self) -> np.ndarray: ...
+
+    @property
+    def K(self) -> np.ndarray: ...
+
+    @property
+    def width(self) -> int: ...
+
+    @property
+    def height(self) -> int: ...
+
+
+class Pinhole(NamedTuple):
+    """A pinhole camera with OpenCV axes (x right, y down, z forward); pixel centres are at whole numbers + 1/2."""
+
+    viewmat: Tensor  # (4, 4) world to camera
+    K: Tensor  # (3, 3) px
+    width: int  # px
+    height: int  # px
+    near_plane: float = NEAR_PLANE  # Gaussians with camera-space z outside the planes are not drawn
+    far_plane: float = FAR_PLANE
+    eps2d: float = EPS2D  # px², added to the diagonal of the image covariance
+
+    @classmethod
+    def of(cls, camera: CameraLike) -> Pinhole:
+        """The camera of a scene's view, in the precision of its arrays."""
+        return cls(
+            torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height
+        )  # fmt: skip
+
+    def to(self, like: Tensor) -> Pinhole:
+        """The same camera with tensors of the type and device of `like`."""
+        return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
+
+
+class RenderOptions(NamedTuple):
+    """How to render a view."""
+
+    depth: bool = False  # render accumulated depth in the same pass
+    background: Tensor | None = None  # (D,) colour behind the Gaussians; None: black
+    blending: Blending = AS_3DGS
+
+
+class Projection(NamedTuple):
+    """The Gaussians of a view on its image."""
+
+    means2d: Tensor  # (N, 2) px; the backward pass sets its `.grad`, which density control needs
+    radii: Tensor  # (N,) int32 px; 0: not visible
+    depths: Tensor  # (N,) camera-space z of the centres
 
 
 @dataclass
-class RenderedView:
-    """One camera's view. `means2d` gets `.grad` (px) in the backward pass, for density control."""
+class Render:
+    """What a camera sees, over the background."""
 
-    image: Tensor  # (H, W, D), over the background
-    depth: Tensor | None  # (H, W): accumulated z, Σ z_k w_k
+    image: Tensor  # (H, W, D)
+    depth: Tensor | None  # (H, W) accumulated z, Σ z_k w_k (TDg, eq. 3); None if it was not requested
     transmittance: Tensor  # (H, W)
-    means2d: Tensor  # (N, 2) px
-    depths: Tensor  # (N,) z of the centres
-    radii: Tensor  # (N,) int32 px; 0: not seen
+    projection: Projection | None = None  # None for a state in training, whose gradients are `Gradients`
+
+    @property
+    def alpha(self) -> Tensor:
+        """(H, W): 1 − transmittance."""
+        return 1.0 - self.transmittance
+
+    def cpu(self) -> Render:
+        """The image, depth and transmittance on the CPU."""
+        depth = None if self.depth is None else self.depth.cpu()
+        return Render(self.image.cpu(), depth, self.transmittance.cpu())

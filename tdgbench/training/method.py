@@ -1,4 +1,4 @@
-"""The contract of a method plug-in, and what it is given."""
+"""The contract of a method, and the context in which it is set up."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from torch import Tensor
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.splats.rasterization import choose_backend
+from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.model import Render, SplatModel
+from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.view_dependence import explained_by_direction
 
@@ -24,7 +25,7 @@ ImageOf = Callable[[View, torch.device], Tensor]
 
 
 class ViewOrder:
-    """Views in random order without replacement, shuffled anew when all were drawn (3DGS)."""
+    """Views in random order without replacement, reshuffled after each round (3DGS)."""
 
     def __init__(self, views: list[View], generator: torch.Generator) -> None:
         self._views = views
@@ -32,25 +33,26 @@ class ViewOrder:
         self._order: list[int] = []
 
     def next(self) -> View:
+        """The next view."""
         if not self._order:
             self._order = torch.randperm(len(self._views), generator=self._generator).tolist()
         return self._views[self._order.pop()]
 
     def state_dict(self) -> dict[str, Any]:
-        """What is still to be drawn of this round; the random stream is the context's."""
+        """The rest of this round; the random stream is the context's."""
         return {"order": list(self._order)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """Restore what `state_dict` returned."""
         self._order = list(saved["order"])
 
 
 @dataclass
 class Context:
-    """What a method may use: the scene, its first points, the priors (empty if it asked for none), the budget.
+    """What a method is set up with: scene, initial points, depth priors by view (empty if it needs none), budget.
 
-    It hands out everything of a method that changes during training: models, view orders, random streams. So a
-    training that was killed can go on from a checkpoint.
+    It makes everything of a method that changes during training: models, view orders, random streams. A checkpoint
+    saves these.
     """
 
     scene: Scene
@@ -64,7 +66,7 @@ class Context:
     _orders: list[ViewOrder] = field(default_factory=list, repr=False)
 
     def generator(self) -> torch.Generator:
-        """A new independent random stream; the same seed gives the same streams in the same order."""
+        """A new random stream; equal seeds give equal streams in the order of the calls."""
         number = len(self._generators) + 1
         state = np.random.SeedSequence([self.seed, number]).generate_state(1, np.uint64)[0]
         self._generators.append(torch.Generator().manual_seed(int(state) % 2**63))
@@ -72,11 +74,11 @@ class Context:
 
     @property
     def device(self) -> torch.device:
-        """Where this cell trains: a GPU if the backend is `cuda`, else the CPU."""
+        """Device on which the backend trains."""
         return training_device(self.backend)
 
     def make_model(self, channels: int, images: ImageOf) -> SplatModel:
-        """Gaussians at the first points, ready to train on `images` (thermal_tensor or rgb_tensor) of the views."""
+        """Model at the initial points, to train on `images` (thermal_tensor or rgb_tensor) of the views."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
 
@@ -89,19 +91,19 @@ class Context:
         )
 
     def view_order(self) -> ViewOrder:
-        """The training views in an order of their own."""
+        """A new random order of the training views."""
         self._orders.append(ViewOrder(self.scene.train, self.generator()))
         return self._orders[-1]
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the random streams and view orders are; models have their own."""
+        """State of the random streams and view orders, without models."""
         return {
             "generators": [generator.get_state() for generator in self._generators],
             "orders": [order.state_dict() for order in self._orders],
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take over what `state_dict` gave, once the method is set up."""
+        """Restore what `state_dict` returned, after the method was set up."""
         for generator, state in zip(self._generators, saved["generators"], strict=True):
             generator.set_state(state)
         for order, state in zip(self._orders, saved["orders"], strict=True):
@@ -112,35 +114,35 @@ class Context:
 class Step:
     """One training step before its backward pass."""
 
-    loss: Tensor
-    terms: dict[str, float]
+    loss: Tensor  # scalar
+    terms: dict[str, float]  # by name, for the log
     thermal: Render
-    target: Tensor  # (H, W, C): what `thermal` should have been
+    target: Tensor  # (H, W, C): the image that `thermal` is compared with
 
 
 class Method(Protocol):
-    """A way to train; lives in one file of `methods/` with one YAML file in `conf/method/`."""
+    """A way to train: one file in `methods/` and one YAML file in `conf/method/`."""
 
     name: str
     needs_rgb: bool
     needs_prior: bool
 
     def setup(self, context: Context) -> None:
-        """Make the models. Called once, before the first step."""
+        """Make the models; called once, before the first step."""
 
     def step(self, iteration: int) -> Step:
-        """The loss of an iteration (1-based) and the thermal render it used."""
+        """Loss of an iteration (1-based), with the thermal render that it used."""
 
     def models(self) -> dict[str, SplatModel]:
-        """The models in training, by modality; `thermal` is the one that is scored."""
+        """The models in training by modality; `thermal` is scored."""
 
     def render(self, camera: Camera) -> Render:
-        """The thermal image and depth from a camera, without gradients."""
+        """Thermal image and depth from a camera, without gradients."""
 
 
 def training_device(backend: str) -> torch.device:
-    """Where a backend trains; `auto` stays on the CPU. Raises RuntimeError if the backend cannot run here."""
-    device = torch.device("cuda" if backend == "cuda" else "cpu")
+    """Device on which a backend trains; `auto` trains on the CPU. Raises RuntimeError if the backend cannot run."""
+    device = torch.device("cpu" if backend == "auto" else load_backend(backend).device)
     choose_backend(backend, device, torch.float32)
     return device
 

@@ -1,4 +1,4 @@
-"""A set of Gaussians in training: render it, let its density change, move it."""
+"""A set of Gaussians in training: rendering, density control and optimiser steps."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.density import DensityChange, DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.skips import Skips
 
@@ -26,52 +27,36 @@ MIN_VIEW_DEPENDENCE = 0.02  # R² below which the harmonics do not grow
 
 @dataclass
 class Work:
-    """What the steps so far were about: sums over all backward passes."""
+    """Counts of the work so far, summed over all backward passes and rounds of density control."""
 
-    rows: int = 0  # Gaussians
-    touched: int = 0  # of them, with a gradient
-    pairs: int = 0  # (tile, Gaussian) pairs listed
-    blended: int = 0  # of them, looked at before their tile had ended
+    rows: int = 0  # Gaussians of the model
+    touched: int = 0  # Gaussians with a gradient
+    pairs: int = 0  # (tile, Gaussian) pairs
+    blended: int = 0  # pairs that the blend read before their tile ended
     cloned: int = 0  # Gaussians
     split: int = 0
     pruned: int = 0
 
     def add(self, gradients: Gradients, count: int) -> None:
+        """Add the backward pass of a view of `count` Gaussians."""
         self.rows += count
         self.touched += sum(n for _, n in gradients.spans)
         self.pairs += gradients.pairs
         self.blended += gradients.blended
 
     def add_change(self, change: DensityChange) -> None:
+        """Add an iteration's density control."""
         self.cloned += change.cloned
         self.split += change.split
         self.pruned += change.pruned
 
     def density(self) -> dict[str, int]:
-        """How many Gaussians density control cloned, split and pruned."""
+        """Numbers of Gaussians that density control cloned, split and pruned."""
         return {"cloned": self.cloned, "split": self.split, "pruned": self.pruned}
 
 
-@dataclass
-class Render:
-    """What a camera sees, before black. depth is the accumulated z (TDg, eq. 3), None where it was not asked for."""
-
-    image: Tensor  # (H, W, C)
-    transmittance: Tensor  # (H, W)
-    depth: Tensor | None  # (H, W)
-
-    @property
-    def alpha(self) -> Tensor:
-        """(H, W): the share of the pixel that is covered."""
-        return 1.0 - self.transmittance
-
-    def cpu(self) -> Render:
-        """The same on the CPU."""
-        return Render(self.image.cpu(), self.transmittance.cpu(), None if self.depth is None else self.depth.cpu())
-
-
 class SplatModel:
-    """Gaussians with their optimiser and density control."""
+    """Gaussians in training, with their optimiser and density control."""
 
     def __init__(
         self,
@@ -83,7 +68,10 @@ class SplatModel:
         skips: Skips | None = None,
         view_dependence: Callable[[Gaussians], float] | None = None,
     ) -> None:
-        """view_dependence: how much of what is left unexplained direction explains (R²); None: the degree grows."""
+        """extent: of the scene, world units. generator: draws the children of split Gaussians.
+
+        view_dependence: measures how much of the residuals direction explains (R²); None: the SH degree always grows.
+        """
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -92,7 +80,7 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.view_dependence: float | None = None  # as it was last measured
+        self.view_dependence: float | None = None  # last measurement
         self._measure_view_dependence = view_dependence
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
@@ -104,35 +92,31 @@ class SplatModel:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now; they share memory with the model."""
+        """The current Gaussians; they share memory with the model."""
         self.optimizer.flush()
         return self.state.split(self.state.values)
 
     def copy(self) -> Gaussians:
-        """A copy of the Gaussians as they are now. Unlike `gaussians`, it leaves the model as it is to the last bit."""
+        """Copy of the current Gaussians. Unlike `gaussians`, it does not change the rounding of later steps."""
         state, optimizer = copy.deepcopy((self.state, self.optimizer))
         optimizer.flush()
         return state.split(state.values)
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
-        """Render at the degree in use, colour and depth in one pass. With gradients it counts for density control."""
-        size = (camera.width, camera.height)
+        """Render at the SH degree in use, over black. The backward pass is observed by density control."""
 
         def collect(gradients: Gradients) -> None:
             self._gradients.append(gradients)
             self.work.add(gradients, len(self.state))
             if self.density.is_active(self._iteration):
-                self.density.observe(gradients, *size)
+                self.density.observe(gradients, camera.width, camera.height)
 
-        image, depth_map, transmittance = render_state(
-            self.state, self.optimizer, camera.world_to_camera, camera.K, *size, degree=self.degree, depth=depth,
-            iteration=self._iteration, backend=self.backend, collect=collect, blending=self._blending,
-            skip_unseen=self.skips.unseen.allowed,
-        )  # fmt: skip
-        return Render(image, transmittance, depth_map)
+        tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
+        options = StateOptions(self.degree, depth, self._blending, tolerance)
+        return render_state(self.state, self.optimizer, Pinhole.of(camera), options, collect, self.backend)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that training changes, as `torch.save` takes it; between two iterations."""
+        """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
         return {
             "rows": self.state.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -143,7 +127,7 @@ class SplatModel:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take over what `state_dict` gave; the random stream is the context's."""
+        """Restore what `state_dict` returned; the random stream is the context's."""
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
@@ -151,13 +135,13 @@ class SplatModel:
         self.work = Work(**saved["work"])
 
     def begin(self, iteration: int) -> None:
-        """Before an iteration (1-based): raise the SH degree if it is time."""
+        """Start an iteration (1-based): raise the SH degree if it is due."""
         self._iteration = iteration
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
             self._grow_degree()
 
     def _grow_degree(self) -> None:
-        """Take in the next band of harmonics, unless training views show that direction explains nothing."""
+        """Raise the SH degree by one, unless direction explains nothing in the training views."""
         if self.skips.sh.allowed and self._measure_view_dependence is not None:
             self.view_dependence = self._measure_view_dependence(self.gaussians.detach())
             if self.view_dependence < MIN_VIEW_DEPENDENCE:
@@ -165,17 +149,18 @@ class SplatModel:
         self.degree += 1
 
     def forget_views(self) -> None:
-        """Drop the gradients that were gathered since the last step."""
+        """Drop the gradients since the last step."""
         self._gradients = []
 
     def has_recovered(self, iteration: int) -> bool:
-        """Whether the model is worth saving at an iteration: it has recovered from its last density control."""
+        """Whether the model at an iteration has recovered from density control, and is worth saving."""
         return self.budget.density.has_recovered(iteration, self.budget.iterations)
 
     def finish(self, iteration: int) -> str | None:
-        """After the backward pass: density control, then Adam, which rests where parameters were just replaced.
+        """End an iteration, after the backward pass: density control, then an Adam step.
 
-        Returns the name of a parameter whose gradient is not finite, if there is one; Adam has then taken it in.
+        There is no step after a round of density control, and none for opacities after their reset. Returns the name of
+        a parameter whose gradient is not finite, or None; Adam has then used it.
         """
         parts, self._gradients = self._gradients, []
         change = self.density.update(self.optimizer, iteration, self._generator)

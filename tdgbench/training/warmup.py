@@ -1,4 +1,4 @@
-"""Compile what training will need before its clock starts."""
+"""Compile kernels before the clock of a training starts."""
 
 from __future__ import annotations
 
@@ -6,27 +6,25 @@ import numpy as np
 import torch
 
 from tdgbench.scenes import Camera
-from tdgbench.splats.cpu.precompile import compiled_alongside
+from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
 from tdgbench.training.method import training_device
 from tdgbench.training.model import SplatModel
 
-SIZE = 16
+SIZE = 16  # px
 
 
 def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
-    """Take one step on a toy scene for each channel count, with and without depth."""
-    if choose_backend(backend, training_device(backend), torch.float32) != "cpu":
-        _take_steps(channels, budget, backend)
-        return
-    with compiled_alongside(channels):
+    """Compile what trainings with these channel counts run, by steps on a toy scene."""
+    chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
+    with chosen.compiling(channels):
         _take_steps(channels, budget, backend)
 
 
 def _take_steps(channels: set[int], budget: Budget, backend: str) -> None:
+    """Take one step for each channel count, with and without depth."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
     K = np.array([[SIZE, 0, SIZE / 2], [0, SIZE, SIZE / 2], [0, 0, 1.0]])

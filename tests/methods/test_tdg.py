@@ -5,8 +5,8 @@ from methods.tdg import DepthTarget, TDg, comparable_depth, decay_weight, releas
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
 from tdgbench.splats import Gaussians
+from tdgbench.splats.view import Render
 from tdgbench.training.losses import ssim_map
-from tdgbench.training.model import Render
 from tdgbench.training.skips import Skips
 from tests.conftest import digest, random_gaussians
 from tests.training.test_loop import trained
@@ -53,7 +53,7 @@ def test_constant_maps(flat):
 def test_a_disparity_is_compared_with_a_disparity():
     depth = torch.rand(20, 20) * 5 + 1
     alpha = torch.rand(20, 20) * 0.5 + 0.5
-    render = Render(torch.zeros(20, 20, 1), 1 - alpha, alpha * depth)
+    render = Render(torch.zeros(20, 20, 1), alpha * depth, 1 - alpha)
     assert torch.allclose(comparable_depth(render, "disparity"), 1 / depth)
     assert torch.equal(comparable_depth(render, "depth"), alpha * depth)
     assert torch.equal(comparable_depth(render, "metric"), alpha * depth)
@@ -62,7 +62,7 @@ def test_a_disparity_is_compared_with_a_disparity():
 
 def test_nothing_rendered_is_infinitely_far():
     alpha = torch.zeros(4, 4, requires_grad=True)
-    render = Render(torch.zeros(4, 4, 1), 1 - alpha, alpha * 0.0)
+    render = Render(torch.zeros(4, 4, 1), alpha * 0.0, 1 - alpha)
     inverse = comparable_depth(render, "disparity")
     inverse.sum().backward()
     assert not inverse.any() and torch.isfinite(alpha.grad).all()

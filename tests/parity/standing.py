@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import torch
 
 from tdgbench.scenes import Camera, View
-from tdgbench.training.model import Render
+from tdgbench.splats.view import Render
 from tests.parity.conftest import original
 
 IMAGES = {"rgb": "color", "thermal": "flat"}  # of the losses' fixture
@@ -30,7 +30,7 @@ class Still:
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
         assert not depth
-        return Render(self.image, torch.zeros(self.image.shape[:2]), None)
+        return Render(self.image, None, torch.zeros(self.image.shape[:2]))
 
 
 def standing_view() -> SimpleNamespace:

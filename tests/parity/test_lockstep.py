@@ -12,6 +12,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.view import Render
 from tdgbench.training import model as model_module
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
@@ -46,8 +47,9 @@ class _Pulled(torch.autograd.Function):
         return None, None
 
 
-def pulled_render(state, optimizer, *_, iteration, collect, **__):
-    """Stands in for `render_state`: rows that are seen are brought up to date, looked at and pulled."""
+def pulled_render(state, optimizer, camera, options, collect, backend):
+    """Stands in for `render_state`: the visible rows are updated, and get given gradients."""
+    iteration = optimizer.rendering
     seen = seen_at(state.values[:, :COLUMNS], iteration).nonzero().squeeze(1).int()
     optimizer.update_rows([(0, len(seen))], seen.numpy())
     given = pull(state.values[seen, :COLUMNS], iteration)
@@ -58,7 +60,7 @@ def pulled_render(state, optimizer, *_, iteration, collect, **__):
     whole = [(0, len(seen))]
     gradients = Gradients(whole, seen, rows, image, whole, seen, given.radii.int())
     anchor = torch.zeros((), requires_grad=True)
-    return _Pulled.apply(anchor, lambda: collect(gradients)), None, torch.zeros(HEIGHT, WIDTH)
+    return Render(_Pulled.apply(anchor, lambda: collect(gradients)), None, torch.zeros(HEIGHT, WIDTH))
 
 
 class Pulled:
@@ -76,6 +78,7 @@ class Pulled:
         return {"thermal": self.model}
 
     def step(self, iteration: int) -> Step:
+        self.model.optimizer.rendering = iteration
         render = self.model.render(CAMERA)
         return Step(render.image.sum(), {}, render, torch.zeros_like(render.image))
 

@@ -1,6 +1,6 @@
 import torch
 
-from tdgbench.splats.gaussians import Gaussians, concatenate
+from tdgbench.splats.gaussians import Gaussians
 from tests.splats.test_ply import model
 
 
@@ -11,16 +11,22 @@ def test_activations_and_sizes():
     assert Gaussians.names() == ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
-def test_select_and_concatenate():
+def test_select():
     g = model(1, 1)
     mask = torch.tensor([True, False] * 3 + [True])
-    back = concatenate([g.select(mask), g.select(~mask)])
-    assert torch.equal(back.means, torch.cat([g.means[mask], g.means[~mask]]))
+    for (_, part), (_, whole) in zip(g.select(mask).items(), g.items(), strict=True):
+        assert torch.equal(part, whole[mask])
     assert len(g.select(torch.zeros(7, dtype=torch.bool))) == 0
+
+
+def test_activated():
+    g = model(3, 2)
+    means, quats, scales, opacities, colors, degree = g.activated(1)
+    assert means is g.means and quats is g.quats and colors is g.sh and degree == 1
+    assert torch.equal(scales, g.scales) and torch.equal(opacities, g.opacities)
 
 
 def test_leaves():
     leaves = model(1, 0).as_leaves()
     assert all(t.is_leaf and t.requires_grad for _, t in leaves.items())
     assert not any(t.requires_grad for _, t in leaves.detach().items())
-    assert not leaves.zeros_like().means.any()

@@ -13,14 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends import cuda
+from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 from tests.conftest import ROOT, random_gaussians, turned_camera
 
 FAST_BACKENDS = [
-    "cpu",
-    pytest.param("cuda", marks=pytest.mark.skipif(cuda.why_not() is not None, reason=str(cuda.why_not()))),
+    pytest.param(
+        name,
+        marks=pytest.mark.skipif(load_backend(name).why_not() is not None, reason=str(load_backend(name).why_not())),
+    )
+    for name in backend_names()
+    if name != "reference"
 ]
 IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 1e-4, 1e-3
 NAMES = ("means", "quats", "scales", "opacities", "colors")
@@ -28,9 +32,7 @@ NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 def render(parameters, camera, size, backend, weights=None, **options):
     """Image, alpha, gradients by name (None without weights), meta; everything as float64."""
-    kind = {"dtype": torch.float64 if backend == "reference" else torch.float32}
-    if backend == "cuda":
-        kind["device"] = "cuda"
+    kind = {"dtype": torch.float64 if backend == "reference" else torch.float32, "device": load_backend(backend).device}
     leaves = [p.detach().to(**kind).requires_grad_() for p in parameters]
     camera = [t.to(**kind) for t in camera]
     if options.get("backgrounds") is not None:

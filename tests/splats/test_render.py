@@ -3,9 +3,11 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import Pinhole
 from tests.conftest import random_gaussians, turned_camera
 from tests.splats.test_optimizer import RATES
 
@@ -18,12 +20,12 @@ def cloud(channels: int, degree: int, dtype=torch.float32) -> Gaussians:
 def gradients_of(given: Gaussians, backend: str, used_degree: int):
     """Image, depth, transmittance, and the gradients by Gaussian (N, columns), (N, 2), radii (N,)."""
     state = TrainingState(given)
-    view, K = (t[0].numpy() for t in turned_camera(50, 40))
+    view, K = (t[0] for t in turned_camera(50, 40))
     collected = []
-    outputs = render_state(
-        state, Adam(state, RATES, 1.0), view, K, 50, 40, degree=used_degree, depth=True, iteration=1, backend=backend,
-        collect=collected.append,
-    )  # fmt: skip
+    optimizer = Adam(state, RATES, 1.0)
+    options = StateOptions(used_degree, depth=True, tolerance=optimizer.tolerance(1))
+    rendered = render_state(state, optimizer, Pinhole(view, K, 50, 40), options, collected.append, backend)
+    outputs = rendered.image, rendered.depth, rendered.transmittance
     g = torch.Generator().manual_seed(0)
     loss = sum((o * torch.randn(o.shape, generator=g, dtype=torch.float64).to(o)).sum() for o in outputs)
     loss.backward()
@@ -32,8 +34,8 @@ def gradients_of(given: Gaussians, backend: str, used_degree: int):
     index, rows, on_image = (t.double().numpy() for t in found.rows())
     values[index.astype(int), : rows.shape[1]], image[index.astype(int)] = rows, on_image[:, :2]
     radii = torch.zeros(120, dtype=torch.int32)
-    seen, own = found.visible()
-    radii[seen] = own
+    visible, visible_radii = found.visible()
+    radii[visible] = visible_radii
     return [o.detach().double() for o in outputs], values, image, radii, state
 
 
@@ -53,10 +55,8 @@ def test_past_autograd_is_the_reference(channels, degree, used):
 
 def test_no_gradients_without_grad():
     state = TrainingState(cloud(1, 0))
-    view, K = (t[0].numpy() for t in turned_camera(20, 20))
+    camera = Pinhole(*(t[0] for t in turned_camera(20, 20)), 20, 20)
+    collect = lambda _: pytest.fail("called without a backward pass")  # noqa: E731
     with torch.no_grad():
-        image, depth, _ = render_state(
-            state, Adam(state, RATES, 1.0), view, K, 20, 20, degree=0, depth=False, iteration=1, backend="auto",
-            collect=lambda _: pytest.fail("nobody asked"),
-        )  # fmt: skip
-    assert not image.requires_grad and depth is None
+        view = render_state(state, Adam(state, RATES, 1.0), camera, StateOptions(), collect)
+    assert not view.image.requires_grad and view.depth is None

@@ -17,7 +17,7 @@ from torch import Tensor
 from tdgbench.experiments.measure import oracle
 from tdgbench.experiments.measure.clouds import Cloud
 from tdgbench.experiments.measure.timing import interleave, median_ms
-from tdgbench.splats.backends import cuda
+from tdgbench.splats.backends import fast_backends
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 
@@ -45,8 +45,7 @@ def settings(slow: bool) -> dict[str, Setting]:
         "cpu, stop at T 1e-2": Setting(blending=replace(AS_3DGS, min_transmittance=1e-2)),
         "cpu, stop at T 1e-6": Setting(blending=replace(AS_3DGS, min_transmittance=1e-6)),
     }
-    if cuda.why_not() is None:
-        chosen["cuda"] = Setting("cuda")
+    chosen |= {name: Setting(name) for name in fast_backends() if name != "cpu"}
     if slow:
         chosen["torch float32"] = Setting("torch")
         chosen["torch float64"] = Setting("oracle")
@@ -69,7 +68,7 @@ def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFr
         ms: dict[str, float] = {}
         errors: dict[str, dict[str, float]] = {}
         for name, setting in settings(slow).items():
-            if setting.backend in ("cpu", "cuda"):
+            if setting.backend not in ("torch", "oracle"):
                 errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
                 runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
             elif setting.backend == "torch":  # seconds, not milliseconds: timed once, apart

@@ -11,7 +11,7 @@ from torch import Tensor
 from tdgbench.scenes import FolderDataset, ReadOptions
 from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.ply import load_ply
-from tdgbench.splats.rasterization import NEAR_PLANE
+from tdgbench.splats.view import NEAR_PLANE
 
 
 @dataclass

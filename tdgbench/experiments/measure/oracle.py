@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from tdgbench.experiments.measure.clouds import Cloud
-from tdgbench.splats.backends import reference
+from tdgbench.splats.backends import load_backend, reference
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.rasterization import EPS2D, NEAR_PLANE, render_view
-from tdgbench.splats.view import RenderedView
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import EPS2D, NEAR_PLANE, GaussianTensors, Pinhole, Render
 
 TILE = 32
 NAMES = ("means", "quats", "scales", "opacities", "colors")
@@ -38,17 +38,16 @@ def leaves_of(cloud: Cloud, dtype: torch.dtype, device: str = "cpu") -> list[Ten
 
 def device_of(backend: str) -> str:
     """Where a fast backend wants its tensors."""
-    return "cuda" if backend == "cuda" else "cpu"
+    return load_backend(backend).device
 
 
-def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS) -> RenderedView:
+def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS) -> Render:
     """Colour and depth of a cloud whose tensors are `leaves` (see `leaves_of`), on a fast backend."""
     means, quats, scales, opacities, colors = leaves
-    camera = (cloud.viewmat.to(means), cloud.K.to(means))
+    camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height).to(means)
     return render_view(
-        means, quats, scales, opacities, colors, *camera, cloud.width, cloud.height, depth=True, backend=backend,
-        blending=blending,
-    )  # fmt: skip
+        GaussianTensors(means, quats, scales, opacities, colors), camera, depth=True, backend=backend, blending=blending
+    )
 
 
 def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:

@@ -16,6 +16,7 @@ from tdgbench.experiments.measure.clouds import Cloud
 from tdgbench.experiments.measure.oracle import NAMES
 from tdgbench.experiments.stress.outcome import Seen
 from tdgbench.splats import rasterization
+from tdgbench.splats.backends import load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 
 MOVED = 1e-4  # by which thresholds are moved to find undecided pixels
@@ -50,8 +51,7 @@ def cloud(count: int, seed: int = 0, width: int = 40, height: int = 30, degree: 
 def render(scene: Cloud, backend: str, weights: Tensor | None = None, blending: Blending = AS_3DGS):
     """Image with depth and alpha (H, W, D + 2) and, with weights of that shape, gradients by name; all float64."""
     kind: dict[str, Any] = {"dtype": torch.float64 if backend == "reference" else torch.float32}
-    if backend == "cuda":
-        kind["device"] = "cuda"
+    kind["device"] = load_backend(backend).device
     leaves = [
         p.detach().to(**kind).requires_grad_(weights is not None) for p in (getattr(scene, name) for name in NAMES)
     ]

@@ -12,12 +12,12 @@ from omegaconf import DictConfig
 
 from tdgbench.experiments.stress import appearance, geometry, gradients, losses, training
 from tdgbench.experiments.stress.case import Case, Verdict, judge
-from tdgbench.splats.backends import cuda
+from tdgbench.splats.backends import fast_backends
 
 
 def backends() -> list[str]:
     """The fast backends that can run here; all are compared with the reference."""
-    return ["cpu", *(["cuda"] if cuda.why_not() is None else [])]
+    return fast_backends()
 
 
 def all_cases(cfg: DictConfig, folder: Path) -> list[Case]:

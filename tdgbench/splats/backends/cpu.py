@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+
 import numpy as np
 import torch
 
+from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
+from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.cpu.raster.dense import dense_gradients, dense_projected
 from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.passes import Settings, Source, backward, forward
+from tdgbench.splats.cpu.raster.passes import ForwardPass, GradientRows, Settings, Source, backward, forward
 from tdgbench.splats.cpu.raster.projection import CAMERA_SIZE
-from tdgbench.splats.view import RenderedView
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import Adam, Tolerance
+from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
 MAX_SIDE = 32_767
+EVERYWHERE = Tolerance(mean=1e30, log_scale=0.0)  # culls nothing
 
 
 def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.ndarray:
@@ -27,17 +36,6 @@ def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.n
     packed[24:27] = centre - packed[16:19]
     packed[19:24] = near_plane, far_plane, eps2d, width, height
     return packed
-
-
-def check(channels: int, depth: bool, width: int, height: int) -> None:
-    """Raise ValueError for what this backend cannot render."""
-    if not 1 <= channels + depth <= MAX_CHANNELS:
-        raise ValueError(
-            f"backend cpu blends 1 to {MAX_CHANNELS} channels (depth is one); {channels} colours"
-            f"{' and depth' if depth else ''} were asked for: render them in turns"
-        )
-    if max(width, height) > MAX_SIDE:
-        raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {width}×{height} was asked for")
 
 
 def _arrays_of(tensors) -> Source:
@@ -77,29 +75,6 @@ class Rasterize(torch.autograd.Function):
         return means, quats, scales, opacities, colors.view(color_shape), means2d, None
 
 
-def rasterize(means, quats, scales, opacities, colors, viewmat, K, width, height, *, near_plane, far_plane,
-              eps2d, sh_degree, background, depth_channel, blending) -> RenderedView:  # fmt: skip
-    """Render one camera; what `tdgbench.splats.backends.reference.rasterize` does, fast."""
-    if colors.dim() == 2:
-        colors = colors[:, None, :]
-    n_colors = colors.shape[-1]
-    check(n_colors, depth_channel, width, height)
-    black = np.zeros(n_colors, np.float32)
-    settings = Settings(
-        camera=pack_camera(viewmat.detach(), K.detach(), width, height, near_plane, far_plane, eps2d),
-        width=width,
-        height=height,
-        degree=-1 if sh_degree is None else sh_degree,
-        depth_channel=depth_channel,
-        background=black if background is None else background.detach().contiguous().numpy(),
-        limits=pack_limits(blending),
-    )
-    probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
-    image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
-    depths = means.detach() @ viewmat[2, :3].to(means) + viewmat[2, 3].to(means)
-    return RenderedView(image, depth if depth_channel else None, transmittance, probe, depths, radii)
-
-
 class _RenderRows(torch.autograd.Function):
     """Like `Rasterize`, for Gaussians whose gradients do not go through torch: they are handed to `deliver`."""
 
@@ -118,8 +93,89 @@ class _RenderRows(torch.autograd.Function):
         return None, None, None, None
 
 
-def render_rows(source: Source, settings: Settings, deliver) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """image, depth (empty if not asked for) and transmittance; backward calls deliver(GradientRows, ForwardPass)."""
-    check(len(settings.background), settings.depth_channel, settings.width, settings.height)
-    trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
-    return _RenderRows.apply(trigger, source, settings, deliver)
+class CpuBackend(Backend):
+    """Float32 on the CPU. States in training are rendered without autograd: gradients and steps of some rows only."""
+
+    inputs = "float32 tensors on the CPU"
+
+    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
+        return device.type == "cpu" and dtype == torch.float32
+
+    def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
+        return compiled_alongside(channels)
+
+    def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
+        means, quats, scales, opacities, colors, sh_degree = gaussians
+        if colors.dim() == 2:
+            colors = colors[:, None, :]
+        settings = _settings(camera, colors.shape[-1], -1 if sh_degree is None else sh_degree, options)
+        probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
+        image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
+        depths = means.detach() @ camera.viewmat[2, :3].to(means) + camera.viewmat[2, 3].to(means)
+        return Render(image, depth if options.depth else None, transmittance, Projection(probe, radii, depths))
+
+    def render_state(
+        self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
+    ) -> Render:
+        source = _rows_of(state, optimizer, options.tolerance or EVERYWHERE)
+        view = RenderOptions(options.depth, blending=options.blending)
+        settings = _settings(camera, state.channels, options.sh_degree, view)
+
+        def deliver(rows, done) -> None:
+            collect(_gradients(rows, done))
+
+        trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
+        image, depth, transmittance = _RenderRows.apply(trigger, source, settings, deliver)
+        return Render(image, depth if options.depth else None, transmittance)
+
+
+def check(channels: int, depth: bool, width: int, height: int) -> None:
+    """Raise ValueError for a view that this backend cannot render."""
+    if not 1 <= channels + depth <= MAX_CHANNELS:
+        raise ValueError(
+            f"backend cpu blends 1 to {MAX_CHANNELS} channels, and depth is one; {channels} colours"
+            f"{' and depth' if depth else ''} were requested: render them one after the other"
+        )
+    if max(width, height) > MAX_SIDE:
+        raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {width}×{height} was requested")
+
+
+def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOptions) -> Settings:
+    """Kernel settings of a view. Raises ValueError if this backend cannot render it."""
+    check(channels, options.depth, camera.width, camera.height)
+    background = options.background
+    black = np.zeros(channels, np.float32)
+    return Settings(
+        camera=pack_camera(camera.viewmat.detach(), camera.K.detach(), *camera[2:]),
+        width=camera.width,
+        height=camera.height,
+        degree=degree,
+        depth_channel=options.depth,
+        background=black if background is None else background.detach().contiguous().numpy(),
+        limits=pack_limits(options.blending),
+    )
+
+
+def _rows_of(state: TrainingState, optimizer: Adam, tolerance: Tolerance) -> Source:
+    """A source that reads the rows of a state in training, and updates those that culling lets through."""
+    values = state.values.numpy().reshape(-1)
+    stride = state.values.shape[1]
+    columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
+    layout = np.array([n for column in columns for n in (stride, column)], np.int64)
+    bounds = state.bounds.numpy().reshape(-1)
+    return Source(
+        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), *tolerance, optimizer.update_rows
+    )
+
+
+def _gradients(rows: GradientRows, done: ForwardPass) -> Gradients:
+    """The rows of a backward pass as tensors, without copying."""
+    index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
+    projected, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
+    return Gradients(
+        rows.pieces, index, values, image, done.projected.seen, projected, radii,
+        pairs=done.count_pairs(), blended=int(done.reached.sum()), lease=(rows.lease, done.lease),
+    )  # fmt: skip
+
+
+BACKEND = CpuBackend()

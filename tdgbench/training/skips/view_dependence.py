@@ -17,7 +17,8 @@ from torch import Tensor
 from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.harmonics import colors_from_sh
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole
 
 MOST_VIEWS = 24
 RIDGE = 1e-2
@@ -51,12 +52,8 @@ def _residuals(gaussians: Gaussians, view: View, target: Tensor, backend: str) -
     with torch.enable_grad():
         colors = colors_from_sh(gaussians.sh[:, :1], torch.zeros_like(gaussians.means), 0)
         colors = colors.detach().requires_grad_()
-        camera = view.camera
-        rendered = render_view(
-            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, colors,
-            torch.as_tensor(camera.world_to_camera).to(colors), torch.as_tensor(camera.K).to(colors),
-            camera.width, camera.height, backend=backend,
-        )  # fmt: skip
+        coloured = GaussianTensors(gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, colors)
+        rendered = render_view(coloured, Pinhole.of(view.camera).to(colors), backend=backend)
         pulled, light = [
             torch.autograd.grad(rendered.image, colors, weight, retain_graph=not last)[0]
             for weight, last in ((target - rendered.image.detach(), False), (torch.ones_like(target), True))

@@ -3,7 +3,8 @@ import torch
 from tdgbench.experiments.measure.clouds import random_cloud, trained_cloud
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.ply import save_ply
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole
 
 
 def test_a_random_cloud_is_its_seed_and_lies_before_the_camera():
@@ -18,7 +19,6 @@ def test_a_trained_model_from_a_test_view(small_gray_scene, tmp_path):
     folder = small_gray_scene.train[0].thermal_path.parents[1]
     cloud = trained_cloud(tmp_path / "model.ply", folder)
     assert cloud.colors.shape == (len(points.points), 3) and (cloud.width, cloud.height) == (48, 36)
-    view = render_view(
-        cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors, cloud.viewmat, cloud.K, 48, 36
-    )
+    gaussians = GaussianTensors(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors)
+    view = render_view(gaussians, Pinhole(cloud.viewmat, cloud.K, 48, 36))
     assert view.transmittance.min() < 0.9  # something is in sight

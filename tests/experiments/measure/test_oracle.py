@@ -2,7 +2,8 @@ import torch
 
 from tdgbench.experiments.measure.clouds import random_cloud
 from tdgbench.experiments.measure.oracle import leaves_of, render
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole
 
 
 def test_tile_by_tile_is_the_reference():
@@ -11,7 +12,8 @@ def test_tile_by_tile_is_the_reference():
     weights = torch.randn(50, 70, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     got = render(cloud, torch.float64, weights)
     leaves = leaves_of(cloud, torch.float64)
-    view = render_view(*leaves, cloud.viewmat, cloud.K, 70, 50, depth=True, backend="reference")
+    camera = Pinhole(cloud.viewmat, cloud.K, 70, 50)
+    view = render_view(GaussianTensors(*leaves), camera, depth=True, backend="reference")
     assert torch.allclose(got.image, torch.cat([view.image, view.depth[..., None]], -1).detach(), atol=1e-12)
     loss = (view.image * weights[..., :3]).sum() + (view.depth * weights[..., 3]).sum()
     (loss + (view.transmittance * weights[..., 4]).sum()).backward()

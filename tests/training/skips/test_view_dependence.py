@@ -4,7 +4,8 @@ import torch
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.harmonics import num_bases
-from tdgbench.splats.rasterization import render_view
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import Pinhole
 from tdgbench.training.skips.view_dependence import explained_by_direction
 
 SIZE = 48
@@ -40,11 +41,7 @@ def blobs(degree, band):
 
 def seen(gaussians, views):
     return [
-        render_view(
-            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-            torch.as_tensor(v.camera.world_to_camera).float(), torch.as_tensor(v.camera.K).float(), SIZE, SIZE,
-            sh_degree=3,
-        ).image
+        render_view(gaussians.activated(3), Pinhole.of(v.camera).to(gaussians.means)).image
         for v in views
     ]  # fmt: skip
 

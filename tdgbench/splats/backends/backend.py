@@ -1,0 +1,76 @@
+"""The contract of a backend: one module of this package, one YAML file in `conf/backend/`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple, Protocol
+
+import torch
+
+from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import Adam, Tolerance
+from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
+
+Collect = Callable[[Gradients], None]
+
+
+class StateOptions(NamedTuple):
+    """How to render a state in training."""
+
+    sh_degree: int = 0  # degree in use
+    depth: bool = False  # render accumulated depth in the same pass
+    blending: Blending = AS_3DGS
+    tolerance: Tolerance | None = None  # of the culling bounds; None: project every Gaussian
+
+
+class Backend(Protocol):
+    """Renders Gaussians. The module `tdgbench.splats.backends.<name>` holds one as `BACKEND`.
+
+    Subclasses implement `render`; the other methods have defaults for a backend that takes any tensor, runs anywhere
+    and has gradients through torch's autograd.
+    """
+
+    device: str = "cpu"  # type of the device on which it trains
+    inputs: str = "any float tensors"  # what it takes, for messages
+
+    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
+        """Whether it renders tensors of a device and type."""
+        return True
+
+    def why_not(self) -> str | None:
+        """Why it cannot run on this machine, or None."""
+        return None
+
+    def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
+        """Context of the first steps of a training with these channel counts, to compile for it meanwhile."""
+        return nullcontext()
+
+    def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
+        """Render one view, with gradients and `Render.projection`. Raises ValueError for what it cannot render."""
+        ...
+
+    def render_state(
+        self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
+    ) -> Render:
+        """Render one view of a state in training, over black; the backward pass calls collect(Gradients).
+
+        The default applies all deferred steps, and differentiates activations and rendering with torch's autograd.
+        """
+        optimizer.flush()
+        rows = state.values.detach()
+        if torch.is_grad_enabled():
+            rows = rows.requires_grad_()
+        gaussians = state.split(rows).activated(options.sh_degree)
+        view = self.render(gaussians, camera.to(rows), RenderOptions(options.depth, blending=options.blending))
+        if rows.requires_grad:
+            rows.register_hook(lambda grad: collect(_dense(grad, view)))
+        return view
+
+
+def _dense(grad: torch.Tensor, view: Render) -> Gradients:
+    """Gradients by rows (N, columns) and by image means, after the backward pass of a view."""
+    assert view.projection is not None and view.projection.means2d.grad is not None
+    return Gradients.dense(grad, view.projection.means2d.grad, view.projection.radii)
