@@ -18,6 +18,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from tdgbench.bench.setup import set_up
+from tdgbench.resources import conf_folder
 from tdgbench.scenes import Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
@@ -25,8 +26,6 @@ from tdgbench.splats.optimizer import Adam
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method
 from tdgbench.training.warmup import compile_kernels
-
-CONF = Path(__file__).resolve().parents[1] / "conf"
 
 
 class Parts:
@@ -80,7 +79,7 @@ class Parts:
 
 def measure(overrides: list[str], steps: int) -> pd.DataFrame:
     """Milliseconds per step of each part, and of the whole."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         cfg = compose("config", overrides=overrides)
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
     method, budget = instantiate(cfg.method.method), instantiate(cfg.budget)

@@ -1,20 +1,51 @@
-"""`python -m tdgbench [overrides]`: compose a configuration with Hydra and hand it to its job; alone, the demo."""
+"""`tdgbench` and `python -m tdgbench`: run a tool, or compose a configuration with Hydra and run its job."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import hydra
 from hydra.utils import get_method
 from omegaconf import DictConfig
 
+from tdgbench import __version__
+from tdgbench.resources import conf_folder
+from tdgbench.tools import TOOLS
+from tdgbench.usage import usage
 
-@hydra.main(config_path="../conf", config_name="config", version_base="1.3")
-def main(cfg: DictConfig) -> None:
+DEMO = "+experiment=demo"
+
+
+def main() -> int:
+    """Run what the command line asks for; return the exit status.
+
+    The first word chooses a tool. Without one, Hydra takes the arguments. No arguments: the demo.
+    """
+    words = sys.argv[1:]
+    if str(Path.cwd()) not in sys.path and not sys.flags.safe_path:
+        sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
+    if words and words[0] in TOOLS:
+        return TOOLS[words[0]].run(words[1:])
+    if words and "=" not in words[0] and words[0][:1] not in "-+~":
+        print(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", file=sys.stderr)
+        return 2
+    if {"--help", "-h"} & set(words):
+        print(usage())
+    elif "--version" in words:
+        print(f"tdgbench {__version__}")
+    else:
+        if not words:
+            sys.argv.append(DEMO)
+        run_job()
+    return 0
+
+
+@hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")
+def run_job(cfg: DictConfig) -> None:
+    """Run the job that the composed configuration names."""
     get_method(cfg.job._target_)(cfg)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 1:
-        sys.argv.append("+experiment=demo")
-    main()
+    sys.exit(main())

@@ -1,4 +1,4 @@
-"""`python -m tdgbench.verify results/<experiment> …`: are results what their records say?
+"""`tdgbench verify results/<experiment> ...`: check results against their records.
 
 For every finished cell: the record fits its schema; files have the hashes that it names; the model, rendered again from
 the test cameras, gives the stored pictures; and the pictures give the stored scores.
@@ -147,22 +147,19 @@ def _is_close(a: float, b: float) -> bool:
     return math.isclose(a, b, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tdgbench.verify", description=__doc__)
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status."""
+    parser = argparse.ArgumentParser(prog="tdgbench verify", description=__doc__)
     parser.add_argument("experiment", nargs="+", type=Path, help="a folder results/<experiment>")
     console, status = Console(), 0
-    for experiment in parser.parse_args().experiment:
+    for experiment in parser.parse_args(arguments).experiment:
         try:
             count, problems = verify(experiment)
         except ValueError as error:
-            print(f"tdgbench.verify: {error}", file=sys.stderr)
+            print(f"tdgbench verify: {error}", file=sys.stderr)
             return 1
         for problem in problems:
             console.print(f"[red]wrong:[/red] {escape(problem)}", highlight=False, soft_wrap=True)
         console.print(f"{experiment}: {count} cells, {len(problems)} problems", highlight=False, soft_wrap=True)
         status |= bool(problems)
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 
 from tdgbench.bench.record import read_all
+from tests.command import command
 from tests.conftest import SMALL
-from tests.test_main import command
 
 OPTIONS = [o for o in SMALL if not o.startswith("dataset.loader")]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.killed import compare, contents, run_killed
 from tdgbench.bench.record import read_all
-from tests.test_main import QUICK, command
+from tests.command import QUICK, command
 
 SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=700", "checkpoint=0")
 

@@ -1,16 +1,14 @@
-"""The command itself: the demo, every experiment file, sweeps, failures, exit status."""
+"""The command: help, tools, the demo, every experiment file, sweeps, failures, exit status."""
 
 from __future__ import annotations
-
-import os
-import subprocess
-import sys
 
 import pandas as pd
 import pytest
 
+from tdgbench import __version__
 from tdgbench.bench.record import read_all
 from tdgbench.verify import verify
+from tests.command import QUICK, command, tdgbench
 from tests.conftest import ROOT, SMALL
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -20,13 +18,6 @@ JOBS = {  # experiments that are no sweep of cells, and how to make them small
     "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
     "error_time": ("job.parts=[growth]", "job.largest=1600", "job.width=48", "job.height=36", "job.repetitions=1"),
 }
-QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
-
-
-def command(tmp_path, *arguments):
-    own = {"PYTHONPATH": str(ROOT), "TORCH_HOME": str(tmp_path / "torch"), "COLUMNS": "200"}
-    call = [sys.executable, "-m", "tdgbench", *arguments, f"results={tmp_path / 'results'}"]
-    return subprocess.run(call, cwd=tmp_path, env={**os.environ, **own}, capture_output=True, text=True, timeout=600)
 
 
 def test_the_experiments_are_these():
@@ -133,3 +124,35 @@ def test_other_swept_keys_keep_their_cells_apart(tmp_path, data_root):
 def test_a_wrong_option_is_one_clear_error(tmp_path):
     run = command(tmp_path, "methd=tdg")
     assert run.returncode != 0 and "methd" in run.stderr
+
+
+def test_a_wrong_tool_is_one_clear_error(tmp_path):
+    run = tdgbench(tmp_path, "tabels", "results/demo")
+    assert run.returncode == 2 and run.stdout == ""
+    assert run.stderr == "tdgbench: no tool 'tabels' (tools: tables, verify); see tdgbench --help\n"
+
+
+def test_version_and_hydra_s_help(tmp_path):
+    assert tdgbench(tmp_path, "--version").stdout == f"tdgbench {__version__}\n"
+    assert "--multirun" in tdgbench(tmp_path, "--hydra-help").stdout
+    assert "lambda_depth: 0.2" in tdgbench(tmp_path, "--cfg", "job").stdout
+
+
+def test_tools_take_the_words_after_their_name(tmp_path, small_results):
+    run = tdgbench(tmp_path, "verify", str(small_results))
+    assert run.returncode == 0 and "4 cells, 0 problems" in run.stdout.replace("\n", " "), run.stderr
+    run = tdgbench(tmp_path, "tables", str(tmp_path / "nothing"))
+    assert run.returncode == 1 and "holds no records" in run.stderr
+    assert tdgbench(tmp_path, "tables", "--help").stdout.startswith("usage: tdgbench tables")
+
+
+def test_plug_ins_in_the_working_folder(tmp_path, data_root):
+    """A method and its YAML outside the checkout: `--config-dir` finds one, the working folder the other."""
+    (tmp_path / "mine.py").write_text("from methods.splat import Splat\n\n\nclass Mine(Splat):\n    pass\n")
+    (tmp_path / "yaml" / "method").mkdir(parents=True)
+    text = (ROOT / "conf" / "method" / "splat.yaml").read_text()
+    text = text.replace("name: splat", "name: mine").replace("methods.splat.Splat", "mine.Mine")
+    (tmp_path / "yaml" / "method" / "mine.yaml").write_text(text)
+    run = command(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert [(r.method, r.status) for r in read_all(tmp_path / "results" / "single")] == [("mine", "ok")]

@@ -19,10 +19,9 @@ def spoiled(small_results, tmp_path):
     return copy, copy / "cells" / "tdg" / "synthetic" / "turntable" / "colmap" / "seed0"
 
 
-def test_sound_results(small_results, capsys, monkeypatch):
+def test_sound_results(small_results, capsys):
     assert verify(small_results) == (4, [])
-    monkeypatch.setattr("sys.argv", ["verify", str(small_results)])
-    assert main() == 0 and "4 cells, 0 problems" in capsys.readouterr().out
+    assert main([str(small_results)]) == 0 and "4 cells, 0 problems" in capsys.readouterr().out
 
 
 def only_problem(experiment) -> str:
@@ -90,18 +89,16 @@ def test_records_that_do_not_fit_the_schema(spoiled, change, said):
     assert said in only_problem(experiment)
 
 
-def test_broken_files_are_named(spoiled, capsys, monkeypatch):
+def test_broken_files_are_named(spoiled, capsys):
     experiment, cell = spoiled
     (cell / "cameras.json").write_text("[]")
     assert "holds no cameras" in only_problem(experiment)
     (cell / "record.json").write_text("{")
     assert "record.json is not JSON" in only_problem(experiment)
-    monkeypatch.setattr("sys.argv", ["verify", str(experiment)])
-    assert main() == 1 and "wrong:" in capsys.readouterr().out
+    assert main([str(experiment)]) == 1 and "wrong:" in capsys.readouterr().out
 
 
-def test_an_empty_folder_is_named(tmp_path, capsys, monkeypatch):
+def test_an_empty_folder_is_named(tmp_path, capsys):
     with pytest.raises(ValueError, match="holds no records"):
         verify(tmp_path)
-    monkeypatch.setattr("sys.argv", ["verify", str(tmp_path)])
-    assert main() == 1 and "holds no records" in capsys.readouterr().err
+    assert main([str(tmp_path)]) == 1 and "holds no records" in capsys.readouterr().err

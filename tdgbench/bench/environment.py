@@ -11,10 +11,11 @@ from functools import cache
 from pathlib import Path
 
 from tdgbench.bench.gpu import describe_gpu
+from tdgbench.resources import PACKAGE
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core", "gsplat")
 CODE_OF_A_RESULT = (
     "tdgbench/scenes",
@@ -58,7 +59,9 @@ def code_version() -> str:
 
 @cache
 def git_state() -> dict[str, object] | None:
-    """Commit and whether the tree differs from it; None outside a git checkout."""
+    """Commit and whether the tree differs from it; None outside a git checkout of this project."""
+    if not (ROOT / ".git").exists():  # an installed wheel may lie inside another project's checkout
+        return None
     try:
         commit = _git("rev-parse", "HEAD")
         return {"commit": commit, "dirty": bool(_git("status", "--porcelain"))}

@@ -1,4 +1,4 @@
-"""What is guessed: depth maps estimated from thermal images (or from what else is there), one estimator a file."""
+"""Depth priors: depth maps of training views, made before training; one estimator per file."""
 
 from tdgbench.priors.cache import estimate_all
 from tdgbench.priors.prior import DepthEstimator, DepthPrior, PriorError

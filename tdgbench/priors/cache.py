@@ -1,4 +1,4 @@
-"""Estimate every training view's prior once: results are kept on disk by image hash and estimator."""
+"""Estimate the prior of every training view; cache the maps on disk by image and estimator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from tdgbench.scenes import Scene, View
 def estimate_all(
     estimator: DepthEstimator, scene: Scene, cache: Path | None, report: Callable[[int, int], None] | None = None
 ) -> tuple[dict[str, DepthPrior], int]:
-    """The priors of the training views by name, and how many were estimated now; `report` is told (done, of)."""
+    """Priors of the training views by name, and how many of them were not in the cache.
+
+    cache: folder of the maps; None disables it. report: called with (views done, views).
+    """
     priors, made = {}, 0
     identity = json.dumps(estimator.identity(scene), sort_keys=True)
     for index, view in enumerate(scene.train, start=1):
@@ -31,7 +34,7 @@ def estimate_all(
 def _cached(
     estimator: DepthEstimator, identity: str, scene: Scene, view: View, cache: Path | None
 ) -> tuple[DepthPrior, bool]:
-    """A view's prior, and whether it was estimated now."""
+    """Prior of a view, and whether it is new."""
     if cache is None:
         return estimator.estimate(scene, view), True
     digest = hashlib.sha256(identity.encode())

@@ -1,4 +1,4 @@
-"""Priors made elsewhere, one file per view: .npy, or .png of 8 or 16 bits in which 0 means unknown."""
+"""Depth maps from files, one per view: .npy, or 8- or 16-bit .png in which 0 means unknown."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from PIL import Image
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, View
 
-BESIDE_THE_SCENE = "depthesti"  # where TDg's released code looks, in the scene's folder
-BITS = {"L": 255, "I;16": 65535, "I": 65535}  # Pillow's modes: largest count
+RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
+LARGEST_COUNT = {"L": 255, "I;16": 65535, "I": 65535}  # by Pillow mode
 
 
 class FilePrior:
-    """Reads the first of <folder>/[<scene>/][train/|test/]<view>.{npy,png}.
+    """First existing file of <folder>/[<scene>/][train/|test/]<view>.{npy,png}.
 
-    folder: None for `depthesti` in the scene's own folder, as TDg's release (TDg.py, lines 70 to 99). A PNG of another
-    size than the images is resized bilinearly before zeros are taken as unknown, as there.
+    folder: None means `depthesti` in the scene's folder, as in TDg's release (TDg.py, lines 70 to 99). As there, a PNG
+    is first resized bilinearly to the image's size; zeros then become unknown. kind: of the values, see DepthPrior.
     """
 
     def __init__(self, folder: str | None, kind: Kind) -> None:
@@ -28,7 +28,7 @@ class FilePrior:
         self.kind = kind
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        folder = f"<scene>/{BESIDE_THE_SCENE}" if self.folder is None else str(self.folder)
+        folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
         digest = hashlib.sha256()
         for view in scene.train:
             digest.update(hashlib.sha256(self._find(scene, view).read_bytes()).digest())
@@ -49,7 +49,7 @@ class FilePrior:
         if self.folder is not None:
             bases = [self.folder / scene.name, self.folder]
         elif scene.folder is not None:
-            bases = [scene.folder / BESIDE_THE_SCENE]
+            bases = [scene.folder / RELEASED_FOLDER]
         else:
             raise PriorError(f"scene {scene.name} is not on disk; name the folder: prior.estimator.folder=DIR")
         candidates = [
@@ -68,11 +68,11 @@ class FilePrior:
 
 
 def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(H, W) float32 in [0, 1] at a size, NaN where unknown. Raises ValueError for a picture that is no depth map."""
+    """Depth map (H, W) float32 in [0, 1] of size (H, W), NaN where unknown. Raises ValueError for colour images."""
     with Image.open(path) as image:
-        if image.mode not in BITS:
+        if image.mode not in LARGEST_COUNT:
             raise ValueError(f"it has mode {image.mode}; a depth map has one channel of 8 or 16 bits")
-        counts = np.asarray(image).astype(np.float32) / np.float32(BITS[image.mode])
+        counts = np.asarray(image).astype(np.float32) / np.float32(LARGEST_COUNT[image.mode])
     if counts.shape != size:
         given = torch.from_numpy(counts)[None, None]
         resized = torch.nn.functional.interpolate(given, size=size, mode="bilinear", align_corners=False)

@@ -1,6 +1,6 @@
-"""Marigold (Ke et al. 2024), the estimator that the paper used: affine-invariant depth by diffusion.
+"""Marigold (Ke et al. 2024), the paper's estimator: affine-invariant depth by diffusion.
 
-Needs the optional extra `depth`, and its weights from the Hugging Face hub at first use.
+Needs the extra `depth`; downloads its weights from the Hugging Face hub at first use.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ from tdgbench.scenes import Scene, View
 
 
 class MarigoldPrior:
-    """kind `depth`: 0 is near, 1 is far. The same seed and image give the same map on one machine."""
+    """Prior of kind `depth`: 0 is near, 1 is far. Equal seeds and images give equal maps on one machine.
+
+    model: name on the hub, or a folder. steps: of the diffusion; None means the model's default. ensemble: predictions
+    to average. resolution: longest side in px at which the network runs; None means the model's default.
+    """
 
     def __init__(self, model: str, steps: int | None, ensemble: int, resolution: int | None, device: str, seed: int):
         self.model, self.steps, self.ensemble, self.resolution = model, steps, ensemble, resolution
@@ -44,7 +48,7 @@ class MarigoldPrior:
             )
         except Exception as error:
             raise PriorError(
-                f"the weights of {self.model} cannot be had ({type(error).__name__}: {error}); go online once, "
+                f"no weights of {self.model} are available ({type(error).__name__}: {error}); connect once, "
                 "set HF_HOME to a cache that has them, or choose prior=sfm_points or prior=files"
             ) from error
         pipeline.set_progress_bar_config(disable=True)
@@ -58,8 +62,8 @@ class MarigoldPrior:
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3)).copy()
-        own = int.from_bytes(hashlib.sha256(f"{self.seed}/{view.name}".encode()).digest()[:7], "big")
-        generator = torch.Generator(self._device).manual_seed(own)
+        seed = int.from_bytes(hashlib.sha256(f"{self.seed}/{view.name}".encode()).digest()[:7], "big")
+        generator = torch.Generator(self._device).manual_seed(seed)
         options = {} if self.resolution is None else {"processing_resolution": self.resolution}
         result = self._pipeline(
             image,

@@ -1,4 +1,4 @@
-"""What an estimator gives: a dense map per thermal image, and what kind of number it holds."""
+"""Depth prior of a view, and the protocol of estimators."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
 
 
 class PriorError(Exception):
-    """A prior that cannot be had: says for which view, and what to do."""
+    """No prior is available. The message names the view and the remedy."""
 
 
 @dataclass(frozen=True)
 class DepthPrior:
-    """A depth prior of one view.
+    """Depth prior of one view.
 
-    kind: `depth` (affine-invariant: larger is farther), `disparity` (affine-invariant inverse depth: larger is
-    nearer), or `metric` (z in world units). values: (H, W) float32; NaN where unknown.
+    values: (H, W) float32, NaN where unknown. kind: `depth` (affine-invariant; larger is farther), `disparity`
+    (affine-invariant inverse depth; larger is nearer) or `metric` (z in world units).
+
+    >>> DepthPrior(np.full((2, 2), 3.0, np.float32), "metric").values.shape
+    (2, 2)
     """
 
     values: np.ndarray
     kind: Kind
 
     def check(self, view: View) -> DepthPrior:
-        """Itself, if it fits the view and says anything. Raises PriorError."""
+        """Return self. Raises PriorError if the shape differs from the view's or no value is finite."""
         expected = (view.camera.height, view.camera.width)
         if self.kind not in KINDS:
             raise PriorError(f"the prior of view {view.name} has kind {self.kind!r}; it must be one of {KINDS}")
@@ -46,10 +49,10 @@ class DepthEstimator(Protocol):
     """D = f(I_thermal): TDg, eq. 2."""
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        """What the result depends on besides the images; part of the cache key and of the record.
+        """Everything the maps depend on besides the images, for the cache key and the record.
 
-        `files`: a hash of the files that it reads, if it reads any.
+        `files`: hash of the files that the estimator reads, if any.
         """
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
-        """The prior of one view. Raises PriorError."""
+        """Prior of a training view. Raises PriorError."""

@@ -1,7 +1,7 @@
-"""A dense depth map from the scene's own sparse points: they are spread over the image, but not across thermal edges.
+"""Dense inverse depth from the scene's sparse points, interpolated over the image but not across thermal edges.
 
-Minimises  Σ_points w (d_i − z_i)² + λ Σ_neighbours exp(−(ΔT / σ)²) (d_i − d_j)²  on a coarse grid, in inverse depth,
-where planes stay planes. It needs no network and no download.
+Minimises  Σ_points w (d_i − z_i)² + λ Σ_neighbours exp(−(ΔT / σ)²) (d_i − d_j)²  over inverse depth d on a coarse grid.
+Planes are linear in inverse depth. Needs no network.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ MIN_POINTS = 8
 
 
 class SfmPointsPrior:
-    """kind `disparity`, in inverse world units.
+    """Prior of kind `disparity`, in inverse world units.
 
-    grid_width: columns of the grid that is solved. edge: thermal difference (of [0, 1]) that counts as an edge.
-    smoothness: λ. occlusion: points more than this share behind the nearest point around them are hidden.
+    grid_width: columns of the grid. edge: σ, the thermal difference (of [0, 1]) of an edge. smoothness: λ. occlusion:
+    a point is hidden if it lies more than this share behind the nearest point within 2 cells.
     """
 
     def __init__(self, grid_width: int, edge: float, smoothness: float, occlusion: float) -> None:
@@ -49,7 +49,7 @@ class SfmPointsPrior:
         return DepthPrior(full, "disparity")
 
     def _splat_points(self, points: np.ndarray, camera) -> tuple[np.ndarray, np.ndarray]:
-        """Mean inverse depth and number of visible points per grid cell."""
+        """Mean inverse depth (H, W) and number (H, W) of the visible ones of the points (N, 3), per grid cell."""
         pixels, z = camera.project(points)
         inside = (z > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < camera.width) & (pixels[:, 1] < camera.height)
         columns, rows = pixels[inside].astype(int).T
@@ -63,6 +63,7 @@ class SfmPointsPrior:
         return np.divide(total, count, out=np.zeros_like(total), where=count > 0), count
 
     def _solve(self, values: np.ndarray, weight: np.ndarray, thermal: np.ndarray) -> np.ndarray:
+        """Minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W)."""
         index = np.arange(values.size).reshape(values.shape)
         pairs = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
         a, b = (np.concatenate([p[side].ravel() for p in pairs]) for side in (0, 1))

@@ -1,4 +1,4 @@
-"""The prior of a synthetic scene: its true depth, spoiled as a monocular network spoils it."""
+"""Prior of a synthetic scene: its true depth with the errors of a monocular network."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from tdgbench.scenes import Scene, View
 
 
 class SyntheticPrior:
-    """True depth (or its inverse), blurred, with smooth and white noise and an unknown scale and shift per view.
+    """True depth or its inverse, blurred, with smooth and white noise and a random scale and shift per view.
 
-    blur_px and bump_px are in pixels of the image; noise and bumps are relative to the range of the map.
+    blur_px, bump_px: standard deviations of the blur and of smooth errors, px. noise, bumps: standard deviations of
+    white and smooth errors, as shares of the map's range.
     """
 
     def __init__(self, kind: Kind, blur_px: float, noise: float, bumps: float, bump_px: float, seed: int) -> None:

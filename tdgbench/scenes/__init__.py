@@ -1,4 +1,4 @@
-"""What is given: scenes, views, cameras, sparse points; a loader per data set. Imports nothing else of tdgbench."""
+"""Input: scenes, views, cameras and sparse points; one loader per data set. Imports nothing else of tdgbench."""
 
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.layout import ReadOptions

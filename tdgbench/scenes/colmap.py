@@ -14,14 +14,14 @@ from tdgbench.scenes.scene import Camera, PointCloud, SceneError
 
 @dataclass(frozen=True)
 class Undistortion:
-    """Where each pixel of the pinhole image lies in the distorted one."""
+    """Position of each pinhole pixel in the distorted image."""
 
-    rows: np.ndarray  # (H, W), in pixel indices
-    columns: np.ndarray
-    source_size: tuple[int, int]  # width, height of the distorted image
+    rows: np.ndarray  # (H, W) float64, pixel indices
+    columns: np.ndarray  # (H, W) float64, pixel indices
+    source_size: tuple[int, int]  # width, height of the distorted image, px
 
     def apply(self, image: np.ndarray) -> np.ndarray:
-        """Bilinear resampling of (H, W, C); beyond the border the border's values go on."""
+        """Resample an image (H, W, C) bilinearly to (H', W', C) of the pinhole; the border is replicated."""
         height, width = image.shape[:2]
         rows = (self.rows + 0.5) * height / self.source_size[1] - 0.5
         columns = (self.columns + 0.5) * width / self.source_size[0] - 0.5
@@ -32,22 +32,22 @@ class Undistortion:
 
 
 @dataclass(frozen=True)
-class Posed:
-    """One registered image of a model."""
+class RegisteredImage:
+    """One registered image of a COLMAP model."""
 
     name: str  # file name without folder and extension
     camera: Camera
     undistortion: Undistortion | None
 
 
-def read_model(folder: Path) -> tuple[dict[str, Posed], PointCloud | None]:
-    """Registered views by name, and the points (None where the model has none)."""
+def read_model(folder: Path) -> tuple[dict[str, RegisteredImage], PointCloud | None]:
+    """Registered images by name, and sparse points or None. Raises SceneError."""
     try:
         model = pycolmap.Reconstruction(str(folder))
     except Exception as error:
         raise SceneError(f"{folder} is not a COLMAP model: {error}") from error
     pinholes = {camera_id: _pinhole(camera, folder) for camera_id, camera in model.cameras.items()}
-    posed: dict[str, Posed] = {}
+    posed: dict[str, RegisteredImage] = {}
     for image in model.images.values():
         if not image.has_pose:
             continue
@@ -58,7 +58,7 @@ def read_model(folder: Path) -> tuple[dict[str, Posed], PointCloud | None]:
         pose = np.eye(4)
         pose[:3] = image.cam_from_world().matrix()
         camera = Camera(np.array(pinhole.calibration_matrix()), pose, pinhole.width, pinhole.height)
-        posed[name] = Posed(name, camera, undistortion)
+        posed[name] = RegisteredImage(name, camera, undistortion)
     if not posed:
         raise SceneError(f"{folder} has no registered image")
     points = None
@@ -72,7 +72,7 @@ def read_model(folder: Path) -> tuple[dict[str, Posed], PointCloud | None]:
 
 
 def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud) -> None:
-    """Write a binary COLMAP model of pinhole views (file name, camera) and points."""
+    """Write a binary COLMAP model of views (file name, camera), which share one K, and points."""
     model = pycolmap.Reconstruction()
     for index, (name, camera) in enumerate(views, start=1):
         K = camera.K
@@ -98,7 +98,7 @@ def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointClou
 
 
 def _pinhole(camera: pycolmap.Camera, folder: Path) -> tuple[pycolmap.Camera, Undistortion | None]:
-    """The camera itself if it is a pinhole, else the pinhole that pycolmap undistorts it to, with the way there."""
+    """The camera itself if it is a pinhole; else pycolmap's undistorted pinhole, and how to resample images to it."""
     if camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):
         return camera, None
     try:

@@ -1,48 +1,44 @@
-"""The data sets as plug-ins: each has `load(name)`, `names()`, and says which scenes are missing."""
+"""Data sets as plug-ins: each loads scenes by name and lists the missing ones."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from tdgbench.scenes import registry
-from tdgbench.scenes.layout import LAYOUT, ReadOptions, read_scene
+from tdgbench.scenes.layout import LAYOUT, Description, ReadOptions, read_scene
 from tdgbench.scenes.scene import MissingScenesError, Scene, SceneError
 
 
-@dataclass(frozen=True)
-class Description:
-    """A scene's place in results."""
-
-    scene: str
-    dataset: str
-    group: str
-
-
 class Dataset(Protocol):
-    """Where scenes come from."""
+    """Source of scenes. A name of None means the only scene, where there is one."""
 
     def names(self) -> list[str]:
-        """The scenes it knows."""
+        """Names of all scenes."""
 
     def missing(self, names: list[str]) -> list[str]:
-        """Those of the names that are not there."""
+        """The given names whose scenes are not on disk."""
 
     def explain_missing(self, names: list[str]) -> str:
-        """One message for all missing scenes: which, where they are expected, who publishes them."""
+        """One message for all missing scenes: names, expected folders, publisher."""
 
     def describe(self, name: str | None) -> Description:
-        """What a scene is called in results, without reading it. Raises SceneError for a name it cannot know."""
+        """Describe a scene without reading it. Raises SceneError for an unknown name."""
 
     def load(self, name: str | None) -> Scene:
-        """One scene. Raises MissingScenesError or SceneError."""
+        """Read a scene. Raises MissingScenesError or SceneError."""
 
 
 class RegisteredDataset:
-    """The paper's scenes of one data set (RGBT-Scenes or ThermalMix), or of both (`dataset: null`).
+    """The paper's scenes of one data set, `rgbt_scenes` or `thermalmix`, or of both (None).
 
-    They lie in <root>/RGBT-Scenes/<Scene> and <root>/ThermalMix/<Scene>.
+    Folders: <root>/RGBT-Scenes/<Scene>, <root>/ThermalMix/<Scene>.
+
+    >>> dataset = RegisteredDataset("data", ReadOptions(), "thermalmix")
+    >>> dataset.names()
+    ['Laptop', 'Pan', 'Lion', 'Hand', 'Face']
+    >>> dataset.describe("lion")
+    Description(scene='Lion', dataset='ThermalMix', group='360')
     """
 
     def __init__(self, root: str, options: ReadOptions, dataset: str | None = None) -> None:
@@ -63,18 +59,17 @@ class RegisteredDataset:
         return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
 
     def load(self, name: str | None) -> Scene:
-        what = self.describe(name)
-        folder = self._find(what.scene)
+        description = self.describe(name)
+        folder = self._find(description.scene)
         if folder is None:
-            raise MissingScenesError([what.scene], self.explain_missing([what.scene]))
-        return read_scene(folder, what.scene, what.dataset, what.group, self.options)
+            raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
+        return read_scene(folder, description, self.options)
 
     def explain_missing(self, names: list[str]) -> str:
-        """One message for all missing scenes: which, where they are expected, and who publishes them."""
         lines = [f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} not in {self.root}:"]
         for key in dict.fromkeys(self._registered(name).dataset for name in names):
-            own = [name for name in names if self._registered(name).dataset == key]
-            lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(own)}")
+            missing = [name for name in names if self._registered(name).dataset == key]
+            lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
             lines.append(f"    get them from {registry.PUBLISHED_AT[key]}")
         lines.append(f"  layout: {LAYOUT}; elsewhere: data.root=DIR")
         return "\n".join(lines)
@@ -96,7 +91,7 @@ class RegisteredDataset:
 
 
 class FolderDataset:
-    """Any capture in the RGBT-Scenes layout: <root> itself is the scene, or holds scenes as folders."""
+    """Any capture in the RGBT-Scenes layout: `root` is the scene, or holds one folder per scene."""
 
     def __init__(self, root: str, options: ReadOptions) -> None:
         self.root = Path(root)
@@ -127,8 +122,8 @@ class FolderDataset:
         return Description(names[0] if name is None else name, "folder", "")
 
     def load(self, name: str | None) -> Scene:
-        what = self.describe(name)
-        if what.scene not in self.names():
-            raise MissingScenesError([what.scene], self.explain_missing([what.scene]))
-        folder = self.root if (self.root / "thermal").is_dir() else self.root / what.scene
-        return read_scene(folder, what.scene, what.dataset, what.group, self.options)
+        description = self.describe(name)
+        if description.scene not in self.names():
+            raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
+        folder = self.root if (self.root / "thermal").is_dir() else self.root / description.scene
+        return read_scene(folder, description, self.options)

@@ -1,4 +1,4 @@
-"""Image files to float32 arrays in [0, 1]: 8-bit gray and colour, 16-bit radiometric, float TIFF in °C."""
+"""Read image files as float32 arrays in [0, 1]: 8-bit gray and colour, 16-bit radiometric, float TIFF in °C."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 @dataclass(frozen=True)
 class Radiometry:
-    """What `temperature.json` says: the range in °C, and for 16-bit images how counts become °C."""
+    """Content of `temperature.json`. 16-bit images: degC = counts × degC_per_count + degC_at_zero."""
 
     range: TemperatureRange
     degC_per_count: float | None = None
@@ -24,7 +24,10 @@ class Radiometry:
 
 
 def read_radiometry(path: Path) -> Radiometry | None:
-    """Read `temperature.json` (min, max in °C; degC_per_count and degC_at_zero for radiometric images), if there."""
+    """Read `temperature.json`; None if there is no such file.
+
+    Keys: min and max in °C; degC_per_count and degC_at_zero for 16-bit images. Raises SceneError.
+    """
     if not path.exists():
         return None
     try:
@@ -43,10 +46,10 @@ def read_radiometry(path: Path) -> Radiometry | None:
 
 
 def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
-    """An image as float32 (H, W, 1 or 3) in [0, 1].
+    """Read an image as float32 (H, W, 1 or 3) in [0, 1].
 
-    8-bit values are divided by 255 and 16-bit ones by 65 535, unless `radiometry` maps counts to °C; float TIFFs are
-    °C and need a range. Raises SceneError naming the file.
+    8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how.
+    Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
     try:
         with Image.open(path) as opened:
@@ -78,12 +81,20 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
 
 
 def is_gray(image: np.ndarray) -> bool:
-    """Whether all channels say the same."""
+    """Whether all channels of an image (H, W, C) are equal.
+
+    >>> is_gray(np.full((2, 2, 3), 0.5)), is_gray(np.array([[[0.1, 0.2, 0.3]]]))
+    (True, False)
+    """
     return image.shape[2] == 1 or bool((image == image[..., :1]).all())
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Area-averaged (shrinking) or bilinear (growing) resampling of (H, W, C)."""
+    """Resample an image (H, W, C) to (height, width, C): area average to shrink, bilinear to grow.
+
+    >>> resize(np.array([[[0.0], [1.0]], [[1.0], [2.0]]], np.float32), width=1, height=1)
+    array([[[1.]]], dtype=float32)
+    """
     if image.shape[:2] == (height, width):
         return image
     shrinks = width <= image.shape[1] and height <= image.shape[0]

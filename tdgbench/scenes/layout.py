@@ -1,8 +1,8 @@
-"""The RGBT-Scenes folder layout, which every data set here shares.
+"""Read a scene in the RGBT-Scenes folder layout, which all data sets here share.
 
     <scene>/thermal/[train|test/]<view>.png    rgb/[train|test/]<view>.jpg    sparse/0/    [temperature.json]
 
-Thermal and RGB files belong together by view name, whatever their extensions; poses come from the COLMAP model.
+Thermal and RGB files are paired by view name; extensions may differ. Poses come from the COLMAP model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.scenes.colmap import Posed, read_model
+from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.images import SUFFIXES, Radiometry, is_gray, read_image, read_radiometry, resize
 from tdgbench.scenes.scene import Scene, SceneError, View
 from tdgbench.scenes.splits import split_names
@@ -25,10 +25,11 @@ ASPECT_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a scene's folder is read.
+    """Options of reading a scene.
 
-    width: images are resized to this many pixels (None: as they are). channels: 1, 3, or "auto" (1 where all thermal
-    images are gray). skip_unpaired: leave out posed views without a thermal image instead of stopping.
+    split: one of splits.SPLITS. width: of the resized images, px; None keeps their size. channels: of the thermal
+    images: 1, 3 or "auto" (1 if all are gray). skip_unpaired: omit posed views without a thermal image; else they are
+    an error.
     """
 
     split: str = "eighty_twenty"
@@ -37,8 +38,17 @@ class ReadOptions:
     skip_unpaired: bool = False
 
 
+@dataclass(frozen=True)
+class Description:
+    """How results identify a scene."""
+
+    scene: str
+    dataset: str
+    group: str  # a key of registry.GROUPS, or empty
+
+
 def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
-    """Images by view name, and where train/ and test/ exist, which of them each came from."""
+    """Image paths by view name; and by view name `train` or `test`, where these subfolders exist."""
     paths: dict[str, Path] = {}
     shipped: dict[str, str] = {}
     subfolders = [name for name in ("train", "test") if (folder / name).is_dir()]
@@ -54,8 +64,8 @@ def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
     return paths, shipped
 
 
-def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadOptions) -> Scene:
-    """Read one scene's folder. Raises SceneError naming the file or view and what to do."""
+def read_scene(folder: Path, description: Description, options: ReadOptions) -> Scene:
+    """Read the scene in a folder. Raises SceneError naming the file or view and the remedy."""
     if not (folder / "thermal").is_dir():
         raise SceneError(f"{folder} has no thermal/ folder; the layout is {LAYOUT}")
     thermal, shipped = find_images(folder / "thermal")
@@ -67,15 +77,15 @@ def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadO
     notes = []
     unposed = sorted(set(thermal) - set(posed))
     if unposed:
-        notes.append(f"{len(unposed)} thermal images have no pose and are left out: {', '.join(unposed[:5])}")
+        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {', '.join(unposed[:5])}")
     unpaired = sorted(set(posed) - set(thermal))
     if unpaired and not options.skip_unpaired:
         raise SceneError(
             f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({', '.join(unpaired[:5])}); "
-            "add them, or set dataset.options.skip_unpaired=true"
+            "add them, or set data.skip_unpaired=true"
         )
     if unpaired:
-        notes.append(f"{len(unpaired)} posed views have no thermal image and are left out: {', '.join(unpaired[:5])}")
+        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {', '.join(unpaired[:5])}")
     names = sorted(set(posed) & set(thermal))
     if not names:
         raise SceneError(
@@ -92,9 +102,9 @@ def read_scene(folder: Path, name: str, dataset: str, group: str, options: ReadO
         n: _make_view(posed[n], thermal[n], rgb.get(n), folder / "depth", radiometry, channels, options) for n in names
     }
     return Scene(
-        name=name,
-        dataset=dataset,
-        group=group,
+        name=description.scene,
+        dataset=description.dataset,
+        group=description.group,
         train=[views[n] for n in train],
         test=[views[n] for n in test],
         points=points,
@@ -111,11 +121,11 @@ def _decide_channels(paths: list[Path], radiometry: Radiometry | None, wanted: i
     if wanted == "auto":
         return 1 if all(is_gray(read_image(path, radiometry)) for path in paths) else 3
     if wanted not in (1, 3):
-        raise SceneError(f"dataset.options.channels is {wanted!r}; it must be auto, 1 or 3")
+        raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
     return int(wanted)
 
 
-def _make_view(posed: Posed, thermal: Path, rgb: Path | None, depth_folder: Path, radiometry, channels: int,
+def _make_view(posed: RegisteredImage, thermal: Path, rgb: Path | None, depth_folder: Path, radiometry, channels: int,
                options: ReadOptions) -> View:  # fmt: skip
     camera = posed.camera
     if options.width is not None:
@@ -131,13 +141,14 @@ def _make_view(posed: Posed, thermal: Path, rgb: Path | None, depth_folder: Path
     )
 
 
-def _load(path: Path, posed: Posed, width: int, height: int, channels: int, radiometry) -> np.ndarray:
-    """Read, undistort, resize, and bring to the number of channels."""
+def _load(path: Path, posed: RegisteredImage, width: int, height: int, channels: int, radiometry) -> np.ndarray:
+    """Image of a view as float32 (height, width, channels): read, undistorted, resized, converted."""
     image = read_image(path, radiometry)
     source = (posed.camera.width, posed.camera.height) if posed.undistortion is None else posed.undistortion.source_size
     if abs(image.shape[1] / image.shape[0] * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
         raise SceneError(
-            f"{path} is {image.shape[1]}×{image.shape[0]}, but its camera is {source[0]}×{source[1]}: another shape"
+            f"{path} is {image.shape[1]}×{image.shape[0]}, but its camera is {source[0]}×{source[1]}: "
+            "the aspect ratios differ"
         )
     if posed.undistortion is not None:
         image = posed.undistortion.apply(image)
@@ -150,7 +161,7 @@ def _load(path: Path, posed: Posed, width: int, height: int, channels: int, radi
 
 
 def _fingerprint(folder: Path, images: list[Path], model: Path) -> str:
-    """A hash of the images' names, sizes and contents, and of the model's files."""
+    """Hash of the paths and contents of the images, the COLMAP model and temperature.json."""
     digest = hashlib.sha256()
     extra = [folder / "temperature.json"] if (folder / "temperature.json").exists() else []
     for path in sorted([*images, *(p for p in model.iterdir() if p.is_file()), *extra]):

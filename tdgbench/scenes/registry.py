@@ -1,4 +1,4 @@
-"""The 14 scenes of the paper's Table 1: data set, group, and the folder names under which they are found."""
+"""The 14 scenes of the paper's Table 1: data set, group, label and accepted folder names."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class RegisteredScene:
     aliases: tuple[str, ...] = ()
 
     def matches(self, folder: str) -> bool:
-        """Whether a folder's name means this scene, whatever its case, spaces and underscores."""
+        """Whether a folder name is the name or an alias, ignoring case, spaces and punctuation."""
         return _plain(folder) in {_plain(name) for name in (self.name, *self.aliases)}
 
     def find(self, dataset_folder: Path) -> Path | None:
-        """This scene's folder inside the data set's, if it is there."""
+        """Folder of this scene inside the folder of its data set, or None."""
         if not dataset_folder.is_dir():
             return None
         found = sorted(p for p in dataset_folder.iterdir() if p.is_dir() and self.matches(p.name))
@@ -67,7 +67,11 @@ SCENES = tuple(
 
 
 def registered(name: str) -> RegisteredScene:
-    """The registered scene of a name or alias. Raises KeyError listing what there is."""
+    """Find a scene by name or alias. Raises KeyError with all names.
+
+    >>> registered("road_block").label, registered("Hands").name
+    ('Road Block', 'Hand')
+    """
     for scene in SCENES:
         if scene.matches(name):
             return scene

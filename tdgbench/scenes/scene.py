@@ -1,4 +1,4 @@
-"""What is given: a scene, its views with their cameras, and its sparse points."""
+"""A scene: views with cameras and images, sparse points, temperature range."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-COARSEST = 1e-3  # step of float32 coordinates, as a share of the extent
+MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
 
 
 class SceneError(Exception):
-    """A scene that cannot be used: says which file or view, and what to do."""
+    """A scene cannot be used. The message names the file or view and the remedy."""
 
 
 class MissingScenesError(SceneError):
-    """Scenes that are not on disk."""
+    """Scenes are not on disk."""
 
     def __init__(self, names: list[str], message: str) -> None:
         super().__init__(message)
@@ -26,25 +26,32 @@ class MissingScenesError(SceneError):
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera in OpenCV axes (x right, y down, z forward); pixel centres at whole numbers + 1/2."""
+    """A pinhole camera in OpenCV axes: x right, y down, z forward. Pixel centres are at integers + 1/2.
+
+    >>> camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(4), width=64, height=48)
+    >>> camera.project(np.array([[0.5, 0.25, 2.0]]))
+    (array([[25. , 12.5]]), array([2.]))
+    >>> camera.resized(32, 24).K.diagonal()
+    array([50., 50.,  1.])
+    """
 
     K: np.ndarray  # (3, 3) float64, px
-    world_to_camera: np.ndarray  # (4, 4) float64
-    width: int
-    height: int
+    world_to_camera: np.ndarray  # (4, 4) float64, rigid
+    width: int  # px
+    height: int  # px
 
     @property
     def center(self) -> np.ndarray:
-        """Position in world coordinates (3,)."""
+        """Position (3,) in world coordinates."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera with another number of pixels."""
+        """The camera of the same image resampled to width × height px."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(scale @ self.K, self.world_to_camera, width, height)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (N, 2) and depths z (N,) of world points (N, 3)."""
+        """Pixels (N, 2) as (x, y) and depths z (N,) in world units, of world points (N, 3)."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         z = local[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -62,38 +69,38 @@ class PointCloud:
 
 @dataclass(frozen=True)
 class TemperatureRange:
-    """Temperatures that the image values 0 and 1 stand for, in °C."""
+    """Temperatures of the image values 0 and 1, in °C."""
 
-    min: float
-    max: float
+    min: float  # °C
+    max: float  # °C
 
 
 @dataclass
 class View:
-    """One camera position. Images are read at first use and kept: float32 in [0, 1], (H, W, C)."""
+    """One camera position. Images are float32 (H, W, C) in [0, 1], read at first use and cached."""
 
     name: str
     camera: Camera
     load_thermal: Callable[[], np.ndarray] = field(repr=False)
     load_rgb: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     thermal_path: Path | None = None
-    true_depth_path: Path | None = None  # .npy, z in world units; synthetic scenes have it
+    true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
 
     @cached_property
     def thermal(self) -> np.ndarray:
-        """(H, W, 1) where gray, else (H, W, 3)."""
+        """(H, W, 1) if gray, else (H, W, 3)."""
         return self.load_thermal()
 
     @cached_property
     def rgb(self) -> np.ndarray:
-        """(H, W, 3). Raises SceneError where the scene has no RGB image of this view."""
+        """(H, W, 3). Raises SceneError if this view has no RGB image."""
         if self.load_rgb is None:
             raise SceneError(f"view {self.name} has no RGB image; a method that trains on RGB cannot use this scene")
         return self.load_rgb()
 
     @cached_property
     def true_depth(self) -> np.ndarray | None:
-        """(H, W) float32 z, or None where it is not known."""
+        """(H, W) float32, z in world units; None if unknown."""
         return None if self.true_depth_path is None else np.load(self.true_depth_path, allow_pickle=False)
 
 
@@ -109,32 +116,33 @@ class Scene:
     points: PointCloud | None
     temperature: TemperatureRange | None
     split: str
-    fingerprint: str  # of the files' names, sizes and the COLMAP model
+    fingerprint: str  # hash of the paths and contents of its files
     channels: int  # of the thermal images: 1 (gray) or 3 (pseudo-colour)
     notes: list[str] = field(default_factory=list)
-    folder: Path | None = None  # where its files are
+    folder: Path | None = None  # of its files
 
     @property
     def views(self) -> list[View]:
+        """All views, by name."""
         return sorted([*self.train, *self.test], key=lambda view: view.name)
 
     @cached_property
     def extent(self) -> float:
-        """3DGS's scene extent: 1.1 × the largest distance of a training camera from their mean.
+        """3DGS's scene extent in world units: 1.1 × the largest distance of a training camera from their mean.
 
-        Raises SceneError where there is none, or where float32 cannot tell places apart that finely.
+        Raises SceneError if it is zero, or if float32 coordinates are too coarse for it.
         """
         centers = np.stack([view.camera.center for view in self.train])
         extent = float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
         farthest = float(np.abs(centers).max())
         if extent <= 1e-9 * max(farthest, 1.0):
             raise SceneError(
-                f"{self.name}: its {len(centers)} training cameras stand in one place; a scene needs views from several"
+                f"{self.name}: its {len(centers)} training cameras stand in one place; move the camera between views"
             )
         step = float(np.spacing(np.float32(farthest)))
-        if step > COARSEST * extent:
+        if step > MAX_STEP * extent:
             raise SceneError(
-                f"{self.name}: its cameras lie up to {farthest:.3g} from the origin, where float32 counts in steps of "
+                f"{self.name}: its cameras lie up to {farthest:.3g} from the origin, where float32 has a resolution of "
                 f"{step:.1g}, but the scene's extent is {extent:.3g}; subtract an offset from cameras and points"
             )
         return extent

@@ -1,4 +1,4 @@
-"""Which views are trained on and which are tested. The record of every result says which split it used."""
+"""Split views into training and test views. Every record names its split."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ SPLITS = ("eighty_twenty", "every_8th", "folder")
 
 
 def split_names(names: list[str], how: str, shipped: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """Training and test names, each sorted.
+    """Training and test names, each sorted. Raises ValueError if one of them is empty.
 
-    `eighty_twenty`: every 5th of the sorted names, from the first, is tested (the paper's 80 % / 20 %);
-    `every_8th`: every 8th (3DGS, ThermalGaussian); `folder`: as shipped (name → train | test).
+    how: `eighty_twenty`: the 1st, 6th, 11th ... sorted name is a test view (the paper's 80 % / 20 %); `every_8th`: the
+    1st, 9th, 17th ... (3DGS, ThermalGaussian); `folder`: as shipped. shipped: `train` or `test` by name.
+
+    >>> split_names(["a", "b", "c", "d", "e", "f"], "eighty_twenty", {})
+    (['b', 'c', 'd', 'e'], ['a', 'f'])
     """
     if how not in SPLITS:
         raise ValueError(f"split is {how!r}; it must be one of {', '.join(SPLITS)}")
@@ -29,5 +32,7 @@ def split_names(names: list[str], how: str, shipped: Mapping[str, str]) -> tuple
     chosen = set(test)
     train = [name for name in names if name not in chosen]
     if not train or not test:
-        raise ValueError(f"split={how} leaves {len(train)} training and {len(test)} test views of {len(names)}")
+        raise ValueError(
+            f"split={how} gives {len(train)} training and {len(test)} test views of {len(names)}; both are needed"
+        )
     return train, test

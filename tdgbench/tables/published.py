@@ -10,7 +10,9 @@ from typing import Any
 import pandas as pd
 from omegaconf import OmegaConf
 
-FOLDER = Path(__file__).resolve().parents[2] / "paper_tables"
+from tdgbench.resources import paper_tables_folder
+
+FOLDER = paper_tables_folder()
 PAPER = "tdg"  # the source whose tables are reproduced
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tdgbench.bench.record import read_all
 from tdgbench.splats.cpu import pool
-from tests.test_main import QUICK, command
+from tests.command import QUICK, command
 
 CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
 

@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.priors import PriorError
 from tests.conftest import small_dataset
-from tests.priors.test_synthetic import correlation, make
+from tests.priors.conftest import correlation, make
 
 
 @pytest.mark.parametrize("name", ["orbit", "facade"])

@@ -2,21 +2,10 @@ import builtins
 
 import numpy as np
 import pytest
-from hydra.utils import instantiate
 
 from tdgbench.priors import PriorError
 from tdgbench.scenes import Scene
-from tests.conftest import config
-
-
-def make(name: str, **overrides):
-    return instantiate(
-        config(f"prior={name}", *(f"prior.estimator.{k}={v}" for k, v in overrides.items())).prior.estimator
-    )
-
-
-def correlation(a, b) -> float:
-    return float(np.corrcoef(np.ravel(a), np.ravel(b))[0, 1])
+from tests.priors.conftest import correlation, make
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("depth", 1), ("disparity", -1), ("metric", 1)])

@@ -30,11 +30,11 @@ def test_pairs_by_name_whatever_the_extension(folder):
 
 def test_shipped_split(folder):
     names = sorted(p.name for p in (folder / "thermal").iterdir())
-    for room in ("rgb", "thermal"):
-        for sub, own in (("train", names[3:]), ("test", names[:3])):
-            (folder / room / sub).mkdir()
-            for name in own:
-                (folder / room / name).rename(folder / room / sub / name)
+    for kind in ("rgb", "thermal"):
+        for sub, part in (("train", names[3:]), ("test", names[:3])):
+            (folder / kind / sub).mkdir()
+            for name in part:
+                (folder / kind / name).rename(folder / kind / sub / name)
     assert [v.name for v in load(folder, split="folder").test] == ["view000", "view001", "view002"]
     assert [v.name for v in load(folder, split="eighty_twenty").test] == ["view000", "view005"]
 

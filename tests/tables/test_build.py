@@ -8,8 +8,8 @@ from tdgbench.bench.output import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.scenes.registry import DATASETS, SCENES
-from tdgbench.tables.__main__ import main
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.command import main
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.results import KEYS
 
@@ -169,28 +169,24 @@ def test_latex_compiles(tmp_path, kind):
     assert run.returncode == 0, run.stdout[-2000:]
 
 
-def test_command(tmp_path, capsys, monkeypatch):
+def test_command(tmp_path, capsys):
     write(tmp_path)
-    monkeypatch.setattr("sys.argv", ["tables", str(tmp_path)])
-    assert main() == 0
+    assert main([str(tmp_path)]) == 0
     assert "Truck" in capsys.readouterr().out
-    monkeypatch.setattr("sys.argv", ["tables", str(tmp_path / "nothing")])
-    assert main() == 1
+    assert main([str(tmp_path / "nothing")]) == 1
     assert "holds no records" in capsys.readouterr().err
 
 
-def test_claims_command(tmp_path, capsys, monkeypatch):
+def test_claims_command(tmp_path, capsys):
     write(tmp_path)
-    monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path)])
-    assert main() == 0
+    assert main(["claims", str(tmp_path)]) == 0
     assert "fails" in (printed := capsys.readouterr().out) and "undecided" in printed
     assert "mmone lpips: printed 0.176, mean of the rows 0.1803 ± 0.0015" in printed
     averages = pd.read_csv(tmp_path / "tables" / "averages.csv")
     assert averages["verdict"].value_counts()["does not follow"] == 1
     claims = pd.read_csv(tmp_path / "tables" / "claims.csv").set_index("id")
     assert claims.loc["psnr-better", "published"] == "fails" and claims.loc["psnr-better", "ours"] == "undecided"
-    monkeypatch.setattr("sys.argv", ["tables", "claims", str(tmp_path / "nothing")])
-    assert main() == 1
+    assert main(["claims", str(tmp_path / "nothing")]) == 1
 
 
 def test_a_broken_record_is_named(tmp_path):

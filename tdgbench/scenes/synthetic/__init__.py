@@ -1,4 +1,4 @@
-"""Procedural RGB-thermal scenes with known depth and temperature, made from a seed at first use."""
+"""Procedural RGB-thermal scenes with known depth and temperature, generated from a seed at first use."""
 
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset
 

@@ -1,19 +1,24 @@
-"""The built-in scenes as a data set: made at first use, then read like any other."""
+"""The built-in scenes as a data set: generated at first use, then read like any other."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
 
-from tdgbench.scenes.datasets import Description
-from tdgbench.scenes.layout import ReadOptions, read_scene
+from tdgbench.scenes.layout import Description, ReadOptions, read_scene
 from tdgbench.scenes.scene import Scene, SceneError
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import write_scene
 
 
 class SyntheticDataset:
-    """Scenes under <root>/synthetic/, one folder per name, size, number of views and points, and seed."""
+    """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, and seed.
+
+    width, height: of the images, px. views: cameras per scene. points: sparse points per scene.
+
+    >>> SyntheticDataset("data", ReadOptions()).names()
+    ['orbit', 'night', 'turntable', 'facade']
+    """
 
     def __init__(
         self,
@@ -36,7 +41,7 @@ class SyntheticDataset:
         return [name for name in names if name not in WORLDS]
 
     def explain_missing(self, names: list[str]) -> str:
-        return f"there is no synthetic scene {', '.join(names)}; there are {', '.join(WORLDS)}"
+        return f"no synthetic scene {', '.join(names)}; choose from {', '.join(WORLDS)}"
 
     def describe(self, name: str | None) -> Description:
         name = name or next(iter(WORLDS))
@@ -45,16 +50,15 @@ class SyntheticDataset:
         return Description(name, "synthetic", WORLDS[name](self.seed).group)
 
     def load(self, name: str | None) -> Scene:
-        what = self.describe(name)
-        name = what.scene
-        world = WORLDS[name](self.seed)
-        folder = self.root / "synthetic" / self._folder_name(name)
+        description = self.describe(name)
+        world = WORLDS[description.scene](self.seed)
+        folder = self.root / "synthetic" / self._folder_name(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
-        return read_scene(folder, name, what.dataset, what.group, self.options)
+        return read_scene(folder, description, self.options)
 
     def _folder_name(self, name: str) -> str:
-        """Says what the scene was made with; a change of the generator makes a new folder."""
+        """Names all parameters and a hash of the generator, so that another generator writes another folder."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
         return f"{name}-{self.width}x{self.height}-{self.views}v-{self.points}p-seed{self.seed}-{version}"

@@ -1,4 +1,4 @@
-"""How surfaces look and how warm they are: smooth procedural patterns, functions of the point alone."""
+"""Albedo and temperature of surfaces: smooth procedural functions of the world point."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ class Waves:
     """A band-limited pattern in [0, 1]: the mean of plane waves with random directions and phases."""
 
     seed: int
-    per_metre: float
+    per_metre: float  # highest frequency, waves per metre
     count: int = 6
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Values (N,) at points (N, 3)."""
         rng = np.random.default_rng(self.seed)
         directions = rng.normal(size=(self.count, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -26,13 +27,14 @@ class Waves:
 
 @dataclass(frozen=True)
 class Spot:
-    """A smooth warmer (or colder) place: degC × exp(−½ |(p − center) / size|²)."""
+    """A warmer or colder spot: degC × exp(−½ |(p − center) / size|²)."""
 
     center: tuple[float, float, float]
     size: tuple[float, float, float]
     degC: float
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Temperature differences (N,) in °C at points (N, 3)."""
         scaled = (points - np.array(self.center)) / np.array(self.size)
         return self.degC * np.exp(-0.5 * (scaled**2).sum(axis=1))
 
@@ -51,9 +53,11 @@ class Material:
     sharpness: float = 4.0
 
     def albedo(self, points: np.ndarray) -> np.ndarray:
+        """RGB (N, 3) in [0, 1] at points (N, 3)."""
         mix = 1 / (1 + np.exp(-self.sharpness * 4 * (self.pattern(points) - 0.5)))
         return mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
 
     def temperature(self, points: np.ndarray) -> np.ndarray:
+        """Temperatures (N,) in °C at points (N, 3)."""
         pattern = self.degC_pattern * (self.pattern(points) - 0.5)
         return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)

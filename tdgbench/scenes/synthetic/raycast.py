@@ -14,7 +14,7 @@ class Solid(Protocol):
     """A surface that rays can hit."""
 
     def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest positive t (N,) with origin + t · ray on the surface (inf: none), and outward normals (N, 3)."""
+        """Smallest t > 0 (N,) with origin (3,) + t · rays (N, 3) on the surface, inf if none; unit normals (N, 3)."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A flat patch: centre and two perpendicular half-edges."""
+    """A flat patch: centre and two perpendicular half-edge vectors."""
 
     center: tuple[float, float, float]
     half_u: tuple[float, float, float]
@@ -82,7 +82,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """An upright cylinder with a flat top, standing at `base`."""
+    """An upright cylinder with a flat top; `base` is the centre of its bottom."""
 
     base: tuple[float, float, float]
     radius: float
@@ -98,8 +98,8 @@ class Cylinder:
             z = offset[2] + side * rays[:, 2]
             on_side = (discriminant >= 0) & (side > EPSILON) & (z >= 0) & (z <= self.height)
             top = (self.height - offset[2]) / rays[:, 2]
-            reach = offset[:2] + top[:, None] * rays[:, :2]
-            on_top = (top > EPSILON) & ((reach**2).sum(axis=1) <= self.radius**2)
+            in_top_plane = offset[:2] + top[:, None] * rays[:, :2]
+            on_top = (top > EPSILON) & ((in_top_plane**2).sum(axis=1) <= self.radius**2)
         side, top = np.where(on_side, side, np.inf), np.where(on_top, top, np.inf)
         t = np.minimum(side, top)
         hit = offset + np.where(np.isfinite(t), t, 0)[:, None] * rays

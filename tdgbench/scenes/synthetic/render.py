@@ -1,4 +1,4 @@
-"""One view of a world: RGB, temperature and depth per pixel."""
+"""Render one view of a world: RGB, temperature and depth per pixel."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from tdgbench.scenes.scene import Camera
 from tdgbench.scenes.synthetic.worlds import World
 
-AMBIENT = 0.35
+AMBIENT = 0.35  # share of ambient light
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """World-to-camera (4, 4) of a camera at `eye` that looks at `target`, upright."""
+    """World-to-camera matrix (4, 4) of an upright camera at `eye` (3,) looking at `target` (3,)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -23,7 +23,7 @@ def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour (N, 3), temperature in °C (N,) and depth z (N,) seen through image points (N, 2)."""
+    """Colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
     rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
     depth = np.full(len(pixels), np.inf)
@@ -40,16 +40,16 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
     diffuse = np.abs(normals @ light)
     color, degC = np.zeros((len(pixels), 3)), np.zeros(len(pixels))
     for index, (_, material) in enumerate(world.objects):
-        own = owner == index
-        if own.any():
-            color[own] = material.albedo(points[own])
-            degC[own] = material.temperature(points[own])
+        hit = owner == index
+        if hit.any():
+            color[hit] = material.albedo(points[hit])
+            degC[hit] = material.temperature(points[hit])
     color *= (AMBIENT + (1 - AMBIENT) * diffuse)[:, None] * world.exposure
     return color, degC, depth
 
 
 def render(world: World, camera: Camera, supersampling: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """RGB (H, W, 3) in [0, 1], temperature (H, W) in °C, both area-sampled, and depth (H, W) at pixel centres."""
+    """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres."""
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     corner = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
     shape = (camera.height, camera.width)

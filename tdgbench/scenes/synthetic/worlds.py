@@ -1,7 +1,7 @@
-"""The built-in scenes, one for each group of the paper's table.
+"""The built-in scenes, one per group of the paper's table.
 
-`orbit`: day light, pseudo-colour, a walk around a table top. `night`: RGB nearly black, warm machines before a wall
-that leaks heat. `turntable`: a full 360° circle, gray thermal. `facade`: forward-facing, gray thermal.
+`orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
+with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
 
 @dataclass(frozen=True)
 class World:
-    """Surfaces with their materials, the cameras, and how the thermal image is stored."""
+    """Surfaces with materials, cameras, and the encoding of the thermal image. Lengths in m, z up."""
 
     group: str
     pseudo_color: bool
     objects: list[tuple[Solid, Material]]
     cameras: Callable[[int, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]  # eye, target
-    temperatures: tuple[float, float]  # °C at the values 0 and 1
+    temperatures: tuple[float, float]  # °C of the image values 0 and 1
     focal: float  # × image width
     light: tuple[float, float, float] = (0.4, 0.3, 0.85)
     exposure: float = 1.0
-    point_share: float = 1.0  # of the usual number of sparse points
+    point_share: float = 1.0  # of the requested number of sparse points
 
 
 def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):

@@ -18,13 +18,13 @@ from tdgbench.scenes.synthetic.worlds import World
 
 PALETTE = "inferno"
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
-RGB_NOISE = 0.01
-POINT_NOISE = 0.004  # × depth
-OUTLIERS = 0.02
+RGB_NOISE = 0.01  # standard deviation, of [0, 1]
+POINT_NOISE = 0.004  # standard deviation, × depth
+OUTLIERS = 0.02  # share of the sparse points
 
 
 def write_scene(world: World, folder: Path, width: int, height: int, views: int, points: int, seed: int) -> None:
-    """Render every view and write the folder whole or not at all."""
+    """Render `views` images of width × height px and write the scene; the folder appears when it is complete."""
     rng = np.random.default_rng(seed)
     K = np.array([[world.focal * width, 0, width / 2], [0, world.focal * width, height / 2], [0, 0, 1]])
     cameras = [Camera(K, look_at(eye, target), width, height) for eye, target in world.cameras(views, rng)]
@@ -33,7 +33,7 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
     try:
         for sub in ("rgb", "thermal", "depth"):
             (part / sub).mkdir()
-        named, seen = [], []
+        named, images = [], []
         for index, camera in enumerate(cameras):
             name = f"view{index:03d}"
             rgb, degC, depth = render(world, camera)
@@ -43,21 +43,22 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
             Image.fromarray(thermal).save(part / "thermal" / f"{name}.png")
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))
             named.append((f"{name}.png", camera))
-            seen.append((rgb, depth))
-        cloud = _sparse_points(cameras, seen, round(points * world.point_share), rng)
+            images.append((rgb, depth))
+        cloud = _sparse_points(cameras, images, round(points * world.point_share), rng)
         write_model(part / "sparse" / "0", named, cloud)
         low, high = world.temperatures
         (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}))
         try:
             part.replace(folder)
         except OSError:
-            if not folder.exists():  # else another process made the same scene meanwhile
+            if not folder.exists():  # else another process has written the same scene
                 raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
 
 def _thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
+    """8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
     low, high = world.temperatures
     level = np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)
     if not world.pseudo_color:
@@ -66,10 +67,13 @@ def _thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
     return palette[level]
 
 
-def _sparse_points(cameras, seen, count: int, rng: np.random.Generator) -> PointCloud:
-    """Points that structure from motion might give: visible surface points with noise, and some outliers."""
+def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> PointCloud:
+    """Points like those of structure from motion: visible surface points with noise, and outliers.
+
+    images: (RGB (H, W, 3), depth (H, W)) of each camera.
+    """
     points, colors = [], []
-    for camera, (rgb, depth) in zip(cameras, seen, strict=True):
+    for camera, (rgb, depth) in zip(cameras, images, strict=True):
         rows = rng.integers(0, camera.height, count // len(cameras))
         columns = rng.integers(0, camera.width, count // len(cameras))
         z = depth[rows, columns]

@@ -2,7 +2,7 @@
 
 import shutil
 
-from tests.test_main import QUICK, command
+from tests.command import QUICK, command
 
 
 def test_a_failure_is_one_line_at_the_end_and_the_rest_is_there(tmp_path, small_scene, small_gray_scene):

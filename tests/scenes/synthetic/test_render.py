@@ -14,8 +14,8 @@ def test_temperatures_are_in_the_image(data_root):
     _, degC, depth = cast(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
     assert np.allclose(depth.reshape(36, 48), view.true_depth, rtol=1e-5)
     low, high = scene.temperature.min, scene.temperature.max
-    seen = view.thermal[..., 0] * (high - low) + low
-    assert np.median(np.abs(seen - degC.reshape(36, 48))) < 0.2
+    shown = view.thermal[..., 0] * (high - low) + low
+    assert np.median(np.abs(shown - degC.reshape(36, 48))) < 0.2
 
 
 def test_look_at():

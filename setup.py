@@ -1,0 +1,18 @@
+"""Packages of the wheel. `conf` and `paper_tables` lie at the top of a checkout and inside `tdgbench` in the wheel."""
+
+from setuptools import find_packages, setup
+
+DATA = {"tdgbench.conf": "conf", "tdgbench.paper_tables": "paper_tables"}
+
+setup(
+    packages=[*find_packages(include=["tdgbench*", "methods*"]), *DATA],
+    package_dir=DATA,
+    package_data={
+        "tdgbench": ["py.typed"],
+        "methods": ["py.typed"],
+        "tdgbench.bench": ["*.json"],
+        "tdgbench.report": ["*.j2"],
+        "tdgbench.conf": ["**/*.yaml"],
+        "tdgbench.paper_tables": ["*"],
+    },
+)

@@ -1,0 +1,36 @@
+"""`tdgbench tables DIR ...`: rebuild the tables of results/<experiment> from disk, without training.
+
+`tdgbench tables claims [DIR ...]`: test the paper's claims against its own tables and against the cells of all these
+experiments together; test every paper's averages against their rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from tdgbench.tables.between_papers import all_averages, between_papers
+from tdgbench.tables.build import build_tables, write_claims
+from tdgbench.tables.show import show, show_averages, show_claims, show_papers
+
+
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status."""
+    parser = argparse.ArgumentParser(prog="tdgbench tables", description=__doc__)
+    parser.add_argument("what", nargs="+", metavar="[claims] DIR", help="folders results/<experiment>")
+    what = parser.parse_args(arguments).what
+    try:
+        if what[0] == "claims":
+            show_claims(write_claims([Path(folder) for folder in what[1:]]), Console())
+            show_papers(between_papers(), Console())
+            show_averages(all_averages(), Console())
+            return 0
+        for folder in what:
+            show(build_tables(Path(folder)), Console())
+    except ValueError as error:
+        print(f"tdgbench tables: {error}", file=sys.stderr)
+        return 1
+    return 0

@@ -1,0 +1,33 @@
+"""Command-line tools beside the benchmark itself: `tdgbench TOOL ...`."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool, chosen by the first word of the command line.
+
+    usage: (arguments, summary) of each form, for `tdgbench --help`. module: has `main(arguments)`, which returns the
+    exit status; it is imported when the tool runs.
+    """
+
+    usage: tuple[tuple[str, str], ...]
+    module: str
+
+    def run(self, arguments: list[str]) -> int:
+        return importlib.import_module(self.module).main(arguments)
+
+
+TOOLS = {
+    "tables": Tool(
+        (
+            ("DIR ...", "rebuild the tables of results/<experiment> from disk"),
+            ("claims [DIR ...]", "test the paper's claims against its tables and against results"),
+        ),
+        "tdgbench.tables.command",
+    ),
+    "verify": Tool((("DIR ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"),
+}

@@ -1,0 +1,64 @@
+"""The text of `tdgbench --help`; experiments, groups and choices are read from the configuration."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from tdgbench import __version__
+from tdgbench.resources import conf_folder
+from tdgbench.tools import TOOLS
+
+WIDTH = 118
+COLUMN = 33  # width of the first column
+
+COMMANDS = (
+    ("", "the demo: MSMG and TDg on four built-in scenes"),
+    ("+experiment=NAME [...]", "run an experiment; the same command again resumes it"),
+    ("[-m] [KEY=VALUE ...]", "run one cell; -m: every combination of comma-separated values"),
+)
+OPTIONS = (
+    ("data.root=DIR", "where the data sets are (default: data); dataset=folder: your capture"),
+    ("scene=NAME,... seed=0,1,...", "scenes and seeds"),
+    ("name=NAME results=DIR", "results go to DIR/NAME (default: results/single)"),
+    ("overwrite=always|never", "repeat finished cells, or keep outdated ones"),
+    ("hydra/launcher=joblib", "run cells side by side (also submitit_local, submitit_slurm, ray)"),
+    ("--config-dir DIR", "add a folder with YAML files of your own: DIR/<group>/<choice>.yaml"),
+    ("--cfg job", "print the configuration instead of running it"),
+    ("--version, --hydra-help", "version; Hydra's flags"),
+)
+
+
+def usage() -> str:
+    """Help that fits on one screen."""
+    conf = conf_folder()
+    tools = [(f"{name} {form}", does) for name, tool in TOOLS.items() for form, does in tool.usage]
+    sections = {
+        f"tdgbench {__version__}: benchmark for thermal Gaussian splatting": [
+            (f"tdgbench {form}".rstrip(), does) for form, does in (*COMMANDS, *tools)
+        ],
+        "Experiments": [(path.stem, _summary(path)) for path in sorted((conf / "experiment").glob("*.yaml"))],
+        "Groups, as GROUP=CHOICE": list(_groups(conf)),
+        "Options": list(OPTIONS),
+    }
+    lines = []
+    for title, rows in sections.items():
+        lines += [title, *(_row(*row) for row in rows)]
+    return "\n".join(lines)
+
+
+def _groups(conf: Path) -> Iterator[tuple[str, str]]:
+    for folder in sorted(path for path in conf.iterdir() if path.is_dir() and path.name != "experiment"):
+        yield folder.name, " ".join(sorted(path.stem for path in folder.glob("*.yaml")))
+
+
+def _summary(path: Path) -> str:
+    """First sentence of the first comment of a YAML file."""
+    comments = [line.lstrip("# ").rstrip() for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
+    text = " ".join(comment for comment in comments if not comment.startswith("@package"))
+    return text.split(". ")[0].rstrip(".")
+
+
+def _row(left: str, right: str) -> str:
+    return f"  {left:<{COLUMN}}{textwrap.shorten(right, WIDTH - COLUMN - 2, placeholder=' ...')}"

@@ -1,0 +1,103 @@
+"""Documentation: links lead somewhere, commands and choices exist, the architecture picture is up to date."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tdgbench import __version__
+from tdgbench.tools import TOOLS
+from tests.conftest import ROOT
+
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+COMMANDS = ROOT / "docs" / "commands.md"
+
+
+def fenced(text: str) -> list[list[str]]:
+    """Lines of each fenced block."""
+    return [block.splitlines()[1:] for block in text.split("```")[1::2]]
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_relative_links_resolve(page):
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    for link in (link for link in links if "://" not in link):
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        assert target.exists(), f"{page.name}: {link}"
+        assert not anchor or anchor in anchors(target), f"{page.name}: {link}"
+
+
+def test_readme_is_short_and_starts_with_two_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 150
+    demo, tests = fenced(text)[0]
+    assert demo.endswith("-e . && .venv/bin/tdgbench") and tests.endswith("&& .venv/bin/python -m pytest")
+
+
+def test_every_page_is_reachable_from_the_readme():
+    found, pending = set(), [ROOT / "README.md"]
+    while pending:
+        page = pending.pop().resolve()
+        if page not in found and page.suffix == ".md":
+            found.add(page)
+            links = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
+            pending += [page.parent / link for link in links if "://" not in link]
+    assert set(PAGES) <= found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_named_experiments_and_tools_exist(page):
+    text = page.read_text(encoding="utf-8")
+    experiments = {path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml")}
+    assert set(re.findall(r"\+experiment=([a-z]\w*)", text)) <= experiments
+    assert set(re.findall(r"`tdgbench ([a-z]+)(?= |`)", text)) <= set(TOOLS)
+
+
+def test_the_options_table_lists_every_choice():
+    text = COMMANDS.read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE))
+    for folder in (ROOT / "conf").iterdir():
+        if folder.is_dir() and folder.name != "experiment":
+            choices = {path.stem for path in folder.glob("*.yaml")}
+            assert choices <= set(re.findall(r"`(\w+)`", rows[folder.name])), folder.name
+    for experiment in (ROOT / "conf" / "experiment").glob("*.yaml"):
+        assert f"+experiment={experiment.stem}" in text
+    assert all(f"`tdgbench {tool} " in text for tool in TOOLS)
+
+
+def test_the_architecture_picture_is_what_its_script_draws():
+    script = runpy.run_path(str(ROOT / "docs" / "architecture.py"))
+    assert script["PICTURE"].read_text(encoding="utf-8") == script["picture"](), "run python docs/architecture.py"
+
+
+def test_one_version():
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == __version__
+    assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_workflow_and_the_hooks_run_the_same_checks_as_the_tests():
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
+    assert workflow["jobs"]["tests"]["steps"][-1]["run"] == ".ci/run"
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]
+    entries = " ".join(hook["entry"] for hook in hooks)
+    assert all(check in entries for check in ("ruff check .", "ruff format --check .", "mypy", "lint-imports"))
+
+
+def test_ci_deselects_nothing():
+    """`.ci/run` is README's test command with `-m ''`, which overrides the deselection of slow tests."""
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    assert "-m 'not slow'" in options["addopts"]
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "sed -n 2p) -m ''\"" in script and 'bash -c "$command"' in script
