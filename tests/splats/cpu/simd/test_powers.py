@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd import memory, powers
