@@ -1,17 +1,18 @@
-"""`python -m tdgbench [overrides]`: compose a configuration with Hydra and hand it to its job; alone, the demo."""
+"""`python -m tdgbench [overrides]`: compose a configuration with Hydra and run its experiment; by default the demo."""
 
 from __future__ import annotations
 
 import sys
 
 import hydra
-from hydra.utils import get_method
 from omegaconf import DictConfig
+
+from tdgbench.experiments.experiment import experiment_of
 
 
 @hydra.main(config_path="../conf", config_name="config", version_base="1.3")
 def main(cfg: DictConfig) -> None:
-    get_method(cfg.job._target_)(cfg)
+    experiment_of(cfg).run(cfg)
 
 
 if __name__ == "__main__":
