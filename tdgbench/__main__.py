@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 import hydra
-from hydra.utils import get_method
 from omegaconf import DictConfig
 
 from tdgbench import __version__
+from tdgbench.experiments.experiment import experiment_of
 from tdgbench.resources import conf_folder
 from tdgbench.tools import TOOLS
 from tdgbench.usage import usage
@@ -37,14 +37,14 @@ def main() -> int:
     else:
         if not words:
             sys.argv.append(DEMO)
-        run_job()
+        run_experiment()
     return 0
 
 
 @hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")
-def run_job(cfg: DictConfig) -> None:
-    """Run the job that the composed configuration names."""
-    get_method(cfg.job._target_)(cfg)
+def run_experiment(cfg: DictConfig) -> None:
+    """Run the experiment that the composed configuration names."""
+    experiment_of(cfg).run(cfg)
 
 
 if __name__ == "__main__":

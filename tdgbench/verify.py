@@ -1,7 +1,7 @@
 """`tdgbench verify results/<experiment> ...`: check results against their records.
 
-For every finished cell: the record fits its schema; files have the hashes that it names; the model, rendered again from
-the test cameras, gives the stored pictures; and the pictures give the stored scores.
+Every record must fit its schema. For a finished cell, files must have the recorded hashes, the model must give the
+stored renders from the test cameras, and the stored pictures must give the stored scores.
 """
 
 from __future__ import annotations
@@ -12,36 +12,31 @@ import json
 import math
 import sys
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.markup import escape
 
-from tdgbench.bench.output import hashes, read_cameras, render_model
-from tdgbench.bench.record import FILE
+from tdgbench.bench import cameras
+from tdgbench.bench.hashes import hashes
+from tdgbench.bench.record import FILE, record_files, schema_problems
+from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
 from tdgbench.scoring.psnr import psnr
 from tdgbench.scoring.ssim import ssim
 from tdgbench.splats.ply import load_ply
 
-SCHEMA = Path(__file__).parent / "bench" / "record.schema.json"
-MOST_OFF = 1e-3  # share of values that may differ by one of 255 levels: another processor rounds otherwise
+MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
 SCORE_TOLERANCE = 1e-6
 
 
 def verify(experiment: Path) -> tuple[int, list[str]]:
-    """How many cells were looked at, and every problem in words. Raises ValueError if there are none."""
-    folders = [
-        path.parent
-        for path in sorted((experiment / "cells").rglob(FILE))
-        if not any(part.startswith(".") for part in path.relative_to(experiment).parts)
-    ]
+    """Number of cells, and every problem in words. Raises ValueError if there are no cells."""
+    folders = [path.parent for path in record_files(experiment)]
     if not folders:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
     problems = []
@@ -51,96 +46,93 @@ def verify(experiment: Path) -> tuple[int, list[str]]:
 
 
 def verify_cell(folder: Path) -> list[str]:
-    """What is wrong with one cell; failed cells are only held against the schema."""
+    """Problems of one cell; of a failed cell, only those of its record."""
     try:
-        content = json.loads((folder / FILE).read_text())
+        text = (folder / FILE).read_text()
+        content = json.loads(text)
     except ValueError as error:
         return [f"{FILE} is not JSON: {error}"]
-    wrong = [f"{FILE}: {error.json_path}: {error.message}" for error in _schema().iter_errors(content)]
-    if wrong or content["status"] != "ok":
-        return wrong
+    problems = [f"{FILE}: {problem}" for problem in schema_problems(text)]
+    if problems or content["status"] != "ok":
+        return problems
     return [*_files(folder, content), *_renders(folder), *_scores(folder, content)]
 
 
-@cache
-def _schema() -> jsonschema.Draft202012Validator:
-    return jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text()))
-
-
 def _files(folder: Path, content: dict[str, Any]) -> Iterator[str]:
-    """Files that changed, went missing, or came from nowhere."""
-    there, said = hashes(folder), content["hashes"]
-    yield from (f"{name} is missing" for name in sorted(set(said) - set(there)))
-    yield from (f"{name} is not in the record" for name in sorted(set(there) - set(said)))
-    yield from (f"{name} has changed" for name in sorted(set(there) & set(said)) if there[name] != said[name])
+    """Files that are missing, unknown to the record, or changed."""
+    actual, recorded = hashes(folder), content["hashes"]
+    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
+    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
+    both = sorted(set(actual) & set(recorded))
+    yield from (f"{name} has changed" for name in both if actual[name] != recorded[name])
 
 
 def _renders(folder: Path) -> Iterator[str]:
-    """Pictures that the models do not give."""
+    """Renders that differ from what the models give."""
     try:
-        cameras = read_cameras(folder / "cameras.json", "test")
+        test_cameras = cameras.read_cameras(folder / cameras.FILE, "test")
         for model, renders in (("model.ply", "renders"), ("model_rgb.ply", "renders_rgb")):
             if model == "model.ply" or (folder / renders).exists():
-                yield from _renders_of(folder, model, renders, cameras)
+                yield from _renders_of(folder, model, renders, test_cameras)
     except (OSError, ValueError) as error:
         yield f"cannot be rendered again: {error}"
 
 
-def _renders_of(folder: Path, model: str, renders: str, cameras: dict[str, Camera]) -> Iterator[str]:
+def _renders_of(folder: Path, model: str, renders: str, test_cameras: dict[str, Camera]) -> Iterator[str]:
     gaussians = load_ply(folder / model)
-    for name, camera in cameras.items():
+    for name, camera in test_cameras.items():
         path = folder / renders / f"{name}.png"
         if not path.exists():
-            continue  # told as missing
+            continue  # reported as missing
         stored, again = _picture(path), to_8bit(render_model(gaussians, camera).image.numpy())
         if stored.shape != again.shape:
             yield f"{renders}/{name}.png is {stored.shape}, the model gives {again.shape}"
             continue
-        off = np.abs(stored.astype(int) - again.astype(int))
-        if off.max() > 1 or (off > 0).mean() > MOST_OFF:
-            share = f"{(off > 0).mean():.1%} differ, by up to {off.max()}"
+        difference = np.abs(stored.astype(int) - again.astype(int))
+        if difference.max() > 1 or (difference > 0).mean() > MAX_DIFFERENT:
+            share = f"{(difference > 0).mean():.1%} of the values differ, by up to {difference.max()}"
             yield f"{renders}/{name}.png is not what {model} gives: {share}"
 
 
 def _picture(path: Path) -> np.ndarray:
-    """(H, W, C) uint8."""
+    """Stored picture (H, W, C) uint8."""
     values = np.asarray(Image.open(path))
     return values[..., None] if values.ndim == 2 else values
 
 
 def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
-    """Scores that the stored pictures do not give. Those that need more than pictures are not computed again."""
+    """Scores that differ from those of the stored pictures. Scores that need more than pictures are not checked."""
     with (folder / "views.csv").open(newline="") as file:
         rows = {row["view"]: row for row in csv.DictReader(file)}
     metrics = content["config"]["metrics"]
     options = LPIPSOptions(metrics["lpips"]["net"], metrics["lpips"]["weights"], download=False)
     scorer = Scorer(metrics["convention"], metrics["ssim_border"], metrics["lpips_range"], options)
-    found: dict[str, list[float]] = {}
+    computed: dict[str, list[float]] = {}
     for name, row in rows.items():
         for metric, value in _scores_of(folder, name, row, scorer).items():
-            found.setdefault(metric, []).append(value)
+            computed.setdefault(metric, []).append(value)
             if not _is_close(value, float(row[metric])):
                 yield f"views.csv: {metric} of {name} is {row[metric]}, its pictures give {value:.6f}"
-    for metric, values in found.items():
-        said = content["scores"].get(metric)
-        if len(values) == len(rows) and (said is None or not _is_close(float(np.mean(values)), said)):
-            yield f"{FILE}: {metric} is {said}, the pictures give {np.mean(values):.6f}"
+    for metric, values in computed.items():
+        recorded = content["scores"].get(metric)
+        if len(values) == len(rows) and (recorded is None or not _is_close(float(np.mean(values)), recorded)):
+            yield f"{FILE}: {metric} is {recorded}, the pictures give {np.mean(values):.6f}"
 
 
 def _scores_of(folder: Path, name: str, row: dict[str, str], scorer: Scorer) -> dict[str, float]:
-    """A view's scores from its pictures, of the thermal and of an RGB model; pictures that are missing are told so."""
-    found = {}
+    """Scores of one view from its pictures, of the thermal and the RGB model; missing pictures are left out."""
+    scores = {}
     for suffix, prefix in (("", ""), ("_rgb", "rgb_")):
         pair = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
         if not all(path.exists() for path in pair):
             continue
         image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
-        found[f"{prefix}psnr"] = psnr(image, target)
-        found[f"{prefix}ssim"] = ssim(image, target, scorer.ssim_border)
+        scores[f"{prefix}psnr"] = psnr(image, target)
+        scores[f"{prefix}ssim"] = ssim(image, target, scorer.ssim_border)
         if row[f"{prefix}lpips"] != "n/a":
             lpips = scorer.lpips(image, target)
-            found |= {} if lpips is None else {f"{prefix}lpips": lpips}
-    return found
+            scores |= {} if lpips is None else {f"{prefix}lpips": lpips}
+    return scores
 
 
 def _is_close(a: float, b: float) -> bool:
@@ -150,7 +142,7 @@ def _is_close(a: float, b: float) -> bool:
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status."""
     parser = argparse.ArgumentParser(prog="tdgbench verify", description=__doc__)
-    parser.add_argument("experiment", nargs="+", type=Path, help="a folder results/<experiment>")
+    parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>")
     console, status = Console(), 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
@@ -159,7 +151,7 @@ def main(arguments: list[str]) -> int:
             print(f"tdgbench verify: {error}", file=sys.stderr)
             return 1
         for problem in problems:
-            console.print(f"[red]wrong:[/red] {escape(problem)}", highlight=False, soft_wrap=True)
+            console.print(f"[red]problem:[/red] {escape(problem)}", highlight=False, soft_wrap=True)
         console.print(f"{experiment}: {count} cells, {len(problems)} problems", highlight=False, soft_wrap=True)
         status |= bool(problems)
     return status

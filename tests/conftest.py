@@ -9,16 +9,15 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
-from tdgbench.priors import estimate_all
+from tdgbench.bench.setup import Training, set_up
 from tdgbench.scenes import ReadOptions, Scene
 from tdgbench.scenes.synthetic import SyntheticDataset
-from tdgbench.training.method import Context, Method
+from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,17 +82,13 @@ SMALL = (
 
 def ready_to_train(
     scene: Scene, name: str, iterations: int, *overrides: str, seed: int = 0, skips: Skips | None = None
-) -> tuple[Method, Context]:
-    """A method with the demo's budget that has been set up, and the context that it was given."""
+) -> Training:
+    """A method with the demo's budget, ready to train."""
     cfg = config(
         f"method={name}", "prior=synthetic", "budget=demo", f"budget.iterations={iterations}", *overrides
     )  # fmt: skip
-    method = instantiate(cfg.method.method)
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    points = instantiate(cfg.init.points).points(scene)
-    context = Context(scene, points, priors, instantiate(cfg.budget), "auto", seed, skips or Skips())
-    method.setup(context)
-    return method, context
+    cfg.seed = seed
+    return set_up(cfg, scene, skips=skips, compiles=False)
 
 
 def digest(method: Method) -> str:

@@ -24,7 +24,7 @@ def test_good_cells_finish_and_the_others_say_why(tmp_path, small_scene):
         "method=msmg", "scene=corrupt,good,incomplete,thermal_only,unposed",
     )  # fmt: skip
     assert run.returncode == 1 and "Traceback" not in run.stderr
-    assert "1 cells run, 0 already there, 4 failed" in run.stdout
+    assert "1 cell run, 0 already there, 4 failed" in run.stdout
     said = [line for line in run.stdout.splitlines() if line.startswith("failed:")]
     assert len(said) == 4
     for scene, what in (

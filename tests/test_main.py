@@ -101,7 +101,7 @@ def test_scenes_that_are_there_run_though_others_are_missing(tmp_path, data_root
 
 def test_one_cell_without_an_experiment(tmp_path, data_root):
     run = command(tmp_path, "method=splat", "scene=facade", f"data.root={data_root}", *QUICK)
-    assert run.returncode == 0 and "1 cells run" in run.stdout
+    assert run.returncode == 0 and "1 cell run" in run.stdout
     record = read_all(tmp_path / "results" / "single")[0]
     assert (record.scene, record.method, record.variant) == ("facade", "splat", "")
 

@@ -1,4 +1,4 @@
-"""A cell: is it to be run, who may run it, and what becomes of it, a failure included."""
+"""Run a cell, unless its result is there or another process runs it; a failure becomes a record."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from omegaconf import DictConfig
 
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.gpu import a_gpu_of_its_own, visible_gpus
+from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
@@ -27,13 +27,16 @@ from tdgbench.training.method import training_device
 
 OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
-FAILURES_OF_THE_INPUT = (SceneError, PriorError, TrainingError)
+EXPECTED_ERRORS = (SceneError, PriorError, TrainingError)  # their message says enough without its type
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a cell: run (`ok`), already there (`kept`), `failed`, its scene not on disk (`missing`), or
-    in the hands of another process (`elsewhere`)."""
+    """Outcome of a cell.
+
+    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), or
+    `elsewhere` (another process runs it).
+    """
 
     status: Status
     title: str
@@ -41,11 +44,14 @@ class Outcome:
 
 
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
-    """Run the cell that a resolved configuration describes. Never raises for a cell's own failure."""
+    """Run the cell that a resolved configuration describes. A failure of the cell is an outcome, not an exception.
+
+    Raises ValueError for an unknown `overwrite`.
+    """
     if cfg.overwrite not in OVERWRITE:
         raise ValueError(f"overwrite is {cfg.overwrite!r}; it must be one of {', '.join(OVERWRITE)}")
     pool.set_threads(cfg.threads)
-    torch.set_num_threads(1)  # the kernels have their own pool; idle OpenMP workers only cost time
+    torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record = Record(
         method=cfg.method.name,
         dataset="",
@@ -64,21 +70,18 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         run.load()
         if not held.enter_context(cell_lock(experiment, run.folder)):
             return Outcome("elsewhere", record.title, "another process is running it")
-        existing = _existing(run.folder)
-        known = None if existing is None else _known(existing, record, cfg)
-        if known is not None:
-            return known
+        existing = _readable_record(run.folder)
+        skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
+        if skipped is not None:
+            return skipped
         if training_device(cfg.backend.name).type == "cuda":
-            torch.cuda.set_device(held.enter_context(a_gpu_of_its_own(visible_gpus())))
+            torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
             record.environment = describe_environment()
         with PeakMemory() as memory:
             run.train()
         record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
         run.write()
-        why = "" if existing is None else "; ".join(why_differs(existing, record))
-        said = [f"made anew: {why}"] if why else []
-        said += [f"went on after iteration {record.resumed[-1]}"] if record.resumed else []
-        return Outcome("ok", record.title, "; ".join(said))
+        return Outcome("ok", record.title, "; ".join(_remarks(existing, record)))
     except MissingScenesError as error:
         return Outcome("missing", record.title, str(error))
     except Exception as error:
@@ -88,10 +91,17 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         progress.end()
 
 
+def _remarks(existing: Record | None, record: Record) -> list[str]:
+    """Why a cell with a record ran again, and where its training resumed."""
+    changes = [] if existing is None else why_differs(existing, record)
+    remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
+    return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
+
+
 def _failed(error: Exception, run: CellRun) -> Outcome:
-    """Record a failure and say what it was."""
+    """Write the record of a failure and return its outcome."""
     record, stage = run.record, run.current
-    message = str(error) if isinstance(error, FAILURES_OF_THE_INPUT) else f"{type(error).__name__}: {error}"
+    message = str(error) if isinstance(error, EXPECTED_ERRORS) else f"{type(error).__name__}: {error}"
     record.status = "failed"
     record.failure = Failure(
         stage=stage,
@@ -103,29 +113,29 @@ def _failed(error: Exception, run: CellRun) -> Outcome:
     try:
         _write_failure(run.folder, record)
     except OSError as unwritten:
-        message += f" (and its record could not be written: {unwritten})"
+        message += f" (its record could not be written: {unwritten})"
     return Outcome("failed", record.title, f"{stage}: {message}")
 
 
-def _known(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
-    """What is to be said of a cell that need not be run; None if it must be."""
+def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
+    """Outcome of a cell that can be skipped, or None if it has to run."""
     if existing.status == "failed":
         if existing.failure is None or existing.key != record.key or cfg.overwrite == "always" or cfg.retry_failed:
             return None
-        again = "as before, not tried again (retry_failed=true does)"
-        return Outcome("failed", record.title, f"{existing.failure.stage}: {existing.failure.error}, {again}")
+        failure = f"{existing.failure.stage}: {existing.failure.error}"
+        return Outcome("failed", record.title, f"{failure} (in an earlier run; retry_failed=true runs it again)")
     if cfg.overwrite == "always":
         return None
     if existing.key == record.key:
         return Outcome("kept", record.title)
     if cfg.overwrite == "never":
-        why = "; ".join(why_differs(existing, record))
-        return Outcome("kept", record.title, f"made with other settings ({why}); overwrite=never keeps it")
+        changes = "; ".join(why_differs(existing, record))
+        return Outcome("kept", record.title, f"overwrite=never keeps a result of other settings ({changes})")
     return None
 
 
-def _existing(folder: Path) -> Record | None:
-    """The record that is there; a broken one counts as none (it will be made anew)."""
+def _readable_record(folder: Path) -> Record | None:
+    """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
         return read_record(folder)
     except ValueError:
@@ -133,8 +143,8 @@ def _existing(folder: Path) -> Record | None:
 
 
 def _write_failure(folder: Path, record: Record) -> None:
-    """Put the failure in the cell's place; a finished result of other settings is kept beside it, hidden."""
-    existing = _existing(folder)
+    """Write the record of a failure to the cell's folder; hide a finished result of other settings beside it."""
+    existing = _readable_record(folder)
     if existing is not None and existing.status == "ok":
         folder.replace(folder.with_name(f".{folder.name}-{existing.key[:8]}"))
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""On what a result was made: versions, processor, commit."""
+"""Environment of a result: versions, processor, GPU, commit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tdgbench.splats.cpu.simd.registers import LANES
 
 ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core", "gsplat")
-CODE_OF_A_RESULT = (
+HASHED_PACKAGES = (
     "tdgbench/scenes",
     "tdgbench/priors",
     "tdgbench/splats",
@@ -28,7 +28,7 @@ CODE_OF_A_RESULT = (
 
 
 def describe_environment() -> dict[str, object]:
-    """What the record keeps of the machine and the software."""
+    """Machine and software, for the record."""
     return {
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in PACKAGES},
@@ -43,23 +43,23 @@ def describe_environment() -> dict[str, object]:
 
 
 def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
-    """What of an environment decides whether the same training gives the same bytes: all but how many threads."""
+    """Parts of an environment that decide whether the same training gives the same bytes: threads do not."""
     return {name: environment[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
 
 
 @cache
 def code_version() -> str:
-    """A hash of the source files that a result depends on."""
+    """Hash of the source files that a result depends on."""
     digest = hashlib.sha256()
-    for room in CODE_OF_A_RESULT:
-        for path in sorted((ROOT / room).rglob("*.py")):
+    for package in HASHED_PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
             digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
 @cache
 def git_state() -> dict[str, object] | None:
-    """Commit and whether the tree differs from it; None outside a git checkout of this project."""
+    """Commit, and whether the working tree differs from it; None outside a git checkout of this project."""
     if not (ROOT / ".git").exists():  # an installed wheel may lie inside another project's checkout
         return None
     try:
@@ -71,7 +71,7 @@ def git_state() -> dict[str, object] | None:
 
 @cache
 def cpu_model() -> str:
-    """The processor's name, as far as the platform tells it."""
+    """Name of the processor, as precise as the platform gives it."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():

@@ -1,4 +1,4 @@
-"""One cell per GPU: the process that comes first holds it; the next one takes the next GPU, or waits."""
+"""One cell per GPU: a process locks a free GPU, or waits for one."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ import torch
 
 from tdgbench.bench.lock import file_lock
 
-LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # for all results folders of a machine
-ASK_AGAIN_SECONDS = 0.5
+LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # shared by all results folders of a machine
+RETRY_SECONDS = 0.5
 
 
 @contextlib.contextmanager
-def a_gpu_of_its_own(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
-    """The index of one of the `gpus` (by identity), held until the end; waits while other processes hold all of them.
+def exclusive_gpu(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
+    """Lock one of the `gpus` (UUIDs) and yield its index; wait while other processes hold all of them.
 
-    The system lets go of it when its holder ends, however that happens.
+    The system releases the lock when its process ends, for whatever reason.
     """
     while True:
         for index, gpu in enumerate(gpus):
-            with file_lock(locks / f"{gpu}.lock") as mine:
-                if mine:
+            with file_lock(locks / f"{gpu}.lock") as acquired:
+                if acquired:
                     yield index
                     return
-        time.sleep(ASK_AGAIN_SECONDS)
+        time.sleep(RETRY_SECONDS)
 
 
 def visible_gpus() -> list[str]:
-    """The identities of the GPUs that this process may use, in CUDA's order."""
+    """UUIDs of the GPUs that this process may use, in CUDA's order."""
     return [str(torch.cuda.get_device_properties(i).uuid) for i in range(torch.cuda.device_count())]
 
 
@@ -54,9 +54,9 @@ def describe_gpu() -> dict[str, Any] | None:
 
 @cache
 def _driver() -> str | None:
-    """The driver's version, as its own tool tells it."""
+    """Version of the NVIDIA driver; None if nvidia-smi does not report it."""
     command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
     with contextlib.suppress(OSError, subprocess.SubprocessError):
-        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
-        return said.splitlines()[0].strip() if said.strip() else None
+        output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
+        return output.splitlines()[0].strip() if output.strip() else None
     return None

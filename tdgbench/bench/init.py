@@ -1,4 +1,4 @@
-"""Where the first Gaussians sit: the scene's COLMAP points, or points drawn at random."""
+"""Initial points of the Gaussians: the scene's COLMAP points, or random points."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from tdgbench.scenes import PointCloud, Scene, SceneError
 
 
 class InitialPoints(Protocol):
-    """A choice of first points."""
+    """Source of initial points."""
 
     def points(self, scene: Scene) -> PointCloud:
-        """The points of a scene. Raises SceneError."""
+        """Points for a scene. Raises SceneError if it has none to offer."""
 
     def describe(self, scene: Scene) -> dict[str, object]:
-        """What the record says about them: kind, number, and how they were made."""
+        """Kind, number and origin of the points, for the record."""
 
 
 class ColmapPoints:
-    """The sparse points of the COLMAP model."""
+    """Sparse points of the scene's COLMAP model."""
 
     def points(self, scene: Scene) -> PointCloud:
         if scene.points is None or not len(scene.points.points):
@@ -33,14 +33,14 @@ class ColmapPoints:
 
 
 class RandomPoints:
-    """`count` points, uniform in a box, with random colours. Subclasses say which box and which colours."""
+    """`count` points, uniform in a box, with random colours. Subclasses define box and colours."""
 
     kind = ""
     where = ""
 
     def __init__(self, count: int, seed: int) -> None:
         if count < 1:
-            raise ValueError(f"random first points need count ≥ 1, not {count}")
+            raise ValueError(f"random initial points need count ≥ 1, not {count}")
         self.count, self.seed = count, seed
 
     def points(self, scene: Scene) -> PointCloud:
@@ -50,11 +50,11 @@ class RandomPoints:
         return PointCloud(points, self.colors(rng))
 
     def box(self, scene: Scene) -> np.ndarray:
-        """Lowest and highest corner (2, 3), world units."""
+        """Lowest and highest corner of the box (2, 3), world units."""
         raise NotImplementedError
 
     def colors(self, rng: np.random.Generator) -> np.ndarray:
-        """(count, 3) float32 in [0, 1]."""
+        """Colours of the points (count, 3) float32 in [0, 1]."""
         return rng.uniform(0, 1, (self.count, 3)).astype(np.float32)
 
     def describe(self, scene: Scene) -> dict[str, object]:
@@ -63,7 +63,7 @@ class RandomPoints:
 
 
 class CubeAroundCameras(RandomPoints):
-    """gsplat's random points: a cube of half side `half_side` × extent around the mean training camera."""
+    """gsplat's random points: a cube around the mean training camera, of half side `half_side` × scene extent."""
 
     kind = "random"
 
@@ -81,10 +81,10 @@ class CubeAroundCameras(RandomPoints):
 
 
 class ReleasedCube(RandomPoints):
-    """The only random points in the released code: a cube around the world's origin, for Blender scenes, near-gray.
+    """The only random points in the released code: a near-gray cube around the origin, made for Blender scenes.
 
-    ThermalGaussian's and TDg's scene/dataset_readers.py (lines 290 to 292 of the former), after 3DGS: ±1.3, and as
-    colour SH2RGB of a random number in [0, 1/255], which is 0.5 to 0.5011; stored as 8-bit, so 127 of 255.
+    As in scene/dataset_readers.py of ThermalGaussian (lines 290 to 292) and TDg, after 3DGS. The half side is 1.3. The
+    colour is SH2RGB of a random number in [0, 1/255], which is 0.5 to 0.5011, or 127 of 255 in 8 bits.
     """
 
     kind = "random_released"
@@ -101,7 +101,7 @@ class ReleasedCube(RandomPoints):
 
 
 class BoxAroundPoints(RandomPoints):
-    """A box around the scene's SfM points: random, but where the scene is. Outliers beyond 1 % on a side are cut."""
+    """Box around the scene's SfM points, without the outermost 1 % on each side of each axis."""
 
     kind = "random_box"
     where = "the box around the middle 98 % of the SfM points along each axis, with random colours"

@@ -1,4 +1,4 @@
-"""What a result depends on: its part of the configuration, the data, the code; and which of them changed."""
+"""Key of a cell: hash of everything its result depends on (configuration, data, code), and what changed in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tdgbench.training.method import Method
 
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
-    """The part of the configuration that the result depends on."""
+    """Part of the configuration that a result depends on, as plain data."""
     plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     loader = {k: v for k, v in plain["dataset"]["loader"].items() if k != "root"}
     metrics = json.loads(json.dumps(plain["metrics"]))
@@ -32,33 +32,44 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
 
 
 def cell_key(record: Record) -> str:
-    """Names a result by what its record says that it depends on."""
+    """Hash of the configuration, data, scene and code in a record: 32 hexadecimal digits.
+
+    >>> record = Record("tdg", "paper", "Truck", "colmap", 0, "table1", "")
+    >>> cell_key(record)
+    '842371dd379ba6205b90e832234243b1'
+    """
     content = {"config": record.config, "data": record.data, "scene": record.scene, "code": record.code}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def why_differs(old: Record, new: Record) -> list[str]:
-    """Which parts of the key changed, in words; empty where the keys are the same."""
+    """Differences between the keys of two records, in words; none where the keys are equal.
+
+    >>> old, new = (Record("tdg", "paper", "Truck", "colmap", 0, "table1", "", key=key) for key in "ab")
+    >>> old.config, new.config = {"budget": {"iterations": 10}}, {"budget": {"iterations": 20}}
+    >>> why_differs(old, new)
+    ['budget.iterations: 10 → 20']
+    """
     if old.key == new.key:
         return []
     before, after = _flat(old.config), _flat(new.config)
-    said = [
-        f"{name}: {_shown(before, name)} → {_shown(after, name)}"
+    changes = [
+        f"{name}: {_as_text(before, name)} → {_as_text(after, name)}"
         for name in sorted({*before, *after})
-        if before.get(name, _NOTHING) != after.get(name, _NOTHING)
+        if before.get(name, _ABSENT) != after.get(name, _ABSENT)
     ]
     if old.data != new.data:
-        said.append("the scene's files changed")
+        changes.append("the scene's files changed")
     if old.code != new.code:
-        said.append("the code changed")
-    return said
+        changes.append("the code changed")
+    return changes
 
 
-_NOTHING = object()
+_ABSENT = object()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested options by their dotted names."""
+    """Nested options by dotted name."""
     flat: dict[str, Any] = {}
     for name, value in config.items():
         if isinstance(value, dict):
@@ -68,5 +79,5 @@ def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _shown(flat: dict[str, Any], name: str) -> str:
+def _as_text(flat: dict[str, Any], name: str) -> str:
     return json.dumps(flat[name]) if name in flat else "nothing"

@@ -1,4 +1,4 @@
-"""Two processes on the same results never run the same cell: the one that comes first holds its lock."""
+"""Locks that keep two processes from running the same cell."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from tdgbench.bench.output import short_name
+from tdgbench.bench.paths import short_name
 
 
 @contextmanager
 def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
-    """True while this process alone holds the cell that belongs in `folder`; False if another one does.
+    """Try to lock the cell of `folder`; yield whether it worked.
 
-    The system lets go of a lock when its process ends, however that happens. Lock files stay where they are:
-    removing one while another process waits for it would give both of them the lock.
+    The system releases a lock when its process ends, for whatever reason. Lock files are never removed: that would let
+    a process that waits for the old file and one that makes a new file hold the lock at the same time.
     """
-    with file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock") as mine:
-        yield mine
+    with file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock") as acquired:
+        yield acquired
 
 
 @contextmanager
 def file_lock(path: Path) -> Iterator[bool]:
-    """True while this process alone holds the lock of a file; False if another one does."""
+    """Try to lock a file; yield False at once if another process holds it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path)
     try:

@@ -1,4 +1,4 @@
-"""The peak memory of one cell, on the machine and on its GPU, though many cells run in one process."""
+"""Peak memory of one cell, in RAM and on the GPU, where many cells run in one process."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ ROUNDING_MB = 16.0
 
 
 class PeakMemory:
-    """Largest resident size (MB) between entering and leaving; `mb` is None where the platform does not tell.
+    """Context that measures peak memory.
 
-    `gpu_mb` is the largest size of what torch held of the GPU in use; None without one.
+    mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most GPU memory that torch
+    reserved, MB; None without a GPU.
 
-    Linux keeps the peak itself and lets a process reset it; where the reset has no effect (some sandboxes), a thread
-    samples the current size instead.
+    Linux tracks the peak and lets a process reset it. Where the reset has no effect (some sandboxes), a thread samples
+    the current size instead.
     """
 
     def __init__(self) -> None:
@@ -33,9 +34,9 @@ class PeakMemory:
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
-        peak, now = _read("VmHWM"), _read("VmRSS")
-        self.mb = now
-        if now is not None and (peak is None or peak > now + ROUNDING_MB):
+        peak, current = _read("VmHWM"), _read("VmRSS")
+        self.mb = current
+        if current is not None and (peak is None or peak > current + ROUNDING_MB):
             self._sampler = threading.Thread(target=self._sample, name="peak-memory", daemon=True)
             self._sampler.start()
         return self
@@ -55,7 +56,7 @@ class PeakMemory:
 
 
 def _read(field: str) -> float | None:
-    """A line of /proc/self/status in MB."""
+    """Field of /proc/self/status, MB; None if it is not there."""
     with contextlib.suppress(OSError):
         for line in STATUS.read_text().splitlines():
             if line.startswith(f"{field}:"):

@@ -1,22 +1,76 @@
-"""The record of a cell: everything that is known about one result, as JSON."""
+"""`record.json`: everything known about one cell. The types here are also the schema of the file."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from pydantic_core import PydanticCustomError
+from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
 from tdgbench.files import write_text
 
-Status = Literal["ok", "failed"]
 FILE = "record.json"
 SCHEMA = 1
+ADDED_LATER = ("density",)  # fields that records of this schema may lack
+SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
+STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")
+DESCRIBES_MACHINE = ("python", "packages", "cpu", "cores", "threads", "git")
+CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Status = Literal["ok", "failed"]
+Text = Annotated[str, Field(min_length=1)]
+Count = Annotated[int, Field(ge=0)]
+Seconds = Annotated[float, Field(ge=0)]
+Megabytes = Annotated[float, Field(ge=0)]
+Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Scores = dict[str, float | None]
+
+
+def _has(names: tuple[str, ...]) -> BeforeValidator:
+    """Validator of an object that must have these fields, defaults notwithstanding."""
+
+    def check(content: Any) -> Any:
+        missing = [name for name in names if name not in content] if isinstance(content, dict) else []
+        if missing:
+            raise PydanticCustomError("missing", "lacks {names}", {"names": ", ".join(missing)})
+        return content
+
+    return BeforeValidator(check)
+
+
+def _among(*values: int) -> AfterValidator:
+    """Validator of an integer that must be one of these. (Literal[1] would accept true and 1.0.)"""
+
+    def check(value: int) -> int:
+        if value not in values:
+            raise PydanticCustomError("among", "must be {values}", {"values": " or ".join(map(str, values))})
+        return value
+
+    return AfterValidator(check)
+
+
+@with_config(CLOSED)
+class SkipRecord(TypedDict):
+    """Fields of tdgbench.training.skips.Skip."""
+
+    name: Text
+    allowed: bool
+    taken: bool
+    reason: str
+    saved: str
 
 
 @dataclass
 class Failure:
     """Why a cell has no scores."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = CLOSED
 
     stage: str
     error: str  # type and message
@@ -27,9 +81,11 @@ class Failure:
 
 @dataclass
 class Record:
-    """One cell's result. Scores are means over the test views; None is n/a, for the reason in `missing`."""
+    """Result of one cell. Scores are means over the test views; None is n/a, for the reason in `missing`."""
 
-    method: str
+    __pydantic_config__: ClassVar[ConfigDict] = CLOSED
+
+    method: Text
     dataset: str
     scene: str
     init: str
@@ -38,38 +94,42 @@ class Record:
     variant: str
     group: str = ""
     status: Status = "ok"
-    key: str = ""
+    key: Key = ""
     data: str = ""  # fingerprint of the scene's files
-    code: str = ""  # of the sources that the result depends on
+    code: str = ""  # fingerprint of the sources that the result depends on
     split: str = ""
     convention: str = ""
-    iterations: int = 0
-    resumed: list[int] = field(default_factory=list)  # iterations after which a killed training went on
-    channels: int = 0
-    temperature: list[float] | None = None  # °C that image values 0 and 1 stand for, where they do
-    views: dict[str, int] = field(default_factory=dict)
-    scores: dict[str, float | None] = field(default_factory=dict)
-    train_scores: dict[str, float | None] = field(default_factory=dict)  # of the training views
-    missing: dict[str, str] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    gaussians: dict[str, int] = field(default_factory=dict)
-    density: dict[str, dict[str, int]] = field(default_factory=dict)  # Gaussians cloned, split and pruned, by model
-    peak_rss_mb: float | None = None  # of the process that finished the cell
-    peak_gpu_mb: float | None = None  # what torch held of the GPU; None on the CPU
+    iterations: Count = 0
+    resumed: list[Annotated[int, Field(ge=1)]] = field(default_factory=list)  # iterations of the checkpoints used
+    channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
+    temperature: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of image values 0 and 1
+    views: dict[str, Count] = field(default_factory=dict)
+    scores: Scores = field(default_factory=dict)
+    train_scores: Scores = field(default_factory=dict)  # of the training views
+    missing: dict[str, Text] = field(default_factory=dict)
+    seconds: dict[str, Seconds] = field(default_factory=dict)
+    gaussians: dict[str, Count] = field(default_factory=dict)
+    density: dict[str, dict[str, Count]] = field(default_factory=dict)  # Gaussians cloned, split, pruned; by model
+    peak_rss_mb: Megabytes | None = None  # of the process that finished the cell
+    peak_gpu_mb: Megabytes | None = None  # reserved by torch; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
     backend: str = ""
-    skips: list[dict[str, Any]] = field(default_factory=list)  # see tdgbench.training.skips.Skip
+    skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    hashes: dict[str, str] = field(default_factory=dict)
-    environment: dict[str, Any] = field(default_factory=dict)
+    hashes: dict[str, Sha256] = field(default_factory=dict)
+    environment: Annotated[dict[str, Any], _has(DESCRIBES_MACHINE)] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
-    failure: Failure | None = None
-    schema: int = SCHEMA
+    failure: Annotated[Failure, _has(tuple(f.name for f in fields(Failure)))] | None = None
+    schema: Annotated[int, _among(SCHEMA)] = SCHEMA
 
     @property
     def title(self) -> str:
-        """How messages name the cell."""
+        """Name of the cell in messages.
+
+        >>> Record("tdg", "paper", "Truck", "colmap", 0, "table1", "").title
+        'tdg on paper/Truck, colmap, seed 0'
+        """
         extra = f" [{self.variant}]" if self.variant else ""
         return f"{self.method} on {self.dataset}/{self.scene}, {self.init}, seed {self.seed}{extra}"
 
@@ -79,7 +139,7 @@ class Record:
 
 
 def read_record(folder: Path) -> Record | None:
-    """The record in a cell's folder; None if there is none. Raises ValueError, naming the file, if it is broken."""
+    """Read the record in a cell's folder; None without one. Raises ValueError, naming the file, if it is broken."""
     path = folder / FILE
     try:
         content = json.loads(path.read_text())
@@ -94,12 +154,53 @@ def read_record(folder: Path) -> Record | None:
 
 
 def read_all(experiment: Path) -> list[Record]:
-    """Every record below <experiment>/cells, in the order of their paths; hidden folders are not cells."""
-    found = []
-    for path in sorted((experiment / "cells").rglob(FILE)):
-        if any(part.startswith(".") for part in path.relative_to(experiment).parts):
-            continue
-        record = read_record(path.parent)
-        if record is not None:
-            found.append(record)
-    return found
+    """Read every record below <experiment>/cells, in the order of their paths, hidden folders excepted."""
+    records = (read_record(path.parent) for path in record_files(experiment))
+    return [record for record in records if record is not None]
+
+
+def record_files(experiment: Path) -> list[Path]:
+    """Paths of the records below <experiment>/cells, sorted, hidden folders excepted."""
+    paths = sorted((experiment / "cells").rglob(FILE))
+    return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(experiment).parts)]
+
+
+def schema_problems(text: str) -> list[str]:
+    """Reasons why the JSON text of a record does not fit `Record`; none if it does.
+
+    >>> schema_problems('{"method": 1}')[0][:26]
+    '$: lacks dataset, scene, i'
+    """
+    try:
+        _validator().validate_json(text, strict=True)
+    except ValidationError as error:
+        return [_describe(dict(one)) for one in error.errors(include_url=False)]
+    return []
+
+
+@cache
+def _validator() -> TypeAdapter[Record]:
+    required = _has(tuple(f.name for f in fields(Record) if f.name not in ADDED_LATER))
+    return TypeAdapter(Annotated[Record, required, AfterValidator(_check_status)])
+
+
+def _check_status(record: Record) -> Record:
+    """A failed cell has a failure; a finished one has scores and times instead."""
+    if record.status == "failed":
+        problem = "" if record.failure is not None else "status is failed, but failure is null"
+    elif record.failure is not None:
+        problem = "status is ok, but failure is not null"
+    else:
+        lacking = [f"scores.{name}" for name in SCORES_OF_A_RESULT if name not in record.scores]
+        lacking += [f"seconds.{name}" for name in STAGES_OF_A_RESULT if name not in record.seconds]
+        problem = f"status is ok, but it lacks {', '.join(lacking)}" if lacking else ""
+    if problem:
+        raise PydanticCustomError("status", "{problem}", {"problem": problem})
+    return record
+
+
+def _describe(error: dict[str, Any]) -> str:
+    """One line: where, what, and the value unless it is an object or an array."""
+    place = ".".join(["$", *(str(part) for part in error["loc"])])
+    value = error["input"]
+    return f"{place}: {error['msg']}" + ("" if isinstance(value, dict | list) else f", not {value!r}")

@@ -1,32 +1,118 @@
-"""From a configuration to a method that is ready to train, for what trains without being a cell."""
+"""Set a training up: images, depth priors, initial points, models, compiled kernels."""
 
 from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.priors import estimate_all
-from tdgbench.scenes import Scene
-from tdgbench.training.budget import Budget
+from tdgbench.bench.init import InitialPoints
+from tdgbench.priors import DepthPrior, estimate_all
+from tdgbench.scenes import Scene, View
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
+from tdgbench.training.warmup import compile_kernels
+
+
+class Training(NamedTuple):
+    """A method that is ready to train, and the context it was set up with (scene, priors, budget, seed …)."""
+
+    method: Method
+    context: Context
+
+
+class SetupObserver:
+    """Receives the progress and the facts of a set-up; this one ignores them."""
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """Context of a stage: images, prior, init or compile."""
+        return nullcontext()
+
+    def count(self, done: int, total: int) -> None:
+        """Called after each of the stage's views."""
+
+    def note_prior(self, description: dict[str, object]) -> None:
+        """Called once the depth priors are known, with their estimator's identity and kind."""
+
+    def note_points(self, description: dict[str, object]) -> None:
+        """Called once the initial points are known, with their number and origin."""
+
+
+def set_up(
+    cfg: DictConfig,
+    scene: Scene,
+    *,
+    method: Method | None = None,
+    skips: Skips | None = None,
+    prior_cache: Path | None = None,
+    observer: SetupObserver | None = None,
+    compiles: bool = True,
+) -> Training:
+    """Make a method ready to train on a scene.
+
+    method: instance to set up, by default the configured one. skips: by default all are allowed. prior_cache: folder
+    of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
+    not pay for it.
+    """
+    observer = observer or SetupObserver()
+    skips = skips or Skips()
+    budget = instantiate(cfg.budget)
+    method = instantiate(cfg.method.method) if method is None else method
+    with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
+        _read_images(scene, method, skips)
+    priors = _estimate_priors(cfg, scene, skips, prior_cache, observer) if method.needs_prior else {}
+    with observer.stage("init"):
+        init: InitialPoints = instantiate(cfg.init.points)
+        context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed), skips)
+        observer.note_points(init.describe(scene))
+        method.setup(context)
+    if compiles:
+        with observer.stage("compile"):
+            compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
+    return Training(method, context)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
-    """The loader's configuration; without the skip `gray` every thermal image gets three channels."""
+    """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
     if not skips.gray.allowed and loader.options.channels == "auto":
         loader.options.channels = 3
     return loader
 
 
-def set_up(
-    method: Method, cfg: DictConfig, scene: Scene, budget: Budget, backend: str, skips: Skips | None = None
-) -> Method:
-    """Read the training images, estimate priors afresh, and make the method's models at the configured points."""
-    for view in scene.train:
-        _ = view.thermal, view.rgb if method.needs_rgb else None
-    priors = estimate_all(instantiate(cfg.prior.estimator), scene, None)[0] if method.needs_prior else {}
-    points = instantiate(cfg.init.points).points(scene)
-    method.setup(Context(scene, points, priors, budget, backend, int(cfg.seed), skips or Skips()))
-    return method
+def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
+    for view in scene.views:
+        _ = view.thermal
+    for view in _rgb_views(scene, method, skips):
+        _ = view.rgb
+
+
+def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
+    """Views whose RGB image is read.
+
+    A method that trains on RGB needs that of every training view, and scores those of the test views that have one.
+    For other methods the skip `rgb` leaves all out; without it, those of the training views are read.
+    """
+    if method.needs_rgb:
+        return scene.train + [view for view in scene.test if view.load_rgb is not None]
+    available = [view for view in scene.train if view.load_rgb is not None]
+    reason = f"{method.name} trains on thermal images alone"
+    return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
+
+
+def _estimate_priors(
+    cfg: DictConfig, scene: Scene, skips: Skips, cache: Path | None, observer: SetupObserver
+) -> dict[str, DepthPrior]:
+    """Depth priors of the training views by name, from the cache where it has them."""
+    with observer.stage("prior"):
+        estimator = instantiate(cfg.prior.estimator)
+        priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
+        total = len(scene.train)
+        cached = total - estimated
+        reason = f"{cached} of {total} training views were estimated before; test views need no prior"
+        skips.prior.decide(cached > 0, reason, f"{cached} estimates")
+        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind})
+    return priors

@@ -1,4 +1,4 @@
-"""`log=tensorboard`: a cell's curves while it trains, its scores and test views when it is done."""
+"""`log=tensorboard`: curves of a cell while it trains; scores and test views at its end."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tdgbench.training.loop import LogLine
 
 
 class TensorBoardLog:
-    """Writes one cell's events to a folder."""
+    """Writer of one cell's events."""
 
     def __init__(self, folder: Path, after: int) -> None:
-        """after: the iteration that a killed training goes on from; what was written later is void. 0: all of it.
+        """after: iteration that training resumes after; later events of an earlier run are dropped.
 
-        Raises RuntimeError where TensorBoard is not installed.
+        Raises RuntimeError if TensorBoard is not installed.
         """
         try:
             from torch.utils.tensorboard import SummaryWriter
@@ -28,14 +28,14 @@ class TensorBoardLog:
         self._writer = SummaryWriter(str(folder), purge_step=after + 1 if after else None)
 
     def line(self, line: LogLine) -> None:
-        """Training at one moment."""
+        """Write one line of the training log."""
         values = {"loss": line.loss, "train_psnr": line.psnr, "gaussians": line.gaussians}
         values |= {f"loss_{term}": value for term, value in line.terms.items()}
         for name, value in values.items():
             self._writer.add_scalar(f"training/{name}", value, line.iteration)
 
     def results(self, iteration: int, scores: Mapping[str, float | None], renders: Mapping[str, np.ndarray]) -> None:
-        """Mean scores of the test views, and their renders (H, W, C) uint8."""
+        """Write mean scores and renders (H, W, C) uint8 of the test views."""
         for name, value in scores.items():
             if value is not None:
                 self._writer.add_scalar(f"test/{name}", value, iteration)
@@ -43,5 +43,5 @@ class TensorBoardLog:
             self._writer.add_image(f"test/{view}", image, iteration, dataformats="HWC")
 
     def close(self) -> None:
-        """Write what is still held back."""
+        """Flush and close the file."""
         self._writer.close()

@@ -1,1 +1,1 @@
-"""What tdgbench does with cells and kernels: sweeps, and the experiments that measure them."""
+"""Experiments: each plans, runs, measures, tabulates and draws, in one file or folder with one YAML file."""

@@ -12,7 +12,8 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from tdgbench.bench.output import cell_folder_of, read_cameras
+from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.report import views

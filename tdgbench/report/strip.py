@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import save_figure
 

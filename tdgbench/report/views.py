@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tdgbench.bench.output import read_cameras, render_model
+from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
 from tdgbench.tables.results import (

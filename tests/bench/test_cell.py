@@ -9,7 +9,7 @@ from rich.console import Console
 from methods.splat import Splat
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.splats.ply import load_ply
@@ -178,7 +178,8 @@ def test_a_failure_is_tried_again_only_when_asked(run, monkeypatch):
         patch.setattr(Splat, "step", broken)
         assert run("method=splat").status == "failed"
         again = run("method=splat")
-        assert again.status == "failed" and "out of luck, as before" in again.message and len(tries) == 1
+        assert again.status == "failed" and len(tries) == 1
+        assert "out of luck (in an earlier run; retry_failed=true runs it again)" in again.message
         assert run("method=splat", "retry_failed=true").status == "failed" and len(tries) == 2
     assert run("method=splat").status == "failed"  # nothing that the key covers has changed
     assert run("method=splat", "retry_failed=true").status == "ok"
@@ -187,6 +188,6 @@ def test_a_failure_is_tried_again_only_when_asked(run, monkeypatch):
 def test_what_changed_is_said(run):
     assert run("method=splat").message == ""
     outcome = run("method=splat", "budget.iterations=31")
-    assert outcome.status == "ok" and outcome.message == "made anew: budget.iterations: 30 → 31"
+    assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 30 → 31"
     kept = run("method=splat", "overwrite=never", "seed=0", "budget.sh_degree=0")
     assert kept.status == "kept" and "budget.sh_degree: 1 → 0" in kept.message

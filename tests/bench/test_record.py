@@ -1,8 +1,10 @@
 import json
+from dataclasses import fields
 
 import pytest
 
-from tdgbench.bench.record import FILE, Failure, Record, read_all, read_record
+from tdgbench.bench.record import FILE, Failure, Record, SkipRecord, read_all, read_record, schema_problems
+from tdgbench.training.skips import Skip
 
 
 def record(**extra) -> Record:
@@ -39,3 +41,16 @@ def test_broken_records_are_named(tmp_path, content):
     (tmp_path / FILE).write_text(content)
     with pytest.raises(ValueError, match=r"record\.json is not a record"):
         read_record(tmp_path)
+
+
+def test_a_skip_in_a_record_has_the_fields_of_a_skip():
+    assert set(SkipRecord.__annotations__) == {f.name for f in fields(Skip)}
+
+
+def test_the_schema_is_that_of_the_dataclass(small_results):
+    text = next((small_results / "cells").rglob(FILE)).read_text()
+    assert schema_problems(text) == []
+    content = json.loads(text)
+    del content["density"]  # older records lack it
+    assert schema_problems(json.dumps(content)) == []
+    assert schema_problems("[]") == ["$: Input should be an object"]

@@ -48,7 +48,7 @@ def test_a_killed_cell_goes_on(run, tmp_path, monkeypatch):
         run(tmp_path / "killed", "checkpoint=0")
     assert len(list((tmp_path / "killed" / "single" / "checkpoints").iterdir())) == 1
     outcome = run(tmp_path / "killed")
-    assert (outcome.status, outcome.message) == ("ok", "went on after iteration 23")
+    assert (outcome.status, outcome.message) == ("ok", "resumed after iteration 23")
     (calm,), (killed,) = (read_all(tmp_path / name / "single") for name in ("calm", "killed"))
     assert (calm.resumed, killed.resumed) == ([], [23])
     assert (calm.key, calm.hashes, calm.scores) == (killed.key, killed.hashes, killed.scores)

@@ -1,6 +1,8 @@
+from contextlib import contextmanager
+
 from hydra.utils import instantiate
 
-from tdgbench.bench.setup import loader_of, set_up
+from tdgbench.bench.setup import SetupObserver, loader_of, set_up
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
 from tests.conftest import SMALL, config
@@ -14,9 +16,41 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
     assert loader_of(forced, Skips(gray=False)).options.channels == 1
 
 
-def test_a_method_ready_to_train(data_root):
+def test_a_method_is_ready_to_train(data_root):
     cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
-    scene, budget = instantiate(cfg.dataset.loader).load(cfg.scene), instantiate(cfg.budget)
-    method = set_up(instantiate(cfg.method.method), cfg, scene, budget, "auto")
+    scene = instantiate(cfg.dataset.loader).load(cfg.scene)
+    method, context = set_up(cfg, scene)
     assert len(method.models()["thermal"]) == 300 and len(method.targets) == len(scene.train)
+    assert context.budget == instantiate(cfg.budget) and context.scene is scene and context.seed == cfg.seed
     assert train(method, 2).iterations == 2
+
+
+class Watch(SetupObserver):
+    def __init__(self):
+        self.stages, self.counts, self.notes = [], [], []
+
+    @contextmanager
+    def stage(self, name):
+        self.stages.append(name)
+        yield
+
+    def count(self, done, total):
+        self.counts.append((done, total))
+
+    def note_prior(self, description):
+        self.notes.append(description["kind"])
+
+    def note_points(self, description):
+        self.notes.append(description["kind"])
+
+
+def test_an_observer_sees_stages_and_facts(data_root, tmp_path):
+    cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
+    scene = instantiate(cfg.dataset.loader).load(cfg.scene)
+    first, again, watch = Skips(), Skips(), Watch()
+    set_up(cfg, scene, skips=first, prior_cache=tmp_path, compiles=False)
+    set_up(cfg, scene, skips=again, prior_cache=tmp_path, observer=watch)
+    assert watch.stages == ["images", "prior", "init", "compile"]
+    assert watch.counts[-1] == (len(scene.train), len(scene.train)) and watch.notes == ["depth", "colmap"]
+    assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
+    assert again.rgb.taken and again.rgb.reason == "tdg trains on thermal images alone"

@@ -1,7 +1,7 @@
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.report.strip import draw_strip
 from tests.bench.test_record import record
 

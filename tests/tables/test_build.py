@@ -4,7 +4,7 @@ import subprocess
 import pandas as pd
 import pytest
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.scenes.registry import DATASETS, SCENES

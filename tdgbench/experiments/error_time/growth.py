@@ -1,4 +1,4 @@
-"""How the cost of a forward and backward pass grows with Gaussians, pixels, channels and views, as fitted exponents."""
+"""Growth of the cost of a forward and backward pass with Gaussians, pixels, channels and views: fitted exponents."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pandas as pd
 import torch
 
 from tdgbench.experiments.measure.clouds import Cloud, random_cloud
+from tdgbench.experiments.measure.oracle import NAMES
 from tdgbench.experiments.measure.timing import interleave, median_ms
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import scratch
@@ -20,7 +21,7 @@ AXES = ("gaussians", "pixels", "channels", "views")
 
 
 def measure(largest: int, width: int, height: int, repetitions: int) -> pd.DataFrame:
-    """One row per axis and size: ms and working memory in MB, of one to four channels, depth apart."""
+    """One row per axis and size: ms, and working memory in MB. Depth is not rendered."""
     base = random_cloud(largest, width, height)
     cases: dict[tuple[str, int], tuple[Cloud, int, int]] = {}
     for part in (16, 8, 4, 2, 1):
@@ -45,30 +46,31 @@ def measure(largest: int, width: int, height: int, repetitions: int) -> pd.DataF
 def exponents(table: pd.DataFrame) -> pd.DataFrame:
     """cost ∝ size^exponent, by least squares in logarithms: one row per axis."""
     rows = []
-    for axis, own in table.groupby("axis", sort=False):
-        logs = np.log(own[["size", "ms", "memory_mb"]].to_numpy(float))
+    for axis, points in table.groupby("axis", sort=False):
+        logs = np.log(points[["size", "ms", "memory_mb"]].to_numpy(float))
         slope = {name: np.polyfit(logs[:, 0], logs[:, i], 1)[0] for i, name in ((1, "time"), (2, "memory"))}
         rows.append({"axis": axis, **slope})
     return pd.DataFrame(rows)
 
 
 def _first(cloud: Cloud, count: int) -> Cloud:
-    given = ("means", "quats", "scales", "opacities", "colors")
-    return replace(cloud, **{name: getattr(cloud, name)[:count] for name in given})
+    """The first `count` Gaussians of a cloud."""
+    return replace(cloud, **{name: getattr(cloud, name)[:count] for name in NAMES})
 
 
 def _run(cloud: Cloud, channels: int, views: int) -> Callable[[], float]:
-    colors = torch.cat([cloud.colors, cloud.colors[:, :1]], dim=1)[:, :channels]
-    leaves = [t.clone().requires_grad_() for t in (cloud.means, cloud.quats, cloud.scales, cloud.opacities, colors)]
+    """Function that renders a cloud forward and backward and returns the seconds."""
+    values = torch.cat([cloud.colors, cloud.colors[:, :1]], dim=1)[:, :channels]
+    leaves = [t.clone().requires_grad_() for t in (cloud.means, cloud.quats, cloud.scales, cloud.opacities, values)]
     viewmats = cloud.viewmat.repeat(views, 1, 1)
     viewmats[:, 0, 3] = torch.linspace(0, 0.2, views)
     Ks = cloud.K.repeat(views, 1, 1)
 
     def run() -> float:
         start = time.perf_counter()
-        means, quats, scales, opacities, own = leaves
+        means, quats, scales, opacities, colors = leaves
         image, _, _ = rasterization(
-            means, quats, scales, opacities, own, viewmats, Ks, cloud.width, cloud.height, backend="cpu"
+            means, quats, scales, opacities, colors, viewmats, Ks, cloud.width, cloud.height, backend="cpu"
         )  # fmt: skip
         image.sum().backward()
         return time.perf_counter() - start
@@ -77,7 +79,7 @@ def _run(cloud: Cloud, channels: int, views: int) -> Callable[[], float]:
 
 
 def _working_memory(run: Callable[[], float]) -> float:
-    """MB that NumPy holds at most during a run, from nothing. A first run compiles."""
+    """Peak of NumPy's memory during a run, MB, starting with an empty workspace. A first run compiles."""
     run()
     scratch.release()
     tracemalloc.start()

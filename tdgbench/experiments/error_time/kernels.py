@@ -1,6 +1,6 @@
-"""Kernels: milliseconds of a forward pass and of both, against the errors of image, depth and gradients.
+"""Kernels: milliseconds of a forward pass, and of forward and backward, against errors of image, depth and gradients.
 
-All settings of one scene take turns in one process; the oracle is plain torch in float64, tile by tile.
+The settings of one scene take turns in one process. The oracle is plain torch in float64, tile by tile.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BASELINE = "cpu"
 
 @dataclass(frozen=True)
 class Setting:
-    """How a scene is rendered. backend `torch` is plain torch in float32, `oracle` the same in float64."""
+    """A way to render. backend: `cpu`, `cuda`, `torch` (plain torch in float32) or `oracle` (the same in float64)."""
 
     backend: str = "cpu"
     threads: int | None = None
@@ -34,7 +34,7 @@ class Setting:
 
 
 def settings(slow: bool) -> dict[str, Setting]:
-    """What is compared, by name; plain torch only if `slow` is wanted."""
+    """Settings by name; plain torch only with `slow`."""
     chosen = {
         BASELINE: Setting(),
         "cpu, 1 thread": Setting(threads=1),
@@ -53,53 +53,57 @@ def settings(slow: bool) -> dict[str, Setting]:
 
 
 def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFrame:
-    """One row per scene and setting: ms (medians), their ratios to the baseline, and errors.
+    """One row per scene and setting: median ms, their ratios to the baseline, and errors.
 
-    image_error, depth_error: root mean square over pixels, relative to the largest value; gradient_error: norm of the
-    difference over the norm, the worst of the five parameters.
+    image_error, depth_error: root mean square over pixels, relative to the largest value. gradient_error: norm of the
+    difference over the norm, the largest of the five parameters.
     """
-    rows = []
-    for scene, cloud in clouds.items():
-        weights = torch.randn(
-            cloud.height, cloud.width, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64
-        )  # fmt: skip
-        want, oracle_ms = _oracle(cloud, torch.float64, weights)
-        runs: dict[str, Callable[[], float]] = {}
-        ms: dict[str, float] = {}
-        errors: dict[str, dict[str, float]] = {}
-        for name, setting in settings(slow).items():
-            if setting.backend not in ("torch", "oracle"):
-                errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
-                runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
-            elif setting.backend == "torch":  # seconds, not milliseconds: timed once, apart
-                got, taken = _oracle(cloud, torch.float32, weights)
-                errors[name], ms = _errors(got, want), ms | {f"{name}|{part}": t for part, t in taken.items()}
-            else:
-                errors[name], ms = _errors(want, want), ms | {f"{name}|{part}": t for part, t in oracle_ms.items()}
-        ms |= {name: median_ms(taken) for name, taken in interleave(runs, repetitions).items()}
-        for name in settings(slow):
-            row: dict[str, Any] = {"scene": scene, "gaussians": len(cloud.means), "setting": name}
-            for part in ("forward", "both"):
-                row[f"{part}_ms"] = ms[f"{name}|{part}"]
-                row[f"{part}_ratio"] = ms[f"{name}|{part}"] / ms[f"{BASELINE}|{part}"]
-            rows.append({**row, **errors[name]})
+    rows = [row for scene, cloud in clouds.items() for row in _measure_scene(scene, cloud, repetitions, slow)]
     return pd.DataFrame(rows)
 
 
+def _measure_scene(scene: str, cloud: Cloud, repetitions: int, slow: bool) -> list[dict[str, Any]]:
+    weights = torch.randn(
+        cloud.height, cloud.width, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )  # fmt: skip
+    want, oracle_ms = _oracle(cloud, torch.float64, weights)
+    runs: dict[str, Callable[[], float]] = {}
+    ms: dict[str, float] = {}
+    errors: dict[str, dict[str, float]] = {}
+    for name, setting in settings(slow).items():
+        if setting.backend not in ("torch", "oracle"):
+            errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
+            runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
+        elif setting.backend == "torch":  # takes seconds, so it is timed once
+            got, taken = _oracle(cloud, torch.float32, weights)
+            errors[name], ms = _errors(got, want), ms | {f"{name}|{part}": t for part, t in taken.items()}
+        else:
+            errors[name], ms = _errors(want, want), ms | {f"{name}|{part}": t for part, t in oracle_ms.items()}
+    ms |= {name: median_ms(taken) for name, taken in interleave(runs, repetitions).items()}
+    rows = []
+    for name in settings(slow):
+        row: dict[str, Any] = {"scene": scene, "gaussians": len(cloud.means), "setting": name}
+        for part in ("forward", "both"):
+            row[f"{part}_ms"] = ms[f"{name}|{part}"]
+            row[f"{part}_ratio"] = ms[f"{name}|{part}"] / ms[f"{BASELINE}|{part}"]
+        rows.append({**row, **errors[name]})
+    return rows
+
+
 def non_dominated(table: pd.DataFrame, time_column: str, error_column: str) -> pd.Series:
-    """Which rows no other row beats in both columns; errors are compared by their first digit."""
+    """Mask of the rows that no other row beats in both columns; errors are compared by their first digit."""
     seconds = table[time_column]
     errors = table[error_column].map(lambda e: float(f"{e:.0e}"))
 
-    def beaten(t: float, e: float) -> bool:
+    def is_dominated(t: float, e: float) -> bool:
         as_good = (seconds <= t) & (errors <= e)
         return bool((as_good & ((seconds < t) | (errors < e))).any())
 
-    return pd.Series([not beaten(t, e) for t, e in zip(seconds, errors, strict=True)], index=table.index)
+    return pd.Series([not is_dominated(t, e) for t, e in zip(seconds, errors, strict=True)], index=table.index)
 
 
 def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[oracle.Result, dict[str, float]]:
-    """What plain torch makes of a scene, and its milliseconds."""
+    """Plain torch's render of a scene, and its milliseconds."""
     start = time.perf_counter()
     oracle.render(cloud, dtype, None)
     middle = time.perf_counter()
@@ -109,25 +113,28 @@ def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[oracle.R
 
 
 def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
-    def off(a: Tensor, b: Tensor) -> float:
+    """Errors of a render by column name."""
+
+    def relative_rms(a: Tensor, b: Tensor) -> float:
         return ((a.double() - b.double()).square().mean().sqrt() / b.abs().max()).item()
 
     gradients = [
-        ((got.gradients[name].double() - own.double()).norm() / own.double().norm()).item()
-        for name, own in want.gradients.items()
+        ((got.gradients[name].double() - exact.double()).norm() / exact.double().norm()).item()
+        for name, exact in want.gradients.items()
     ]
     return {
-        "image_error": off(got.image[..., :-1], want.image[..., :-1]),
-        "depth_error": off(got.image[..., -1], want.image[..., -1]),
+        "image_error": relative_rms(got.image[..., :-1], want.image[..., :-1]),
+        "depth_error": relative_rms(got.image[..., -1], want.image[..., -1]),
         "gradient_error": max(gradients),
     }
 
 
 def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
+    """Function that renders a cloud, part `forward` or `both`, and returns the seconds."""
     device = oracle.device_of(setting.backend)
     leaves = oracle.leaves_of(cloud, torch.float32, device)
     size = (cloud.height, cloud.width)
-    pulls = [torch.ones(*size, cloud.colors.shape[1], device=device), torch.ones(size, device=device)]
+    upstream = [torch.ones(*size, cloud.colors.shape[1], device=device), torch.ones(size, device=device)]
 
     def now() -> float:
         if device == "cuda":
@@ -141,8 +148,7 @@ def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
             start = now()
             view = oracle.view_of(cloud, leaves, setting.backend, setting.blending)
             if part == "both":
-                assert view.depth is not None
-                torch.autograd.backward([view.image, view.depth], pulls)
+                torch.autograd.backward([view.image, oracle.depth_of(view)], upstream)
             return now() - start
         finally:
             pool.set_threads(before)

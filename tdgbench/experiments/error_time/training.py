@@ -1,5 +1,4 @@
-"""Training: wall time against the quality of the test views, sampled along each run; and what each step from MSMG to
-TDg contributes to the speed-up."""
+"""Training: quality of the test views against wall time, and what each step from MSMG to TDg adds to the speed-up."""
 
 from __future__ import annotations
 
@@ -14,21 +13,21 @@ import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.output import score_views
+from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
-from tdgbench.training.warmup import compile_kernels
 
 METRICS = ("psnr", "ssim", "lpips", "depth_abs_rel")
 
 
 @dataclass(frozen=True)
 class Run:
-    """A link of the chain: a method with options of its own, and its share of the iterations."""
+    """A link of the chain: a method, overrides of its options, and its share of the budget's iterations."""
 
     label: str
     method: str
@@ -37,7 +36,7 @@ class Run:
 
 
 def runs_of(cfg: DictConfig) -> list[Run]:
-    """The chain in `cfg.job.runs`. Raises ValueError for a method that the job does not have."""
+    """The chain in `cfg.job.runs`. Raises ValueError for a method that is not in `cfg.job.methods`."""
     runs = []
     for one in cfg.job.runs:
         if one.method not in cfg.job.methods:
@@ -47,30 +46,24 @@ def runs_of(cfg: DictConfig) -> list[Run]:
 
 
 def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
-    """Train one link and score the test views at `samples` moments, evenly in the logarithm of the iteration.
+    """Train one link and score the test views at `samples` iterations, evenly spaced on a logarithmic scale.
 
-    A moment right after density control is put off until the models have recovered: each point of the curve is a
-    model as it would be saved. The clock stands still while views are scored.
+    A sample right after density control waits until the models have recovered, so that each point of the curve is a
+    model as it would be saved. The clock stops while views are scored.
     """
     cfg = cfg.copy()
     cfg.scene = scene_name
     skips: Skips = instantiate(cfg.skip)
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
-    budget = instantiate(cfg.budget)
-    method: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
-    set_up(method, cfg, scene, budget, cfg.backend.name, skips)
-    compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
+    unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
+    method, context = set_up(cfg, scene, method=unready, skips=skips)
     scorer: Scorer = instantiate(cfg.metrics)
-    even = np.geomspace(min(20, budget.iterations), budget.iterations, samples).round().astype(int)
-    rules = budget.density
-    moments = {
-        next(i for i in range(m, budget.iterations + 1) if rules.has_recovered(i, budget.iterations)) for m in even
-    }
+    sampled = _sampled_iterations(context.budget, samples)
     rows: list[dict[str, Any]] = []
 
-    def look(log: TrainingLog) -> None:
-        if log.iterations not in moments:
+    def sample(log: TrainingLog) -> None:
+        if log.iterations not in sampled:
             return
         scores = mean_scores(score_views(method, scene, scorer))
         gaussians = sum(len(model) for model in method.models().values())
@@ -82,12 +75,23 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )  # fmt: skip
 
-    train(method, budget.iterations, on_model=look)
+    train(method, context.budget.iterations, on_model=sample)
     return pd.DataFrame(rows)
 
 
+def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
+    """Iterations to sample: evenly spaced on a logarithmic scale, each moved on until the models have recovered."""
+    end, rules = budget.iterations, budget.density
+    even = np.geomspace(min(20, end), end, samples).round().astype(int)
+    return {next(i for i in range(first, end + 1) if rules.has_recovered(i, end)) for first in even}
+
+
 def seconds_to(curve: pd.DataFrame, quality: float, metric: str = "psnr") -> float:
-    """When a curve first reaches a quality, between samples linearly; NaN if it never does."""
+    """Seconds until a curve first reaches a quality, linear between samples; NaN if it never does.
+
+    >>> seconds_to(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 22.0)
+    1.5
+    """
     seconds, values = curve["seconds"].to_numpy(float), curve[metric].to_numpy(float)
     for i, value in enumerate(values):
         if value >= quality:
@@ -99,7 +103,11 @@ def seconds_to(curve: pd.DataFrame, quality: float, metric: str = "psnr") -> flo
 
 
 def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> float:
-    """The quality of a curve at a time, linear between samples; NaN before its first sample, its last one after it."""
+    """Quality of a curve at a time, linear between samples; NaN before the first sample, constant after the last.
+
+    >>> quality_at(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 1.5)
+    22.0
+    """
     times = curve["seconds"].to_numpy(float)
     if seconds < times[0]:
         return math.nan
@@ -107,10 +115,10 @@ def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> flo
 
 
 def milestones(curves: pd.DataFrame) -> pd.DataFrame:
-    """Per scene and label: final quality and time, seconds to reach whole dB, dB at the times at which runs ended."""
+    """One row per scene and label: final quality and time, seconds to whole dB, dB at the end of each other run."""
     rows = []
-    for scene, own in curves.groupby("scene", sort=False):
-        by_label = {str(label): curve for label, curve in own.groupby("label", sort=False)}
+    for scene, group in curves.groupby("scene", sort=False):
+        by_label = {str(label): curve for label, curve in group.groupby("label", sort=False)}
         ends = {label: float(curve["seconds"].iloc[-1]) for label, curve in by_label.items()}
         best = min(float(curve["psnr"].max()) for curve in by_label.values())
         levels = range(math.floor(best) - 4, math.floor(best) + 1)
@@ -123,16 +131,16 @@ def milestones(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def attribution(curves: pd.DataFrame, labels: list[str]) -> pd.DataFrame:
-    """Each link's part of the speed-up from the first label to the last, per scene.
+    """Contribution of each link to the speed-up from the first label to the last, per scene.
 
-    factor: time of the link before over its own; share: of the logarithm of the whole factor, so that shares add up
-    to 1; saved: time saved against the first, as the paper counts it.
+    factor: time of the previous link over that of this one. share: of the logarithm of the total factor, so that
+    shares add up to 1. saved: share of time saved against the first link, as the paper counts it.
     """
     rows = []
-    for scene, own in curves.groupby("scene", sort=False):
-        ends = {str(label): float(curve["seconds"].iloc[-1]) for label, curve in own.groupby("label", sort=False)}
+    for scene, group in curves.groupby("scene", sort=False):
+        ends = {str(label): float(curve["seconds"].iloc[-1]) for label, curve in group.groupby("label", sort=False)}
         if any(label not in ends for label in labels):
-            continue  # a run failed: no chain
+            continue  # a run failed: the chain is broken
         whole = math.log(ends[labels[0]] / ends[labels[-1]])
         for before, label in itertools.pairwise(labels):
             factor = ends[before] / ends[label]
@@ -144,11 +152,13 @@ def attribution(curves: pd.DataFrame, labels: list[str]) -> pd.DataFrame:
 
 
 def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.DataFrame:
-    """Time saved against the baseline, asked in three ways: whole runs, equal iterations, equal quality; and the gain
-    in dB at equal time (that of the shorter run)."""
+    """Share of time saved against the baseline over whole runs, at equal iterations and at equal quality.
+
+    Also the gain in dB at equal time, the end of the shorter run.
+    """
     rows = []
-    for scene, own in curves.groupby("scene", sort=False):
-        by_label = {str(label): curve for label, curve in own.groupby("label", sort=False)}
+    for scene, group in curves.groupby("scene", sort=False):
+        by_label = {str(label): curve for label, curve in group.groupby("label", sort=False)}
         if baseline not in by_label:
             continue
         base = by_label[baseline]
@@ -176,7 +186,7 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
 def sample_all(
     cfg: DictConfig, report: Callable[[str, str, pd.DataFrame | Exception], None]
 ) -> tuple[pd.DataFrame, int]:
-    """The curves of every scene and link, and how many failed; a failing run does not stop the others."""
+    """Curves of all scenes and links, and the number of failed runs; a failed run does not stop the others."""
     parts, failed = [], 0
     for scene in cfg.job.scenes:
         for run in runs_of(cfg):

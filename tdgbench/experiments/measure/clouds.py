@@ -1,4 +1,4 @@
-"""What is measured: Gaussians before a camera, at random, or of a trained model seen from its scene."""
+"""Inputs of measurements: Gaussians in front of a camera, random or from a trained model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ from tdgbench.splats.view import NEAR_PLANE
 
 @dataclass
 class Cloud:
-    """Gaussians before a camera, as `rasterization` takes them; colors (N, D), or (N, K, D) with `degree`."""
+    """Gaussians and a camera, as `rasterization` takes them.
+
+    means (N, 3) world units; quats (N, 4) wxyz; scales (N, 3) world units; opacities (N,); colors (N, D), or (N, K, D)
+    with SH `degree`; viewmat (4, 4); K (3, 3) px.
+    """
 
     means: Tensor
     quats: Tensor
@@ -32,7 +36,7 @@ class Cloud:
 
 
 def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
-    """Gaussians in a box 2 to 6 units away; at 640×480 most are some pixels wide, whatever their number."""
+    """Random Gaussians in a box 2 to 6 units away; at 640×480 most are a few pixels wide."""
     g = torch.Generator().manual_seed(seed)
     means = torch.rand(count, 3, generator=g) * 2 - 1
     means[:, 2] = means[:, 2] * 2 + 4
@@ -51,7 +55,7 @@ def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
 
 
 def trained_cloud(ply: Path, scene_folder: Path, view: int = 0) -> Cloud:
-    """A cell's `model.ply` from a test camera of the capture that it was trained on; one channel becomes three."""
+    """`model.ply` of a cell and a test camera of the capture it was trained on; one channel becomes three."""
     gaussians = load_ply(ply)
     scene = FolderDataset(str(scene_folder), ReadOptions()).load(None)
     camera = scene.test[view].camera

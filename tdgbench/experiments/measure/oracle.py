@@ -1,7 +1,7 @@
-"""Splatting in plain torch, tile by tile: what one gets without a compiler, and in float64 the oracle at full size.
+"""Splatting in plain torch, tile by tile: the speed without a compiler, and in float64 the oracle at full size.
 
-Each tile is blended with the Gaussians that can reach min_alpha in it; the others are exactly nothing there, so the
-result is that of `tdgbench.splats.backends.reference`, whose functions these are, in the memory of one tile.
+Each tile is blended with the Gaussians whose alpha can exceed min_alpha in it; the others contribute exactly nothing.
+So the result is that of `tdgbench.splats.backends.reference`, whose functions this uses, in the memory of one tile.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class Result:
 
 
 def leaves_of(cloud: Cloud, dtype: torch.dtype, device: str = "cpu") -> list[Tensor]:
-    """The cloud's tensors, in the order of NAMES, ready for gradients."""
+    """Copies of a cloud's tensors in the order of NAMES, with gradients enabled."""
     given = [getattr(cloud, name) for name in NAMES]
     return [t.to(device, dtype).clone().requires_grad_() for t in given]
 
 
 def device_of(backend: str) -> str:
-    """Where a fast backend wants its tensors."""
+    """Device that a fast backend expects its tensors on."""
     return load_backend(backend).device
 
 
 def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS) -> Render:
-    """Colour and depth of a cloud whose tensors are `leaves` (see `leaves_of`), on a fast backend."""
+    """Colour and depth of a cloud on a fast backend; `leaves` are its tensors (see `leaves_of`)."""
     means, quats, scales, opacities, colors = leaves
     camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height).to(means)
     return render_view(
@@ -50,12 +50,18 @@ def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending
     )
 
 
+def depth_of(view: Render) -> Tensor:
+    """Depth (H, W, world units) of a view. Raises TypeError if it was rendered without."""
+    if view.depth is None:
+        raise TypeError("the view was rendered without depth")
+    return view.depth
+
+
 def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:
-    """What a fast backend makes of what `render` is the oracle for, in float32."""
+    """Image and gradients of a cloud on a fast backend in float32; `render` is the oracle. weights: (H, W, D + 2)."""
     leaves = leaves_of(cloud, torch.float32, device_of(backend))
     view = view_of(cloud, leaves, backend, blending)
-    assert view.depth is not None
-    image = torch.cat([view.image, view.depth[..., None]], dim=-1)
+    image = torch.cat([view.image, depth_of(view)[..., None]], dim=-1)
     w = weights.to(image)
     ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
     gradients = {name: leaf.grad.cpu() for name, leaf in zip(NAMES, leaves, strict=True) if leaf.grad is not None}
@@ -63,7 +69,10 @@ def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending =
 
 
 def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: Blending = AS_3DGS) -> Result:
-    """Value, and with weights (H, W, D + 2) of image, depth and transmittance the gradient of the weighted sum."""
+    """Image and transmittance of a cloud; with weights, also the gradients of their weighted sum.
+
+    weights: (H, W, D + 2), of image, depth and transmittance.
+    """
     leaves = leaves_of(cloud, dtype)
     means, quats, scales, opacities, colors = leaves
     view, K = cloud.viewmat.to(dtype), cloud.K.to(dtype)
@@ -78,7 +87,7 @@ def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: B
     held = [t.detach().requires_grad_(weights is not None) for t in projected]
     # alpha ≤ opacity · exp(−d² / (2 λ)), d the distance to the tile and λ the larger eigenvalue of the covariance
     largest = torch.linalg.eigvalsh(covariance.detach())[order, 1]
-    reach = (2 * largest * (held[2].detach() / blending.min_alpha).clamp_min(1).log()).sqrt() + 1e-3
+    cutoff = (2 * largest * (held[2].detach() / blending.min_alpha).clamp_min(1).log()).sqrt() + 1e-3
     image = torch.zeros(cloud.height, cloud.width, channels.shape[1], dtype=dtype)
     transmittance = torch.ones(cloud.height, cloud.width, dtype=dtype)
     for top in range(0, cloud.height, TILE):
@@ -87,20 +96,20 @@ def render(cloud: Cloud, dtype: torch.dtype, weights: Tensor | None, blending: B
             corner = torch.tensor([left, top], dtype=dtype) + 0.5
             end = torch.tensor([columns.stop, rows.stop], dtype=dtype) - 0.5
             centre = held[0].detach()
-            near = ((centre - centre.clamp(corner, end)).norm(dim=1) <= reach).nonzero().squeeze(1)
+            near = ((centre - centre.clamp(corner, end)).norm(dim=1) <= cutoff).nonzero().squeeze(1)
             if len(near) == 0:
                 continue
             ys, xs = torch.meshgrid(
                 torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij"
             )
             pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(dtype) + 0.5
-            own_means, own_conics, own_opacities, own_channels = (h[near] for h in held)
-            light, t = reference.blend(pixels, own_means, own_conics, own_opacities, own_channels, blending)
+            near_means, near_conics, near_opacities, near_channels = (h[near] for h in held)
+            light, t = reference.blend(pixels, near_means, near_conics, near_opacities, near_channels, blending)
             image[rows, columns] = light.detach().reshape(*xs.shape, -1)
             transmittance[rows, columns] = t.detach().reshape(xs.shape)
             if weights is not None:
-                own = weights[rows, columns].reshape(len(pixels), -1).to(dtype)
-                ((light * own[:, :-1]).sum() + (t * own[:, -1]).sum()).backward()
+                w = weights[rows, columns].reshape(len(pixels), -1).to(dtype)
+                ((light * w[:, :-1]).sum() + (t * w[:, -1]).sum()).backward()
     gradients: dict[str, Tensor] = {}
     if weights is not None:
         torch.autograd.backward(projected, [torch.zeros_like(h) if h.grad is None else h.grad for h in held])

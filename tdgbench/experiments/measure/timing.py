@@ -1,4 +1,4 @@
-"""Interleaved repetition: every candidate once, then again, so that a slow moment of the machine hits all alike."""
+"""Interleaved timing: candidates take turns, so that a slow moment of the machine affects all of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ FMA_CHAINS, FMA_STEPS = 16, 1_000_000
 
 
 def interleave(candidates: Mapping[Key, Callable[[], float]], repetitions: int) -> dict[Key, list[float]]:
-    """Call every candidate once to warm it up, then in turns; each returns the seconds that count."""
+    """Seconds of each candidate: call all once to warm up, then in turns; a candidate returns its seconds.
+
+    >>> interleave({"a": lambda: 1.0, "b": lambda: 2.0}, repetitions=2)
+    {'a': [1.0, 1.0], 'b': [2.0, 2.0]}
+    """
     for run in candidates.values():
         run()
     seconds: dict[Key, list[float]] = {name: [] for name in candidates}
@@ -30,12 +34,17 @@ def interleave(candidates: Mapping[Key, Callable[[], float]], repetitions: int) 
 
 
 def median_ms(seconds: list[float]) -> float:
+    """Median of some seconds, in milliseconds.
+
+    >>> median_ms([0.5, 0.25, 3.0])
+    500.0
+    """
     return 1e3 * statistics.median(seconds)
 
 
 @kernel()
 def _fma_chains(steps, out):
-    """Sixteen independent chains: enough to hide the latency of two FMA units."""
+    """Run sixteen independent chains, which hide the latency of two FMA units."""
     x = simd.splat(np.float32(0.999999))
     c = simd.splat(np.float32(1e-7))
     a0, a1, a2, a3, a4, a5, a6, a7 = c, c, c, c, c, c, c, c
@@ -62,7 +71,7 @@ def _fma_chains(steps, out):
 
 
 def fma_peak_gflops() -> float:
-    """Fused multiply-adds that all threads together reach on registers alone, in GFLOP/s (two flops each)."""
+    """Peak rate of fused multiply-adds on registers, all threads together, in GFLOP/s (two flops each)."""
     threads = pool.get_threads()
     outs = [np.zeros(1, np.float32) for _ in range(threads)]
     work = [(FMA_STEPS, out) for out in outs]

@@ -1,1 +1,1 @@
-"""What each skip saves, and what it does to the scores."""
+"""What each skip saves and costs: variants of a cell with the skip on and off."""

@@ -1,4 +1,4 @@
-"""What each skip saved and cost: per cell, and summed up over scenes."""
+"""What each skip saved and cost: per cell, and summarised over scenes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import pandas as pd
 from tdgbench.bench.record import Record
 from tdgbench.experiments.skips.variants import ALL, NONE, alone, without
 
-MOST = {"psnr": 0.05, "ssim": 0.001}  # what a skip may cost on any scene and be on by default
+MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
 QUALITY = ("psnr", "ssim", "lpips")
 
 
 def skip_rows(records: list[Record]) -> pd.DataFrame:
-    """One row per finished cell: seconds of training and of everything before it, memory, scores, and what was left
-    out and why; `change of …` is against the cell of the same scene and seed with every skip off."""
+    """One row per finished cell: seconds of training and before it, memory, scores, skipped work with reasons.
+
+    `change of …` compares with the cell of the same scene and seed that has every skip off.
+    """
     rows = []
     for record in records:
         if record.failure is not None:
@@ -48,18 +50,18 @@ def skip_rows(records: list[Record]) -> pd.DataFrame:
 def summary(table: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     """One row per skip, and one for all together.
 
-    faster_alone: training time with every skip off over that with this one on. slower_without: time with all but this
-    one over that with all. psnr, ssim: how this one alone changes them against none, on the scene where it is worst
-    (mean over seeds), and the standard error of that mean (NaN from one seed). keep: whether the skip may be on by
-    default, that is, on no scene does it cost more than is allowed, by more than two standard errors.
+    faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
+    one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
+    is worst (mean over seeds). psnr_error, ssim_error: standard error of that mean (NaN for one seed). keep: whether
+    the skip may be on by default, because no scene loses more than MAX_LOSS by more than two standard errors.
     """
     rows = []
     for name, on, off, without_it in (
         *((n, alone(n), NONE, without(n)) for n in names),
         ("all together", ALL, NONE, None),
     ):
-        psnr, psnr_error, psnr_fine = _worst(table, on, "psnr")
-        ssim, ssim_error, ssim_fine = _worst(table, on, "ssim")
+        psnr, psnr_error, psnr_ok = _worst(table, on, "psnr")
+        ssim, ssim_error, ssim_ok = _worst(table, on, "ssim")
         rows.append(
             {
                 "skip": name,
@@ -71,25 +73,25 @@ def summary(table: pd.DataFrame, names: list[str]) -> pd.DataFrame:
                 "psnr_error": psnr_error,
                 "ssim_worst": ssim,
                 "ssim_error": ssim_error,
-                "keep": psnr_fine and ssim_fine,
+                "keep": psnr_ok and ssim_ok,
             }
         )
     return pd.DataFrame(rows)
 
 
 def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float, bool]:
-    """Change of a metric on the worst scene, its standard error, and whether no scene loses more than is allowed."""
-    own = table[table["variant"] == variant]
-    by_scene = own.assign(change=own[f"change of {metric}"].astype(float)).groupby("scene")["change"]
+    """Change of a metric on the worst scene, its standard error, and whether every scene is within MAX_LOSS."""
+    cells = table[table["variant"] == variant]
+    by_scene = cells.assign(change=cells[f"change of {metric}"].astype(float)).groupby("scene")["change"]
     mean, error = by_scene.mean(), by_scene.sem()
     if mean.dropna().empty:
         return float("nan"), float("nan"), False
-    fine = bool((mean + 2 * error.fillna(0.0) >= -MOST[metric]).all())
-    return float(mean.min()), float(error[mean.idxmin()]), fine
+    acceptable = bool((mean + 2 * error.fillna(0.0) >= -MAX_LOSS[metric]).all())
+    return float(mean.min()), float(error[mean.idxmin()]), acceptable
 
 
 def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
-    """Geometric mean over scenes and seeds of slow / fast."""
+    """Geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
     both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column)
     if slow not in both or fast not in both:
         return float("nan")
@@ -97,9 +99,9 @@ def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_secon
 
 
 def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
-    """On which scenes the skip found something to leave out."""
-    own = table[table["variant"] == variant]
+    """Scenes on which the skip was taken."""
     if name == "all together":
         return ""
-    hit = own[own["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
-    return ", ".join(dict.fromkeys(hit["scene"])) or "none"
+    cells = table[table["variant"] == variant]
+    taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
+    return ", ".join(dict.fromkeys(taken["scene"])) or "none"

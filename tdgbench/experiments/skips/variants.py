@@ -1,4 +1,4 @@
-"""`+experiment=skips`: cells with each skip alone, with all but it, with all and with none."""
+"""Variants of a cell: each skip alone, all but one, all, none."""
 
 from __future__ import annotations
 
@@ -16,35 +16,41 @@ NONE, ALL = "none", "all"
 
 
 def alone(name: str) -> str:
+    """Label of the variant with one skip on."""
     return f"only {name}"
 
 
 def without(name: str) -> str:
+    """Label of the variant with all skips but one on."""
     return f"without {name}"
 
 
 def variants(names: list[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
-    """What each variant switches on; skips that are not in `names` are off in all of them.
+    """Skips that each variant allows, by label; skips outside of `names` are off in all variants.
 
-    `all` are those of `names` that are usually on; only these are also taken away one by one.
+    usual: whether each skip is on by default. The variant `all` has those of `names` that are on by default, and only
+    these have a variant without them. Raises ValueError for an unknown name.
+
+    >>> list(variants(["gray"], dict.fromkeys(NAMES, True)))
+    ['none', 'all', 'only gray', 'without gray']
     """
     unknown = set(names) - set(NAMES)
     if unknown:
         raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
     together = {name: name in names and usual[name] for name in NAMES}
-    made = {NONE: dict.fromkeys(NAMES, False), ALL: together}
+    found = {NONE: dict.fromkeys(NAMES, False), ALL: together}
     for name in names:
-        made[alone(name)] = {**made[NONE], name: True}
+        found[alone(name)] = {**found[NONE], name: True}
         if usual[name]:
-            made[without(name)] = {**together, name: False}
-    return made
+            found[without(name)] = {**together, name: False}
+    return found
 
 
 def run_variants(cfg: DictConfig, progress: CellProgress, report: Callable[[Outcome], None]) -> list[Outcome]:
-    """Run every variant on every scene and seed of `cfg.job`; variants of one scene follow each other."""
+    """Run all variants of each scene and seed of `cfg.job`, one scene after the other."""
     outcomes = []
-    for one, label in _cells(cfg):
-        outcome = run_cell(one, label, progress)
+    for cell, label in _cells(cfg):
+        outcome = run_cell(cell, label, progress)
         report(outcome)
         outcomes.append(outcome)
     return outcomes
@@ -55,8 +61,8 @@ def _cells(cfg: DictConfig) -> Iterator[tuple[DictConfig, str]]:
     for scene in cfg.job.scenes:
         for seed in cfg.job.seeds:
             for label, options in variants(list(cfg.job.skips), usual).items():
-                one = cfg.copy()
-                one.scene, one.seed = scene, seed
+                cell = cfg.copy()
+                cell.scene, cell.seed = scene, seed
                 for name, on in options.items():
-                    one.skip[name] = on
-                yield one, label
+                    cell.skip[name] = on
+                yield cell, label

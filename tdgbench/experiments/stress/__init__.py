@@ -1,1 +1,1 @@
-"""The numerical stress suite: named cases, each with what is expected and what was seen."""
+"""The numerical stress suite: named cases with expected and observed behaviour."""

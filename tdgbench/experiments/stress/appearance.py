@@ -9,7 +9,7 @@ import torch
 from tdgbench.experiments.measure.clouds import Cloud
 from tdgbench.experiments.stress.case import Case, Close
 from tdgbench.experiments.stress.compare import cloud, compared
-from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.experiments.stress.outcome import Observed
 
 FAMILY = "appearance"
 
@@ -36,7 +36,7 @@ def cases() -> list[Case]:
     return [Case(FAMILY, name, Close(), _compare(make)) for name, make in made]
 
 
-def _compare(make: Callable[[], Cloud]) -> Callable[[str], Seen]:
+def _compare(make: Callable[[], Cloud]) -> Callable[[str], Observed]:
     return lambda backend: compared(make(), backend)
 
 
@@ -84,7 +84,7 @@ def _opaque_layers() -> Cloud:
 
 
 def _underflow() -> Cloud:
-    """300 layers of alpha 0.99: the product of what they let through is 1e-600."""
+    """300 layers of alpha 0.99, whose transmittance is 1e-600."""
     scene = cloud(300, seed=27, width=8, height=8)
     scene.viewmat = torch.eye(4)
     scene.means = torch.zeros(300, 3)

@@ -1,4 +1,4 @@
-"""A stress case: what is done, on which backends, and what is expected of it."""
+"""A stress case: what it does, on which backends, and what it expects."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.experiments.stress.outcome import Observed
 
 
 class Expected(Protocol):
-    """What a case should show."""
+    """An expectation."""
 
-    def judge(self, seen: Seen) -> bool:
-        """Whether it does."""
+    def judge(self, observed: Observed) -> bool:
+        """Whether the observation fulfils it."""
 
 
 @dataclass(frozen=True)
 class Close:
-    """Finite, and within these errors of the float64 reference: of the values' range, and of the gradients' norm."""
+    """Finite, and close to the float64 reference: errors relative to the values' range, to the gradients' norm."""
 
     image: float = 5e-5
     gradients: float = 2e-4
 
-    def judge(self, seen: Seen) -> bool:
-        if seen.error is not None:
+    def judge(self, observed: Observed) -> bool:
+        if observed.error is not None:
             return False
-        return self.share(seen) <= 1  # never true of NaN
+        return self.share(observed) <= 1  # false for NaN
 
-    def share(self, seen: Seen) -> float:
-        """The larger of both errors, as a share of what is allowed; NaN if either is."""
-        shares = (seen.numbers["image"] / self.image, seen.numbers["gradients"] / self.gradients)
+    def share(self, observed: Observed) -> float:
+        """The larger error, relative to its limit; NaN if either error is NaN."""
+        shares = (observed.numbers["image"] / self.image, observed.numbers["gradients"] / self.gradients)
         return math.nan if any(map(math.isnan, shares)) else max(shares)
 
     def __str__(self) -> str:
@@ -42,13 +42,13 @@ class Close:
 
 @dataclass(frozen=True)
 class Raises:
-    """One named error, whose message matches a pattern."""
+    """An error of a named type whose message matches a pattern."""
 
     kind: str
     pattern: str
 
-    def judge(self, seen: Seen) -> bool:
-        return seen.error is not None and seen.error == self.kind and re.search(self.pattern, seen.text) is not None
+    def judge(self, observed: Observed) -> bool:
+        return observed.error == self.kind and re.search(self.pattern, observed.text) is not None
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.pattern.replace(chr(92), '')}"
@@ -56,12 +56,12 @@ class Raises:
 
 @dataclass(frozen=True)
 class Holds:
-    """A statement in words that the case itself checks; it raises AssertionError with what it saw instead."""
+    """A statement that the case itself checks; it raises UnexpectedError with what it observed instead."""
 
     statement: str
 
-    def judge(self, seen: Seen) -> bool:
-        return seen.error is None
+    def judge(self, observed: Observed) -> bool:
+        return observed.error is None
 
     def __str__(self) -> str:
         return self.statement
@@ -69,12 +69,12 @@ class Holds:
 
 @dataclass(frozen=True)
 class Case:
-    """`run(backend)` gives what was seen; a case that concerns no backend runs once, as `once`."""
+    """A named case. `run` takes a backend; a case with every_backend=False runs once, with the word `once`."""
 
     family: str
     name: str
     expected: Expected
-    run: Callable[[str], Seen]
+    run: Callable[[str], Observed]
     every_backend: bool = True
 
 
@@ -88,18 +88,18 @@ class Verdict:
     expected: str
     seen: str
     passed: bool
-    share: float | None  # of the error that is allowed; None where no error is measured
+    share: float | None  # error relative to its limit; None where no error is measured
     seconds: float
 
 
 def judge(case: Case, backend: str) -> Verdict:
-    """Run a case on a backend. Never raises: what it raises is what was seen."""
+    """Run a case on a backend. An exception is an observation."""
     start = time.perf_counter()
     try:
-        seen = case.run(backend)
+        observed = case.run(backend)
     except Exception as error:
-        seen = Seen(text=str(error).splitlines()[0] if str(error) else "", error=type(error).__name__)
-    passed = case.expected.judge(seen)
+        observed = Observed(text=str(error).splitlines()[0] if str(error) else "", error=type(error).__name__)
+    passed = case.expected.judge(observed)
     seconds = time.perf_counter() - start
-    share = case.expected.share(seen) if isinstance(case.expected, Close) and seen.error is None else None
-    return Verdict(case.family, case.name, backend, str(case.expected), str(seen), passed, share, round(seconds, 3))
+    share = case.expected.share(observed) if isinstance(case.expected, Close) and observed.error is None else None
+    return Verdict(case.family, case.name, backend, str(case.expected), str(observed), passed, share, round(seconds, 3))

@@ -1,4 +1,4 @@
-"""Stress: where Gaussians and cameras are, and how large."""
+"""Stress: positions and sizes of Gaussians, cameras and images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tdgbench.experiments.measure.oracle import on_backend
 from tdgbench.experiments.measure.oracle import render as render_tiled
 from tdgbench.experiments.stress.case import Case, Close, Expected, Holds, Raises
 from tdgbench.experiments.stress.compare import cloud, compared, render
-from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.experiments.stress.outcome import Observed, require
 
 FAMILY = "geometry"
 Make = Callable[[], Cloud]
@@ -64,7 +64,7 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def _compare(make: Make) -> Callable[[str], Seen]:
+def _compare(make: Make) -> Callable[[str], Observed]:
     return lambda backend: compared(make(), backend)
 
 
@@ -99,7 +99,7 @@ def _long_and_short(quats: torch.Tensor) -> torch.Tensor:
 
 
 def _in_camera(change) -> Make:
-    """Means changed in camera coordinates; the camera stands at the origin."""
+    """A cloud with other means, before a camera at the origin."""
 
     def make() -> Cloud:
         scene = cloud(60, seed=6)
@@ -116,7 +116,7 @@ def _set(points: torch.Tensor, axis: int, value: float, count: int | None = None
 
 
 def _near(points: torch.Tensor) -> torch.Tensor:
-    """Depths on both sides of the near plane, 0.2, down to neighbouring numbers."""
+    """Depths on both sides of the near plane, 0.2, some of them very close to it."""
     steps = torch.tensor([-1e-2, -1e-4, 1e-6, 1e-4, 1e-2])
     points[:, 2] = 0.2 + steps.repeat(len(points) // len(steps))
     points[:, :2] *= 0.1
@@ -140,7 +140,7 @@ def _far_away() -> Cloud:
 
 
 def _offset(offset: float) -> Make:
-    """The whole scene, camera included, far from the origin; the camera's rotation is exact in float32."""
+    """Cloud and camera far from the origin; the camera's rotation is exact in float32."""
 
     def make() -> Cloud:
         scene = cloud(60, seed=9)
@@ -159,7 +159,7 @@ def _focal(focal: float) -> Make:
     def make() -> Cloud:
         scene = cloud(60, seed=10)
         scene.K = torch.tensor([[focal, 0, 20.0], [0, focal, 15.0], [0, 0, 1]])
-        if focal > 100:  # bring them into the narrow view
+        if focal > 100:  # move them into the narrow view
             scene.viewmat = torch.eye(4)
             scene.means[:, :2] *= 20.0 / focal
             scene.scales *= 20.0 / focal
@@ -204,25 +204,25 @@ def _layers(opacity: float = 0.02) -> Cloud:
     return scene
 
 
-def _million(backend: str) -> Seen:
-    """Most of them out of sight; against the tiled oracle, since the dense reference holds every pair at once."""
+def _million(backend: str) -> Observed:
+    """Most are out of view. The oracle works in tiles; the dense reference would need memory for every pair."""
     many = random_cloud(1_000_000, 64, 48)
     many.means[:, :2] *= 20
     weights = torch.randn(48, 64, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     want = render_tiled(many, torch.float64, weights)
     got = on_backend(many, backend, weights)
     error = (got.image.double() - want.image).abs() / want.image.amax(dim=(0, 1))
-    apart = [
+    gradient_errors = [
         ((got.gradients[name].double() - gradient).norm() / gradient.norm()).item()
         for name, gradient in want.gradients.items()
     ]
-    return Seen(numbers={"image": error.max().item(), "gradients": max(apart)})
+    return Observed(numbers={"image": error.max().item(), "gradients": max(gradient_errors)})
 
 
-def _nan_quaternion(backend: str) -> Seen:
+def _nan_quaternion(backend: str) -> Observed:
     scene = cloud(60, seed=14)
     scene.quats[7] = float("nan")
-    spoiled, _ = render(scene, backend)
-    bad = spoiled.isnan().any(dim=-1)
-    assert bad.any(), "the image is finite: a NaN went by unseen"
-    return Seen(f"{int(bad.sum())} of {bad.numel()} pixels are NaN")
+    image, _ = render(scene, backend)
+    bad = image.isnan().any(dim=-1)
+    require(bool(bad.any()), "the image is finite: the NaN has no effect")
+    return Observed(f"{int(bad.sum())} of {bad.numel()} pixels are NaN")

@@ -1,4 +1,4 @@
-"""Stress: losses of degenerate images and depth maps, and degenerate images and priors on disk."""
+"""Stress: losses of degenerate images and depth maps; degenerate images and priors on disk."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from methods.tdg import DepthTarget, depth_loss
 from tdgbench.experiments.stress.case import Case, Close, Expected, Raises
-from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.experiments.stress.outcome import Observed
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import read_image, read_radiometry
@@ -24,13 +24,23 @@ FAMILY = "losses"
 SIZE = (24, 32)
 CLOSE = Close(1e-4, 1e-3)
 
+Loss = Callable[[Tensor], Tensor]
+
 
 def cases() -> list[Case]:
-    """Every case of this family. Losses do not depend on the backend: the fused kernels against torch in float64."""
+    """Every case of this family. They run once: losses do not depend on the backend."""
+    return [
+        *(Case(FAMILY, name, CLOSE, _fused_against_torch(loss, at), False) for name, loss, at in _losses()),
+        *(Case(FAMILY, name, expected, _in_folder(act), False) for name, expected, act in _files()),
+    ]
+
+
+def _losses() -> list[tuple[str, Loss, Tensor]]:
+    """Name, loss, and the tensor at which its value and gradient are compared."""
     black, white, noise = torch.zeros(*SIZE, 1), torch.ones(*SIZE, 1), _noise(0)
     depth = _noise(1)[..., 0] * 5 + 1
     clear, other = torch.zeros(*SIZE), _noise(2)[..., 0] * 5 + 1
-    losses: list[tuple[str, Callable[[Tensor], Tensor], Tensor]] = [
+    return [
         ("SSIM of two black images", lambda x: ssim(x, black.to(x)), black),
         ("SSIM of two white images", lambda x: ssim(x, white.to(x)), white),
         ("SSIM of black and white", lambda x: ssim(x, white.to(x)), black),
@@ -56,17 +66,17 @@ def cases() -> list[Case]:
         ("a prior known at half of the pixels", _against(_masked(depth, depth.numel() // 2)), other),
         ("a prior of the wrong sign", _against(-depth), depth),
     ]
-    files: list[tuple[str, Expected, Callable[[Path], object]]] = [
+
+
+def _files() -> list[tuple[str, Expected, Callable[[Path], object]]]:
+    """Name, expectation, and what is done in a folder."""
+    return [
         ("NaN in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("nan"))),
         ("infinity in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("inf"))),
         ("temperatures without a range", Raises("SceneError", r"min. . is not below max|min.*<.*max"), _flat_range),
         ("a broken image", Raises("SceneError", "cannot be read as an image"), _broken),
         ("a prior that is unknown everywhere", Raises("PriorError", "no finite value"), lambda _: _prior(float("nan"))),
         ("a prior of the wrong size", Raises("PriorError", "is \\(12, 16\\)"), lambda _: _prior(1.0, (12, 16))),
-    ]
-    return [
-        *(Case(FAMILY, name, CLOSE, _fused_against_torch(loss, at), False) for name, loss, at in losses),
-        *(Case(FAMILY, name, expected, _in_folder(act), False) for name, expected, act in files),
     ]
 
 
@@ -80,7 +90,7 @@ def _masked(values: Tensor, known: int) -> Tensor:
     return flat.view_as(values)
 
 
-def _against(prior: Tensor) -> Callable[[Tensor], Tensor]:
+def _against(prior: Tensor) -> Loss:
     def loss(rendered: Tensor) -> Tensor:
         target = DepthTarget.of(DepthPrior(prior.numpy().astype(np.float32), "depth"), rendered.device)
         target = DepthTarget(target.normalised.to(rendered), target.valid, target.kind)
@@ -89,31 +99,30 @@ def _against(prior: Tensor) -> Callable[[Tensor], Tensor]:
     return loss
 
 
-def _fused_against_torch(loss: Callable[[Tensor], Tensor], at: Tensor) -> Callable[[str], Seen]:
-    """Value and gradient in float32, where the fused kernels are, against torch in float64."""
+def _fused_against_torch(loss: Loss, at: Tensor) -> Callable[[str], Observed]:
+    """Compare value and gradient in float32, which the fused kernels compute, with torch in float64."""
 
-    def run(_backend: str) -> Seen:
+    def run(_backend: str) -> Observed:
         values, gradients = [], []
         for dtype in (torch.float64, torch.float32):
             x = at.to(dtype).clone().requires_grad_()
             value = loss(x)
             value.backward()
-            assert x.grad is not None
             values.append(value.detach().double())
-            gradients.append(x.grad.double())
-        usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # of a mean over the pixels
-        apart = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
+            gradients.append(torch.zeros_like(x) if x.grad is None else x.grad.double())
+        usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # gradient of a mean over the pixels
+        gradient_error = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
         error = (values[1] - values[0]).abs() / values[0].abs().clamp_min(1.0)
-        return Seen(f"loss {values[0].item():.4g}", {"image": error.item(), "gradients": apart.item()})
+        return Observed(f"loss {values[0].item():.4g}", {"image": error.item(), "gradients": gradient_error.item()})
 
     return run
 
 
-def _in_folder(act: Callable[[Path], object]) -> Callable[[str], Seen]:
-    def run(_backend: str) -> Seen:
+def _in_folder(act: Callable[[Path], object]) -> Callable[[str], Observed]:
+    def run(_backend: str) -> Observed:
         with tempfile.TemporaryDirectory() as folder:
             act(Path(folder))
-        return Seen("no error")
+        return Observed("no error")
 
     return run
 

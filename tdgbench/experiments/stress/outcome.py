@@ -1,13 +1,17 @@
-"""What a stress case showed."""
+"""What a stress case observed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 
+class UnexpectedError(Exception):
+    """A statement of a case does not hold; the message says what was observed instead."""
+
+
 @dataclass(frozen=True)
-class Seen:
-    """Numbers or a sentence; or the name of an error and its message."""
+class Observed:
+    """Numbers or a sentence; or the type of an error and its message."""
 
     text: str = ""
     numbers: dict[str, float] = field(default_factory=dict)
@@ -18,3 +22,9 @@ class Seen:
             return f"{self.error}: {self.text}"
         numbers = [f"{name} {value:.1e}" for name, value in self.numbers.items()]
         return "; ".join([*([self.text] if self.text else []), *numbers])
+
+
+def require(condition: bool, observed: str) -> None:
+    """Raise UnexpectedError unless a condition holds."""
+    if not condition:
+        raise UnexpectedError(observed)

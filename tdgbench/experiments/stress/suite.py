@@ -1,4 +1,4 @@
-"""Run every stress case on every backend that is here."""
+"""Run every stress case on every available backend."""
 
 from __future__ import annotations
 
@@ -10,25 +10,31 @@ from pathlib import Path
 import pandas as pd
 from omegaconf import DictConfig
 
-from tdgbench.experiments.stress import appearance, geometry, gradients, losses, training
+from tdgbench.experiments.stress import appearance, determinism, geometry, gradients, losses, training
 from tdgbench.experiments.stress.case import Case, Verdict, judge
+from tdgbench.experiments.stress.small import SmallTraining
 from tdgbench.splats.backends import fast_backends
 
 
 def backends() -> list[str]:
-    """The fast backends that can run here; all are compared with the reference."""
+    """Fast backends that can run on this machine; all are compared with the reference."""
     return fast_backends()
 
 
 def all_cases(cfg: DictConfig, folder: Path) -> list[Case]:
-    """The whole suite. `cfg` is the configuration of a small cell."""
+    """The whole suite. cfg: configuration of a small cell. folder: for what must be on disk."""
+    small = SmallTraining(cfg, folder)
     return [
-        *geometry.cases(), *appearance.cases(), *losses.cases(), *gradients.cases(), *training.cases(cfg, folder)
+        *geometry.cases(), *appearance.cases(), *losses.cases(), *gradients.cases(), *training.cases(small),
+        *determinism.cases(small),
     ]  # fmt: skip
 
 
 def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[Verdict], None]) -> pd.DataFrame:
-    """One row per case and backend; with `chosen` only cases whose family or name contains it. Raises ValueError."""
+    """One row per case and backend; with `chosen`, only cases whose family or name contains it.
+
+    report: called with each verdict. Raises ValueError if no case is chosen.
+    """
     with tempfile.TemporaryDirectory() as folder:
         verdicts = []
         for case, backend in _pairs(all_cases(cfg, Path(folder)), chosen):

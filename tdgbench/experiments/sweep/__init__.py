@@ -1,1 +1,1 @@
-"""Run cells for a configuration or a multirun, then write tables and the report."""
+"""A sweep of cells: plan, cells, tables, pictures, report."""

@@ -1,4 +1,4 @@
-"""What Hydra runs once per cell, and the note each job leaves for the end of the sweep."""
+"""One job of a sweep: run its cell, and write the outcome for the summary at the end."""
 
 from __future__ import annotations
 
@@ -18,10 +18,16 @@ from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 
 OUTCOME = "outcome.json"
+WORDS = {
+    "ok": "done",
+    "kept": "already there",
+    "failed": "[red]failed[/red]",
+    "elsewhere": "running in another process",
+}
 
 
 def run_job(cfg: DictConfig) -> None:
-    """Run a cell, say in one line what became of it, and note the outcome in the job's folder."""
+    """Run a cell, print its outcome in one line, and write the outcome to the job's folder."""
     console = Console(stderr=True)
     hydra = HydraConfig.get()
     if cfg.threads is None:
@@ -32,18 +38,17 @@ def run_job(cfg: DictConfig) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     if outcome.status != "missing":
-        words = {
-            "ok": "done", "kept": "already there", "failed": "[red]failed[/red]", "elsewhere": "in another process",
-        }  # fmt: skip
-        why = f" ({escape(outcome.message)})" if outcome.status == "ok" and outcome.message else ""
-        console.print(f"{escape(outcome.title)}: {words[outcome.status]}{why}", highlight=False, soft_wrap=True)
+        remark = f" ({escape(outcome.message)})" if outcome.status == "ok" and outcome.message else ""
+        console.print(f"{escape(outcome.title)}: {WORDS[outcome.status]}{remark}", highlight=False, soft_wrap=True)
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
-    """Threads of one cell when a launcher runs several at once, so that together they use the cores once.
+    """Threads of one cell, so that the cells that a launcher runs at once share the cores; None: all cores.
 
-    joblib says how many workers there are (a negative number: as many as cores), submitit and ray how many cores each
-    gets. None: the cell has the machine to itself.
+    launcher: joblib configures the number of workers (negative: one per core), submitit and ray the cores per worker.
+
+    >>> worker_threads(DictConfig({"n_jobs": 2}), cores=8)
+    4
     """
     if launcher.get("ray") is not None:
         return max(1, int(launcher.ray.remote.get("num_cpus", 1)))
@@ -56,7 +61,7 @@ def worker_threads(launcher: DictConfig, cores: int) -> int | None:
 
 
 def read_outcomes(hydra_folder: Path) -> list[Outcome]:
-    """The outcomes that the jobs of a run or sweep left, in the order of the jobs."""
+    """Outcomes of the jobs of a run or sweep, in the order of the jobs."""
     found = []
     for path in hydra_folder.rglob(OUTCOME):
         number = path.parent.name

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record, read_all
 from tdgbench.scenes.registry import DATASETS

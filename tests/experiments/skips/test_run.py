@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.skips.run import run
+from tdgbench.experiments.skips.run import SkipAblation
 from tests.conftest import SMALL, config
 
 
@@ -13,7 +13,7 @@ def overrides(tmp_path, data_root):
 
 
 def test_tables_and_picture(tmp_path, data_root, capsys):
-    run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable]"))
+    SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable]"))
     table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
     assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "turntable"
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
@@ -21,8 +21,8 @@ def test_tables_and_picture(tmp_path, data_root, capsys):
     assert "faster" in capsys.readouterr().out
 
 
-def test_a_failing_cell_is_told_and_the_status_is_1(tmp_path, data_root, capsys):
+def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, capsys):
     with pytest.raises(SystemExit):
-        run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable, nowhere]"))
+        SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable, nowhere]"))
     assert "nowhere" in capsys.readouterr().out
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4

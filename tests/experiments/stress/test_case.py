@@ -3,7 +3,7 @@ import math
 import pytest
 
 from tdgbench.experiments.stress.case import Case, Close, Holds, Raises, judge
-from tdgbench.experiments.stress.outcome import Seen
+from tdgbench.experiments.stress.outcome import Observed, UnexpectedError, require
 
 
 def verdict(expected, act):
@@ -16,10 +16,10 @@ def fail(error):
 
 def test_errors_within_and_beyond_what_is_allowed():
     close = Close(1e-3, 1e-2)
-    good = verdict(close, lambda: Seen(numbers={"image": 5e-4, "gradients": 1e-3}))
+    good = verdict(close, lambda: Observed(numbers={"image": 5e-4, "gradients": 1e-3}))
     assert good.passed and good.share == pytest.approx(0.5)
-    assert not verdict(close, lambda: Seen(numbers={"image": 0.0, "gradients": 0.02})).passed
-    lost = verdict(close, lambda: Seen(numbers={"image": math.nan, "gradients": 0.0}))
+    assert not verdict(close, lambda: Observed(numbers={"image": 0.0, "gradients": 0.02})).passed
+    lost = verdict(close, lambda: Observed(numbers={"image": math.nan, "gradients": 0.0}))
     assert not lost.passed and math.isnan(lost.share)
     raised = verdict(close, lambda: fail(ValueError("no")))
     assert not raised.passed and raised.seen == "ValueError: no" and raised.share is None
@@ -30,9 +30,17 @@ def test_a_named_error_is_that_error():
     assert verdict(expected, lambda: fail(ValueError("it is broken"))).passed
     assert not verdict(expected, lambda: fail(TypeError("it is broken"))).passed
     assert not verdict(expected, lambda: fail(ValueError("something else"))).passed
-    assert not verdict(expected, lambda: Seen("nothing happened")).passed
+    assert not verdict(expected, lambda: Observed("nothing happened")).passed
 
 
-def test_a_statement_holds_until_its_assertion_fails():
-    assert verdict(Holds("so"), lambda: Seen("it is so")).passed
-    assert not verdict(Holds("so"), lambda: fail(AssertionError("it is not"))).passed
+def test_a_statement_holds_until_its_check_fails():
+    assert verdict(Holds("so"), lambda: Observed("it is so")).passed
+    assert not verdict(Holds("so"), lambda: fail(UnexpectedError("it is not"))).passed
+
+
+def test_a_check_raises_what_was_observed():
+    require(True, "three")
+    with pytest.raises(UnexpectedError, match="three"):
+        require(False, "three")
+    failed = verdict(Holds("so"), lambda: require(False, "three"))
+    assert not failed.passed and failed.seen == "UnexpectedError: three"

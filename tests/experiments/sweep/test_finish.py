@@ -1,4 +1,4 @@
-"""The callback's part that the command's own tests do not reach: one failed cell among good ones."""
+"""The end of a sweep: failed cells among good ones, a report that cannot be written."""
 
 import shutil
 
@@ -27,4 +27,4 @@ def test_a_report_that_cannot_be_written_is_an_error(tmp_path, data_root):
     (tmp_path / "results" / "single" / "report.html").mkdir(parents=True)  # in the way
     run = command(tmp_path, "method=splat", "scene=turntable", f"data.root={data_root}", *QUICK)
     assert run.returncode == 1
-    assert "1 cells run" in run.stdout and "error: tables and report are not written: IsADirectoryError" in run.stdout
+    assert "1 cell run" in run.stdout and "error: cannot write tables and report: IsADirectoryError" in run.stdout

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tdgbench.bench.output import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Failure, Record
 from tdgbench.tables.claims.evidence import Evidence, evidence_of
 from tdgbench.tables.published import published_main

@@ -1,14 +1,14 @@
-"""The simulation of verdicts: its promise, and the earlier rule's rates that led to it."""
+"""The simulation of verdicts: no verdict is wrong too often; a rule by the noise of one run would be."""
 
 import pytest
 
-from benchmarks.verdicts import OFFSETS, SEEDS, simulate, table
+from tdgbench.experiments.measure.verdicts import OFFSETS, SEEDS, error_rates, simulate
 
 DRAWS = 10_000
 
 
 def test_no_verdict_is_wrong_in_more_than_5_percent():
-    found = table(DRAWS)
+    found = error_rates(DRAWS)
     assert len(found) == len(OFFSETS) * len(SEEDS)
     wrong = found[[column for column in found if column.startswith("wrong")]]
     assert wrong.to_numpy().max() <= 0.05 + 0.009  # four standard errors

@@ -1,28 +1,28 @@
-"""A sweep that is killed again and again, and then goes on, ends with the same bytes as one that was left alone."""
+"""A sweep that is killed several times and resumed ends with the same bytes as an undisturbed one."""
 
 from __future__ import annotations
 
-from benchmarks.killed import compare, contents, run_killed
 from tdgbench.bench.record import read_all
+from tdgbench.experiments.measure.kills import compare, contents, run_killed
 from tests.command import QUICK, command
 
 SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=700", "checkpoint=0")
 
 
-def test_killed_and_gone_on(tmp_path, data_root):
+def test_killed_and_resumed(tmp_path, data_root):
     sweep = ["-m", *QUICK, *SWEEP, f"data.root={data_root}"]
     calm, killed = tmp_path / "results" / "single", tmp_path / "killed" / "single"
     run = command(tmp_path, *sweep)
     assert run.returncode == 0, run.stderr[-3000:]
     assert len(contents(calm)) == 4
-    kills, wrong = run_killed(sweep, killed.parent, "single", 4, (4.0, 7.0))
+    kills, wrong = run_killed(sweep, killed, 4, (4.0, 7.0))
     assert wrong == [] and compare(calm, killed) == []
     assert len(kills) == 4
     if any(kill.checkpoints for kill in kills):
         assert any(record.resumed for record in read_all(killed))
 
 
-def test_a_difference_is_told(tmp_path, data_root):
+def test_a_difference_is_reported(tmp_path, data_root):
     quick = (*QUICK, "scene=turntable", "method=splat", f"data.root={data_root}")
     assert command(tmp_path, *quick).returncode == 0
     assert command(tmp_path, *quick, "seed=1", "name=other").returncode == 0
@@ -38,4 +38,4 @@ def test_a_difference_is_told(tmp_path, data_root):
     }
     (results / "other" / "checkpoints").mkdir()
     (results / "other" / "checkpoints" / "a.pt").touch()
-    assert any("left over" in one for one in compare(results / "other", results / "other"))
+    assert any("leftover" in one for one in compare(results / "other", results / "other"))

@@ -1,0 +1,47 @@
+"""`cameras.json`: the cameras of a cell, to render its model again and count coverage without the data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tdgbench.files import write_text
+from tdgbench.scenes import Camera, Scene
+
+FILE = "cameras.json"
+
+
+def write_cameras(path: Path, scene: Scene) -> None:
+    """Write the cameras of all training and test views."""
+    parts = {"train": scene.train, "test": scene.test}
+    cameras = {part: {view.name: _as_json(view.camera) for view in views} for part, views in parts.items()}
+    write_text(path, json.dumps(cameras, indent=1) + "\n")
+
+
+def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
+    """Read the cameras of one part, by view name. Raises ValueError, naming the file, if it holds anything else."""
+    try:
+        return {name: _from_json(one) for name, one in json.loads(path.read_text())[part].items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} holds no cameras: {error!r}") from error
+
+
+def _as_json(camera: Camera) -> dict[str, object]:
+    return {
+        "K": camera.K.tolist(),
+        "world_to_camera": camera.world_to_camera.tolist(),
+        "width": camera.width,
+        "height": camera.height,
+    }
+
+
+def _from_json(content: dict[str, object]) -> Camera:
+    return Camera(
+        np.array(content["K"], np.float64).reshape(3, 3),
+        np.array(content["world_to_camera"], np.float64).reshape(4, 4),
+        int(content["width"]),  # type: ignore[call-overload]
+        int(content["height"]),  # type: ignore[call-overload]
+    )

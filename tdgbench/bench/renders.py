@@ -1,0 +1,56 @@
+"""Render the views of a method or of a stored model, and write renders beside ground truth as PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from tdgbench.scenes import Camera, View
+from tdgbench.scoring import RenderedImages, to_8bit
+from tdgbench.splats import Gaussians
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import Pinhole, Render
+from tdgbench.training.method import Method
+
+
+def render_views(method: Method, views: list[View]) -> dict[str, RenderedImages]:
+    """Render each view, by name, also with the method's RGB model if it trains one."""
+    return {view.name: render_images(method, view, with_rgb=True) for view in views}
+
+
+@torch.no_grad()
+def render_images(method: Method, view: View, *, with_rgb: bool) -> RenderedImages:
+    """Thermal image (H, W, C) and expected depth (H, W, world units) of a view; RGB image (H, W, 3) if asked for."""
+    render = method.render(view.camera).cpu()
+    if render.depth is None:
+        raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
+    depth = render.depth / render.alpha.clamp_min(1e-6)
+    model = method.models().get("rgb") if with_rgb else None
+    rgb = None if model is None else model.render(view.camera).cpu().image.numpy()
+    return RenderedImages(render.image.numpy(), depth.numpy(), rgb)
+
+
+def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
+    """Write each view to `folder` as PNG: renders/ and targets/; renders_rgb/ and targets_rgb/ of an RGB model."""
+    for view in views:
+        images = renders[view.name]
+        _write_pair(folder, "", view.name, images.image, view.thermal)
+        if images.rgb is not None and view.load_rgb is not None:
+            _write_pair(folder, "_rgb", view.name, images.rgb, view.rgb)
+
+
+def _write_pair(folder: Path, suffix: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
+    for sub, values in (("renders", image), ("targets", target)):
+        path = folder / f"{sub}{suffix}" / f"{name}.png"
+        path.parent.mkdir(exist_ok=True)
+        pixels = to_8bit(values)
+        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)
+
+
+@torch.no_grad()
+def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False) -> Render:
+    """Render a stored model from a camera, at the model's full SH degree."""
+    return render_view(gaussians.activated(gaussians.sh_degree), Pinhole.of(camera), depth=depth)

@@ -1,0 +1,25 @@
+"""A sweep: one cell per job; afterwards tables, pictures and a report of all cells in the experiment's folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.sweep.finish import finish
+from tdgbench.experiments.sweep.job import run_job
+from tdgbench.experiments.sweep.plan import plan_sweep
+
+
+class Sweep(Experiment):
+    """Cells of methods on scenes; the default of `conf/config.yaml`."""
+
+    def start(self, cfg: DictConfig) -> None:
+        plan_sweep(cfg)
+
+    def run(self, cfg: DictConfig) -> None:
+        run_job(cfg)
+
+    def end(self, cfg: DictConfig, jobs: Path) -> None:
+        finish(cfg, jobs)

@@ -1,0 +1,59 @@
+"""Permissions of results follow the umask, so that colleagues on a cluster can read them."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import pytest
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.tables.build import build_tables
+from tdgbench.training.checkpoint import Checkpoint
+from tests.conftest import SMALL, config
+
+
+class PulledPlugError(BaseException):
+    """Nothing catches it, as nothing catches SIGKILL."""
+
+
+@pytest.mark.parametrize(("umask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])
+def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, folder, file):
+    """A cell that is killed after its first checkpoint, resumed, and tabulated."""
+    cfg = config(
+        *SMALL, "budget=demo", "budget.iterations=20", "method=tdg", "prior=synthetic", "scene=turntable",
+        f"data.root={data_root}", f"results={tmp_path / 'results'}", "checkpoint=0",
+    )  # fmt: skip
+    experiment, after_step = tmp_path / "results" / "single", Checkpoint.after_step
+
+    def write_and_die(self, log):
+        after_step(self, log)
+        raise PulledPlugError
+
+    before = os.umask(umask)
+    try:
+        with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+            patch.setattr(Checkpoint, "after_step", write_and_die)
+            run_cell(cfg, "", CellProgress(Console(quiet=True), 20))
+        (checkpoint,) = (experiment / "checkpoints").iterdir()
+        assert stat.S_IMODE(checkpoint.stat().st_mode) == file
+        assert run_cell(cfg, "", CellProgress(Console(quiet=True), 20)).message == "resumed after iteration 1"
+        build_tables(experiment)
+    finally:
+        os.umask(before)
+    paths = [p for p in (tmp_path / "results").rglob("*") if p.parent.name != "locks"]
+    names = {p.name for p in paths}
+    assert {
+        "seed0",
+        "checkpoints",
+        "priors",
+        "record.json",
+        "model.ply",
+        "cameras.json",
+        "main.csv",
+        "main.tex",
+    } <= names
+    wrong = [p for p in paths if stat.S_IMODE(p.stat().st_mode) != (folder if p.is_dir() else file)]
+    assert wrong == []

@@ -1,0 +1,79 @@
+"""A new experiment is one file of code and one YAML file."""
+
+from __future__ import annotations
+
+import textwrap
+
+import pytest
+from omegaconf import OmegaConf
+
+from tdgbench.experiments.experiment import Experiment, experiment_of
+from tests.command import command
+from tests.conftest import config
+
+CODE = """
+    from pathlib import Path
+    from tdgbench.experiments.experiment import Experiment
+
+    class Squares(Experiment):
+        def start(self, cfg):
+            Path(cfg.results, cfg.name).mkdir(parents=True)
+            self._log(cfg, f"start {cfg.job.numbers}")
+
+        def run(self, cfg):
+            self._log(cfg, f"run {[n * n for n in cfg.job.numbers]} seed {cfg.seed}")
+
+        def end(self, cfg, jobs):
+            self._log(cfg, f"end {sum(path.is_dir() and path.name.isdigit() for path in jobs.iterdir())}")
+            if cfg.job.fails:
+                raise RuntimeError("no conclusion")
+
+        def _log(self, cfg, line):
+            with Path(cfg.results, cfg.name, "log.txt").open("a") as file:
+                print(line, file=file)
+"""
+YAML = """
+    # @package _global_
+    name: squares
+    job:
+      _target_: squares.Squares
+      numbers: [1, 2]
+      fails: false
+"""
+
+
+@pytest.fixture
+def squares(tmp_path, monkeypatch):
+    """Run the made-up experiment `squares`, whose code is in the current folder."""
+    (tmp_path / "squares.py").write_text(textwrap.dedent(CODE))
+    (tmp_path / "conf" / "experiment").mkdir(parents=True)
+    (tmp_path / "conf" / "experiment" / "squares.yaml").write_text(textwrap.dedent(YAML))
+
+    def run(*overrides, flags=()):
+        flags_first = ("--config-dir", str(tmp_path / "conf"), *flags)
+        return command(tmp_path, *flags_first, "+experiment=squares", *overrides)
+
+    run.log = tmp_path / "results" / "squares" / "log.txt"
+    return run
+
+
+def test_a_single_run(squares):
+    run = squares("job.numbers=[3, 4]")
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert squares.log.read_text().splitlines() == ["start [3, 4]", "run [9, 16] seed 0", "end 0"]
+
+
+def test_a_sweep_and_a_failing_end(squares):
+    run = squares("seed=5,6", "job.fails=true", flags=("-m",))
+    assert run.returncode == 1 and "error: RuntimeError: no conclusion" in run.stdout
+    assert squares.log.read_text().splitlines() == ["start [1, 2]", "run [1, 4] seed 5", "run [1, 4] seed 6", "end 2"]
+
+
+@pytest.mark.parametrize("name", ["error_time", "skips", "stress", "demo"])
+def test_every_experiment_file_names_an_experiment(name):
+    assert isinstance(experiment_of(config(f"+experiment={name}")), Experiment)
+
+
+def test_a_target_that_is_no_experiment_is_named():
+    with pytest.raises(TypeError, match=r"job\._target_ is pathlib\.Path, which is no"):
+        experiment_of(OmegaConf.create({"job": {"_target_": "pathlib.Path"}}))
