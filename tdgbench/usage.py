@@ -11,7 +11,7 @@ from tdgbench.resources import conf_folder
 from tdgbench.tools import TOOLS
 
 WIDTH = 118
-COLUMN = 33  # width of the first column
+COLUMN = 34  # width of the first column
 
 COMMANDS = (
     ("", "the demo: MSMG and TDg on four built-in scenes"),
@@ -25,8 +25,7 @@ OPTIONS = (
     ("overwrite=always|never", "repeat finished cells, or keep outdated ones"),
     ("hydra/launcher=joblib", "run cells side by side (also submitit_local, submitit_slurm, ray)"),
     ("--config-dir DIR", "add a folder with YAML files of your own: DIR/<group>/<choice>.yaml"),
-    ("--cfg job", "print the configuration instead of running it"),
-    ("--version, --hydra-help", "version; Hydra's flags"),
+    ("--cfg job, --version, --hydra-help", "print the configuration; the version; Hydra's flags"),
 )
 
 
@@ -54,11 +53,11 @@ def _groups(conf: Path) -> Iterator[tuple[str, str]]:
 
 
 def _summary(path: Path) -> str:
-    """First sentence of the first comment of a YAML file."""
+    """First sentence of the first comment of a YAML file, shortened to one line."""
     comments = [line.lstrip("# ").rstrip() for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
     text = " ".join(comment for comment in comments if not comment.startswith("@package"))
-    return text.split(". ")[0].rstrip(".")
+    return textwrap.shorten(text.split(". ")[0].rstrip("."), WIDTH - COLUMN - 2, placeholder=" ...")
 
 
 def _row(left: str, right: str) -> str:
-    return f"  {left:<{COLUMN}}{textwrap.shorten(right, WIDTH - COLUMN - 2, placeholder=' ...')}"
+    return f"  {left:<{COLUMN}} {right}"

@@ -65,7 +65,7 @@ def test_named_experiments_and_tools_exist(page):
     assert set(re.findall(r"`tdgbench ([a-z]+)(?= |`)", text)) <= set(TOOLS)
 
 
-def test_the_options_table_lists_every_choice():
+def test_the_commands_page_is_complete():
     text = COMMANDS.read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE))
     for folder in (ROOT / "conf").iterdir():
@@ -75,6 +75,8 @@ def test_the_options_table_lists_every_choice():
     for experiment in (ROOT / "conf" / "experiment").glob("*.yaml"):
         assert f"+experiment={experiment.stem}" in text
     assert all(f"`tdgbench {tool} " in text for tool in TOOLS)
+    for benchmark in set((ROOT / "benchmarks").glob("*.py")) - {ROOT / "benchmarks" / "__init__.py"}:
+        assert f"`python -m benchmarks.{benchmark.stem}" in text
 
 
 def test_the_architecture_picture_is_what_its_script_draws():

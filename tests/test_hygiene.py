@@ -1,4 +1,4 @@
-"""The house rules: lint, format, types, import layers, tests beside every module."""
+"""Lint, format, types, import layers, a YAML file per plug-in, no unsafe calls."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ def test_imports_point_one_way():
 
 
 def test_every_plug_in_has_its_yaml():
-    """A method, estimator or experiment is one file of code and one of configuration."""
+    """A method or estimator is one Python file and at least one YAML file."""
     methods = {p.stem for p in (ROOT / "methods").glob("*.py")} - {"__init__"}
     files = (ROOT / "conf" / "method").glob("*.yaml")
     named = {p.stem: config(f"method={p.stem}").method.method._target_ for p in files}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pandas as pd
 import pytest
 
@@ -13,19 +15,19 @@ from tests.conftest import ROOT, SMALL
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 SWEEPS = ("demo", "table1", "table2", "readings")
-JOBS = {  # experiments that are no sweep of cells, and how to make them small
+JOBS = {  # experiments other than sweeps, and overrides that make them small
     "stress": ("job.cases=opacity",),
     "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
     "error_time": ("job.parts=[growth]", "job.largest=1600", "job.width=48", "job.height=36", "job.repetitions=1"),
 }
 
 
-def test_the_experiments_are_these():
+def test_every_experiment_is_tested():
     assert set(EXPERIMENTS) == {*SWEEPS, *JOBS}
 
 
 @pytest.mark.parametrize(("experiment", "small"), JOBS.items())
-def test_a_job_runs_small(tmp_path, data_root, experiment, small):
+def test_a_job_runs(tmp_path, data_root, experiment, small):
     run = command(tmp_path, f"+experiment={experiment}", f"data.root={data_root}", *SMALL, *small)
     assert run.returncode == 0, run.stderr[-3000:]
     made = {path.suffix for path in (tmp_path / "results" / experiment).iterdir()}
@@ -47,13 +49,13 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
         assert (tmp_path / "results" / "demo" / "strip.png").stat().st_size > 10_000
         assert verify(tmp_path / "results" / "demo") == (8, [])
         assert "<svg" in (tmp_path / "results" / "demo" / "report.html").read_text()
-    else:  # the paper's data is not here: one error for all scenes, n/a everywhere, exit status 1
+    else:  # the paper's data is missing: one error for all scenes, n/a everywhere, exit status 1
         assert run.returncode == 1 and run.stderr.count("14 scenes are not in") == 1
         assert "Dimsum, DailyStuff" in run.stderr and "Zenodo" in run.stderr and "[train|test]" in run.stderr
         assert (main["value"] == "n/a").all() and (tables / "difference.csv").exists()
 
 
-def test_a_part_of_an_experiment_with_both_splits_as_the_readme_types_it(tmp_path, data_root):
+def test_part_of_an_experiment_with_both_splits(tmp_path, data_root):
     """Plain Hydra overrides choose what an experiment sweeps over."""
     run = command(
         tmp_path, "+experiment=readings", "dataset=synthetic", "scene=turntable", "method=tdg,splat_smooth",
@@ -71,7 +73,7 @@ def test_a_part_of_an_experiment_with_both_splits_as_the_readme_types_it(tmp_pat
     assert main["method"].nunique() == 8 and set(main["split"]) == {"eighty_twenty", "every_8th"}
 
 
-def test_a_sweep_resumes_and_one_failure_stops_nothing(tmp_path, data_root):
+def test_a_sweep_resumes_and_survives_a_failure(tmp_path, data_root):
     sweep = ("-m", "method=splat,msmg", "scene=night,moon,facade", f"data.root={data_root}", *QUICK)
     run = command(tmp_path, *sweep)
     assert run.returncode == 1 and "no synthetic scene moon" in run.stderr
@@ -83,9 +85,7 @@ def test_a_sweep_resumes_and_one_failure_stops_nothing(tmp_path, data_root):
     assert len(read_all(tmp_path / "results" / "single")) == 4
 
 
-def test_scenes_that_are_there_run_though_others_are_missing(tmp_path, data_root, small_scene):
-    import shutil
-
+def test_existing_scenes_run_while_others_are_missing(tmp_path, data_root, small_scene):
     root = tmp_path / "data" / "RGBT-Scenes"
     shutil.copytree(small_scene.train[0].thermal_path.parents[1], root / "road_block")
     run = command(
@@ -106,7 +106,7 @@ def test_one_cell_without_an_experiment(tmp_path, data_root):
     assert (record.scene, record.method, record.variant) == ("facade", "splat", "")
 
 
-def test_other_swept_keys_keep_their_cells_apart(tmp_path, data_root):
+def test_other_swept_keys_separate_cells(tmp_path, data_root):
     sweep = (
         "-m",
         "method=splat",

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench.bench.environment import code_version
 from tests.command import QUICK
 from tests.conftest import ROOT
 
@@ -32,30 +33,40 @@ def run(*call: str | Path, cwd: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """Built from a copy of the sources: a build leaves files where it runs."""
-    copy, out = tmp_path_factory.mktemp("sources"), tmp_path_factory.mktemp("wheel")
+def sources(tmp_path_factory) -> Path:
+    """A copy of the sources: a build leaves files where it runs."""
+    copy = tmp_path_factory.mktemp("sources")
     for name in SOURCES:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy(ROOT / name, copy / name)
-    run(sys.executable, "-m", "pip", "wheel", ".", "--no-deps", "--no-build-isolation", "-w", out, cwd=copy)
-    return next(out.glob("tdgbench-*.whl"))
+    return copy
 
 
 @pytest.fixture(scope="module")
-def scripts(wheel, tmp_path_factory) -> Path:
-    """Folder of the programs of a fresh environment with the wheel."""
-    environment = tmp_path_factory.mktemp("environment")
+def wheel(sources, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "pip", "wheel", ".", "--no-deps", "--no-build-isolation", "-w", out, cwd=sources)
+    return next(out.glob("tdgbench-*.whl"))
+
+
+def install(environment: Path, wheel: Path) -> Path:
+    """Install a wheel into a fresh environment without downloads; the folder of its programs."""
     run(sys.executable, "-m", "venv", "--without-pip", environment, cwd=environment)
     programs = environment / ("Scripts" if os.name == "nt" else "bin")
-    run(sys.executable, "-m", "pip", "--python", programs / "python", "install", "--no-deps", "--no-index", wheel,
-        cwd=environment)  # fmt: skip
-    site = next(environment.rglob("site-packages"))
+    pip = (sys.executable, "-m", "pip", "--python", programs / "python")
+    run(
+        *pip, "install", "--no-deps", "--no-index", wheel, cwd=environment
+    )  # before the environment inherits a tdgbench
     inherited = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages")]
-    (site / "dependencies.pth").write_text("\n".join(inherited) + "\n")
+    (next(environment.rglob("site-packages")) / "dependencies.pth").write_text("\n".join(inherited) + "\n")
     return programs
+
+
+@pytest.fixture(scope="module")
+def programs(wheel, tmp_path_factory) -> Path:
+    return install(tmp_path_factory.mktemp("environment"), wheel)
 
 
 def test_holds_every_file(wheel):
@@ -67,9 +78,10 @@ def test_holds_every_file(wheel):
     assert not any(name.startswith(("tests/", "benchmarks/", "conf/")) for name in names)
 
 
-def test_works_from_an_empty_folder(scripts, tmp_path):
-    tdgbench = scripts / "tdgbench"
-    assert str(scripts.parent) in run(scripts / "python", "-c", "import tdgbench as t; print(t.__file__)", cwd=tmp_path)
+def test_works_from_an_empty_folder(programs, tmp_path):
+    tdgbench = programs / "tdgbench"
+    where = run(programs / "python", "-c", "import tdgbench as t; print(t.__file__)", cwd=tmp_path)
+    assert where.startswith(str(programs.parent))
     assert "+experiment=NAME" in run(tdgbench, "--help", cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
     sweep = ("-m", "method=splat", "scene=orbit,facade", *QUICK, "budget.iterations=20")
@@ -78,4 +90,21 @@ def test_works_from_an_empty_folder(scripts, tmp_path):
     assert "orbit" in run(tdgbench, "tables", "results/single", cwd=tmp_path)
     assert "psnr" in run(tdgbench, "tables", "claims", cwd=tmp_path).lower()
     assert "2 cells, 0 problems" in run(tdgbench, "verify", "results/single", cwd=tmp_path)
-    assert "0 cells run, 2 already there" in run(scripts / "python", "-m", "tdgbench", *sweep, cwd=tmp_path)
+    assert "0 cells run, 2 already there" in run(programs / "python", "-m", "tdgbench", *sweep, cwd=tmp_path)
+
+
+def test_knows_its_code_but_no_commit(programs, tmp_path):
+    """Not even that of another project whose checkout holds the environment."""
+    code = "from tdgbench.bench import environment as e; print(e.code_version(), e.git_state())"
+    assert run(programs / "python", "-c", code, cwd=tmp_path).split() == [code_version(), "None"]
+
+
+def test_an_editable_installation_reads_the_checkout_s_folders(sources, tmp_path_factory):
+    environment, out = tmp_path_factory.mktemp("editable"), tmp_path_factory.mktemp("wheel")
+    build = "import sys; from setuptools.build_meta import build_editable; build_editable(sys.argv[1])"
+    run(sys.executable, "-c", build, out, cwd=sources)
+    programs = install(environment, next(out.glob("*.whl")))
+    code = "from tdgbench import resources as r; print(r.conf_folder(), r.paper_tables_folder())"
+    where = run(programs / "python", "-c", code, cwd=environment).split()
+    assert where == [str(sources / "conf"), str(sources / "paper_tables")]
+    assert "name: splat" in run(programs / "tdgbench", "--cfg", "job", "method=splat", cwd=environment)

@@ -26,7 +26,7 @@ def test_files(small_scene, tmp_path):
 
 @pytest.mark.parametrize("part", ["train", "test", ""])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_maps_beside_the_scene_as_tdg_was_released(small_scene, tmp_path, part, bits):
+def test_maps_in_the_scene_s_folder_as_in_tdg_s_release(small_scene, tmp_path, part, bits):
     scene, view = replace(small_scene, folder=tmp_path), small_scene.train[0]
     (tmp_path / "depthesti" / part).mkdir(parents=True)
     most = 2**bits - 1

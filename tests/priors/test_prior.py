@@ -4,7 +4,7 @@ import pytest
 from tdgbench.priors import DepthPrior, PriorError
 
 
-def test_wrong_priors_are_refused(small_scene):
+def test_invalid_priors_are_refused(small_scene):
     view = small_scene.train[0]
     with pytest.raises(PriorError, match="is \\(3, 4\\), its image \\(36, 48\\)"):
         DepthPrior(np.zeros((3, 4), np.float32), "depth").check(view)

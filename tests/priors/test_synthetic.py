@@ -9,7 +9,7 @@ from tests.priors.conftest import correlation, make
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("depth", 1), ("disparity", -1), ("metric", 1)])
-def test_synthetic_is_spoiled_truth(small_scene: Scene, kind, sign):
+def test_synthetic_is_the_truth_with_errors(small_scene: Scene, kind, sign):
     view = small_scene.train[0]
     prior = make("synthetic", kind=kind).estimate(small_scene, view)
     assert prior.kind == kind and prior.values.dtype == np.float32
@@ -20,13 +20,13 @@ def test_synthetic_is_spoiled_truth(small_scene: Scene, kind, sign):
     assert np.sign(correlation(prior.values, view.true_depth)) == sign
 
 
-def test_synthetic_has_a_seed(small_scene):
+def test_synthetic_depends_on_its_seed(small_scene):
     view = small_scene.train[0]
     a, b, c = (make("synthetic", seed=s).estimate(small_scene, view).values for s in (0, 0, 1))
     assert np.array_equal(a, b) and not np.array_equal(a, c)
 
 
-def test_marigold_says_what_to_install(small_scene, monkeypatch):
+def test_marigold_without_diffusers_names_the_extra(small_scene, monkeypatch):
     real = builtins.__import__
 
     def without(name, *rest):

@@ -29,7 +29,7 @@ def test_round_trip(tmp_path):
     assert np.allclose(points.points, cloud.points) and np.allclose(points.colors, 0.2)
 
 
-def test_projection_is_pycolmap_s(tmp_path):
+def test_projection_agrees_with_pycolmap(tmp_path):
     camera = pycolmap.Camera(model="PINHOLE", width=64, height=48, params=[100, 101, 32.5, 24.25], camera_id=1)
     ours = Camera(np.array(camera.calibration_matrix()), pose(3), 64, 48)
     points = ours.center + ours.world_to_camera[:3, :3].T @ np.array([0.1, -0.2, 3.0])
@@ -61,7 +61,7 @@ def test_distorted_cameras_become_pinholes(tmp_path):
     assert np.abs(flat[..., 0] - expected)[inner].max() < 0.01
 
 
-def test_what_is_no_model(tmp_path):
+def test_unreadable_models_are_refused(tmp_path):
     with pytest.raises(SceneError, match="not a COLMAP model"):
         read_model(tmp_path / "nothing")
     (tmp_path / "cameras.bin").write_bytes(b"x")

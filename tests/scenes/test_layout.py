@@ -12,7 +12,7 @@ def load(folder, **options):
     return FolderDataset(str(folder), ReadOptions(**options)).load(None)
 
 
-def test_reads_what_was_written(folder):
+def test_round_trip_through_disk(folder):
     scene = load(folder)
     assert (scene.name, scene.dataset, scene.channels, scene.split) == ("scene", "folder", 3, "eighty_twenty")
     assert [v.name for v in scene.test] == ["view000", "view005"] and len(scene.train) == 8
@@ -21,7 +21,7 @@ def test_reads_what_was_written(folder):
     assert view.thermal is view.thermal  # cached
 
 
-def test_pairs_by_name_whatever_the_extension(folder):
+def test_files_are_paired_by_name_and_not_by_extension(folder):
     for path in (folder / "rgb").iterdir():
         Image.open(path).save(path.with_suffix(".jpg"), quality=95)
         path.unlink()
@@ -48,7 +48,7 @@ def test_resizing_scales_the_camera(folder):
     assert np.allclose(b.project(points)[0], a.project(points)[0] / 2)
 
 
-def test_gray_is_found_and_may_be_forced(data_root):
+def test_channels_are_detected_or_forced(data_root):
     dataset = small_dataset(data_root)
     assert dataset.load("turntable").channels == 1 and dataset.load("orbit").channels == 3
     forced = small_dataset(data_root, channels=3).load("turntable")
@@ -75,7 +75,7 @@ def test_errors_name_the_file(folder):
         _ = [view.thermal for view in load(folder, skip_unpaired=True).views]
 
 
-def test_views_without_pose_are_left_out(folder):
+def test_views_without_pose_are_omitted(folder):
     shutil.copy(folder / "thermal" / "view001.png", folder / "thermal" / "extra.png")
     scene = load(folder)
     assert len(scene.views) == 10 and "extra" in scene.notes[0]

@@ -1,14 +1,12 @@
 import pytest
 
-from tdgbench.scenes.registry import GROUPS, SCENES, registered
+from tdgbench.scenes.registry import DATASETS, GROUPS, SCENES, registered
 from tdgbench.tables.published import published_main
 
 
-def test_are_the_scenes_of_the_published_table():
+def test_scenes_are_those_of_the_published_table():
     table = published_main()
     rows = table[~table["scene"].str.contains("Average")].drop_duplicates("scene")
-    from tdgbench.scenes.registry import DATASETS
-
     assert [(s.name, DATASETS[s.dataset], s.group) for s in SCENES] == list(
         rows[["scene", "dataset", "group"]].itertuples(index=False, name=None)
     )

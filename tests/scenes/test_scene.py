@@ -17,7 +17,7 @@ def test_camera():
     assert np.allclose(pixels[:2], [[20, 15], [30, 15]]) and np.allclose(z, [2, 2, -2])
 
 
-def test_extent_is_3dgs_s():
+def test_extent_follows_3dgs():
     centres = [[0, 0, 0], [4, 0, 0], [2, 0, 0]]
     views = [View(str(i), camera(c), load_thermal=lambda: None) for i, c in enumerate(centres)]
     scene = Scene("s", "d", "", views, [], None, None, "folder", "", 1)

@@ -20,7 +20,7 @@ def test_as_shipped():
     assert test == ["v03", "v04"] and len(train) == 18
 
 
-def test_what_cannot_be_split():
+def test_impossible_splits_are_refused():
     with pytest.raises(ValueError, match="needs train/ and test/"):
         split_names(NAMES, "folder", {})
     with pytest.raises(ValueError, match="0 training and 1 test"):

@@ -29,10 +29,11 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
     K = np.array([[world.focal * width, 0, width / 2], [0, world.focal * width, height / 2], [0, 0, 1]])
     cameras = [Camera(K, look_at(eye, target), width, height) for eye, target in world.cameras(views, rng)]
     folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    private = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    part = private / folder.name  # its permissions follow the umask; those of `private` do not
     try:
         for sub in ("rgb", "thermal", "depth"):
-            (part / sub).mkdir()
+            (part / sub).mkdir(parents=True)
         named, images = [], []
         for index, camera in enumerate(cameras):
             name = f"view{index:03d}"
@@ -54,7 +55,7 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
             if not folder.exists():  # else another process has written the same scene
                 raise
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(private, ignore_errors=True)
 
 
 def _thermal_image(degC: np.ndarray, world: World) -> np.ndarray:

@@ -11,7 +11,7 @@ DOWN = np.array([[0.0, 0.0, -1.0]])
     [(Sphere((0, 0, 1), 0.5), 1.5), (Box((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
      (Rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0)), 0.5)],
 )  # fmt: skip
-def test_seen_from_above(solid, height):
+def test_rays_from_above(solid, height):
     t, normal = solid.intersect(np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2)
     hit = 5.0 - 2 * t[0]
     assert hit == pytest.approx(height, abs=0.02)

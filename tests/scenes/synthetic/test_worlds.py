@@ -2,7 +2,7 @@ from tdgbench.scenes.synthetic.worlds import WORLDS
 from tests.conftest import small_dataset
 
 
-def test_groups_stand_for_the_paper_s(data_root):
+def test_scenes_cover_the_paper_s_groups(data_root):
     scenes = {name: small_dataset(data_root).load(name) for name in WORLDS}
     assert {s.group for s in scenes.values()} == {"day", "dark", "360", "forward"}
     assert {n: s.channels for n, s in scenes.items()} == {"orbit": 3, "night": 3, "turntable": 1, "facade": 1}

@@ -1,3 +1,5 @@
+import os
+
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -26,3 +28,16 @@ def test_same_seed_same_files(tmp_path):
     again = SyntheticDataset(str(tmp_path / "b"), ReadOptions(), **options).load("night")
     other = SyntheticDataset(str(tmp_path / "c"), ReadOptions(), **options, seed=1).load("night")
     assert first.fingerprint == again.fingerprint != other.fingerprint
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
+def test_permissions_follow_the_umask(tmp_path):
+    before = os.umask(0o022)
+    try:
+        scene = SyntheticDataset(str(tmp_path), ReadOptions(), width=24, height=18, views=5, points=50).load("night")
+    finally:
+        os.umask(before)
+    paths = [scene.folder, *scene.folder.rglob("*")]
+    assert {path.stat().st_mode & 0o777 for path in paths if path.is_dir()} == {0o755}
+    assert {path.stat().st_mode & 0o777 for path in paths if path.is_file()} == {0o644}
+    assert [path.name for path in scene.folder.parent.iterdir()] == [scene.folder.name]
