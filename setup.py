@@ -10,7 +10,6 @@ setup(
     package_data={
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
-        "tdgbench.bench": ["*.json"],
         "tdgbench.report": ["*.j2"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
