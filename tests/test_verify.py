@@ -14,7 +14,7 @@ from tdgbench.verify import main, verify
 
 @pytest.fixture
 def spoiled(small_results, tmp_path):
-    """A copy to spoil, and the folder of its gray cell."""
+    """A copy of results to tamper with, and the folder of its gray cell."""
     copy = shutil.copytree(small_results, tmp_path / "single")
     return copy, copy / "cells" / "tdg" / "synthetic" / "turntable" / "colmap" / "seed0"
 

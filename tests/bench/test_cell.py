@@ -33,7 +33,7 @@ def run(tmp_path, data_root, monkeypatch):
 
 
 @pytest.mark.parametrize("method", ["tdg", "msmg", "splat"])
-def test_a_cell_leaves_everything(run, method):
+def test_a_cell_writes_all_its_files(run, method):
     assert run(f"method={method}", "scene=turntable").status == "ok"
     folder = run.experiment / "cells" / method / "synthetic" / "turntable" / "colmap" / "seed0"
     record = json.loads((folder / "record.json").read_text())
@@ -100,7 +100,7 @@ def test_random_points(run):
 
 
 def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
-    """One broken image: the record says where; a finished result of other settings is kept."""
+    """A broken image: the record names the stage; the finished result of other settings is hidden, not lost."""
     source = small_scene.train[0].thermal_path.parents[1]
     scene = shutil.copytree(source, tmp_path / "spoiled")
     options = ("dataset=folder", f"data.root={scene}", "method=splat")
@@ -136,7 +136,7 @@ def test_non_finite_training_is_recorded(run, monkeypatch):
     assert failure.stage == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
 
 
-def test_no_memory_left_is_recorded(run, monkeypatch):
+def test_an_out_of_memory_error_is_recorded(run, monkeypatch):
     def huge(self, context):
         np.empty((2**50,), np.float64)
 
@@ -146,7 +146,7 @@ def test_no_memory_left_is_recorded(run, monkeypatch):
     assert outcome.status == "failed" and failure.stage == "init" and "MemoryError: Unable to allocate" in failure.error
 
 
-def test_missing_scenes_leave_nothing(run, tmp_path):
+def test_missing_scenes_write_nothing(run, tmp_path):
     cfg = config("dataset=rgbt_scenes", f"data.root={tmp_path}", f"results={tmp_path / 'results'}")
     outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 1))
     assert outcome.status == "missing" and "RGBT-Scenes" in outcome.message
@@ -158,16 +158,16 @@ def test_wrong_option_is_an_error(run):
         run("overwrite=maybe")
 
 
-def test_a_cell_in_another_hand_is_left_alone(run, tmp_path):
+def test_a_cell_that_another_process_runs_is_not_run(run, tmp_path):
     assert run("method=splat").status == "ok"
     folder = cell_folder_of(run.experiment, read_all(run.experiment)[0])
-    with cell_lock(run.experiment, folder) as mine:
-        assert mine
+    with cell_lock(run.experiment, folder) as acquired:
+        assert acquired
         assert run("method=splat", "overwrite=always").status == "elsewhere"
     assert run("method=splat").status == "kept"
 
 
-def test_a_failure_is_tried_again_only_when_asked(run, monkeypatch):
+def test_a_failure_is_retried_only_on_request(run, monkeypatch):
     tries = []
 
     def broken(self, iteration):
@@ -185,7 +185,7 @@ def test_a_failure_is_tried_again_only_when_asked(run, monkeypatch):
     assert run("method=splat", "retry_failed=true").status == "ok"
 
 
-def test_what_changed_is_said(run):
+def test_the_outcome_names_what_changed(run):
     assert run("method=splat").message == ""
     outcome = run("method=splat", "budget.iterations=31")
     assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 30 → 31"

@@ -30,12 +30,12 @@ def test_every_cell_gets_another_gpu(tmp_path):
 def test_a_cell_waits_for_a_free_gpu(tmp_path):
     got = []
 
-    def late():
+    def wait():
         with exclusive_gpu(["a"], tmp_path) as index:
             got.append(index)
 
     with exclusive_gpu(["a"], tmp_path):
-        thread = threading.Thread(target=late)
+        thread = threading.Thread(target=wait)
         thread.start()
         time.sleep(0.7)
         assert got == []
@@ -43,7 +43,7 @@ def test_a_cell_waits_for_a_free_gpu(tmp_path):
     assert got == [0]
 
 
-def test_a_killed_process_lets_go(tmp_path):
+def test_a_killed_process_releases_its_gpu(tmp_path):
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     assert holder.stdout.readline().strip() == "0"
     with exclusive_gpu(["a", "b"], tmp_path) as index:
@@ -54,7 +54,7 @@ def test_a_killed_process_lets_go(tmp_path):
         assert index == 0
 
 
-def test_an_error_inside_lets_go(tmp_path):
+def test_an_error_releases_the_gpu(tmp_path):
     with pytest.raises(RuntimeError), exclusive_gpu(["a"], tmp_path):
         raise RuntimeError
     with exclusive_gpu(["a"], tmp_path) as index:

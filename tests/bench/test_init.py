@@ -12,8 +12,8 @@ from tests.conftest import config
 def test_colmap(small_scene):
     init = ColmapPoints()
     assert init.points(small_scene) is small_scene.points
-    said = init.describe(small_scene)
-    assert (said["kind"], said["points"]) == ("colmap", len(small_scene.points.points))
+    description = init.describe(small_scene)
+    assert (description["kind"], description["points"]) == ("colmap", len(small_scene.points.points))
     with pytest.raises(SceneError, match="use init=random"):
         init.points(dataclasses.replace(small_scene, points=None))
 
@@ -36,7 +36,7 @@ def test_random_points_fill_their_cube(small_scene):
         CubeAroundCameras(0, 1.0, 0)
 
 
-def test_the_released_random_points_know_nothing_of_the_scene(small_scene):
+def test_the_released_random_points_do_not_depend_on_the_scene(small_scene):
     init = ReleasedCube(2000, seed=0)
     cloud = init.points(small_scene)
     assert np.abs(cloud.points).max() <= 1.3 and np.allclose(np.ptp(cloud.points, axis=0), 2.6, atol=0.02)
@@ -55,6 +55,6 @@ def test_random_points_in_the_box_of_the_sfm_points(small_scene):
 
 
 @pytest.mark.parametrize("name", ["random", "random_released", "random_box"])
-def test_every_kind_of_random_points_can_be_asked_for(small_scene, name):
+def test_every_kind_of_random_points_has_a_configuration(small_scene, name):
     cloud = instantiate(config(f"init={name}", "init.points.count=50").init.points).points(small_scene)
     assert cloud.points.shape == (50, 3) and cloud.colors.dtype == np.float32

@@ -1,4 +1,4 @@
-"""Two workers at once, each in a process of its own; on a cluster as far as one can go without it."""
+"""Two workers at once, in two processes; for a cluster, with programs that stand in for SLURM's."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
         ("ray", ("hydra.launcher.ray.init.num_cpus=2",), 1),
     ],
 )
-def test_cells_side_by_side(tmp_path, data_root, launcher, options, threads):
+def test_cells_in_parallel(tmp_path, data_root, launcher, options, threads):
     pytest.importorskip(f"hydra_plugins.hydra_{launcher.split('_')[0]}_launcher")
     options = tuple(f"+{o}" if launcher == "ray" else o for o in options)
     run = command(tmp_path, "-m", f"hydra/launcher={launcher}", *options, f"data.root={data_root}", *CELLS)
@@ -36,20 +36,20 @@ def test_cells_side_by_side(tmp_path, data_root, launcher, options, threads):
 
 
 SBATCH = """
-    # Keeps the script and runs the tasks of its array at once, as a cluster with free nodes would.
+    # Stores the script and runs the tasks of its array at once, as a cluster with free nodes would.
     import os, re, subprocess, sys
     from pathlib import Path
     script = Path(sys.argv[-1]).read_text()
     Path(os.environ["SLURM_STANDS_IN"], "script.sh").write_text(script)
     last = int(re.search(r"#SBATCH --array=0-([0-9]+)", script).group(1))
     for task in range(last + 1):
-        own = {
+        variables = {
             "SLURM_JOB_ID": str(77 + task), "SLURM_ARRAY_JOB_ID": "77", "SLURM_ARRAY_TASK_ID": str(task),
             "SLURM_PROCID": "0", "SLURM_LOCALID": "0", "SLURM_NODEID": "0", "SLURM_NTASKS": "1",
             "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "here",
         }
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        subprocess.Popen(["bash", "-c", script], env={**os.environ, **own}, start_new_session=True, **quiet)
+        subprocess.Popen(["bash", "-c", script], env={**os.environ, **variables}, start_new_session=True, **quiet)
     print("Submitted batch job 77")
 """
 SRUN = """
@@ -66,8 +66,8 @@ SACCT = """
 """
 
 
-def test_slurm_by_its_script(tmp_path, data_root, monkeypatch):
-    """The script that would be submitted asks for what the options say, and does the cells when it runs."""
+def test_slurm_script(tmp_path, data_root, monkeypatch):
+    """The submitted script requests the configured resources, and running it runs the cells."""
     pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
     programs = tmp_path / "bin"
     programs.mkdir()

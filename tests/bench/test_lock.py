@@ -10,8 +10,8 @@ HOLD = """
 import sys, time
 from pathlib import Path
 from tdgbench.bench.lock import cell_lock
-with cell_lock(Path(sys.argv[1]), Path(sys.argv[1]) / "cells" / "a") as mine:
-    print(mine, flush=True)
+with cell_lock(Path(sys.argv[1]), Path(sys.argv[1]) / "cells" / "a") as acquired:
+    print(acquired, flush=True)
     time.sleep(60)
 """
 
@@ -24,17 +24,17 @@ def test_one_at_a_time(tmp_path):
         assert again
 
 
-def test_a_killed_process_lets_go(tmp_path):
+def test_a_killed_process_releases_its_lock(tmp_path):
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     assert holder.stdout.readline().strip() == "True"
-    with cell_lock(tmp_path, tmp_path / "cells" / "a") as mine:
-        assert not mine
+    with cell_lock(tmp_path, tmp_path / "cells" / "a") as acquired:
+        assert not acquired
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     deadline = time.monotonic() + 10
     while time.monotonic() < deadline:
-        with cell_lock(tmp_path, tmp_path / "cells" / "a") as mine:
-            if mine:
+        with cell_lock(tmp_path, tmp_path / "cells" / "a") as acquired:
+            if acquired:
                 return
         time.sleep(0.05)
     raise AssertionError("the lock of a killed process is still held")

@@ -9,7 +9,7 @@ from tdgbench.bench.memory import PeakMemory
 from tests.conftest import ROOT
 
 MEGABYTES = 200
-IN_A_PROCESS_OF_ITS_OWN = f"""
+SCRIPT = f"""
 import json, time
 from tdgbench.bench.memory import SAMPLE_SECONDS, PeakMemory
 
@@ -27,17 +27,15 @@ print(json.dumps([quiet.mb, busy.mb]))
 """
 
 
-def test_sees_a_peak_and_not_the_one_before():
-    run = subprocess.run(
-        [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+def test_measures_a_peak_and_not_the_one_before():
+    run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, check=True)
     quiet, busy = json.loads(run.stdout)
     if quiet is None:
-        pytest.skip("this platform does not tell the memory of a process")
+        pytest.skip("this platform does not report the memory of a process")
     assert busy > quiet + 0.8 * MEGABYTES
 
 
-def test_says_nothing_where_the_platform_does_not(monkeypatch, tmp_path):
+def test_reports_nothing_where_the_platform_does_not(monkeypatch, tmp_path):
     monkeypatch.setattr(memory, "STATUS", tmp_path / "nothing")
     with PeakMemory() as peak:
         pass

@@ -16,7 +16,7 @@ from tests.conftest import SMALL, config
 
 
 class PulledPlugError(BaseException):
-    """Nothing catches it, as nothing catches SIGKILL."""
+    """Not an Exception, so that nothing catches it, like SIGKILL."""
 
 
 @pytest.mark.parametrize(("umask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])

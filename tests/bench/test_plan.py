@@ -21,7 +21,7 @@ def config(params, overrides):
     return OmegaConf.create({"hydra": {"sweeper": {"params": params}, "overrides": {"task": overrides}}})
 
 
-def test_what_a_sweep_goes_over():
+def test_swept_keys_and_values():
     params = {"scene": "a,b", "method": "tdg,msmg"}
     assert swept(config(params, [])) == {"scene": ["a", "b"], "method": ["tdg", "msmg"]}
     assert swept(config(params, ["method=tdg", "seed=range(0,3)"])) == {"scene": ["a", "b"], "seed": ["0", "1", "2"]}

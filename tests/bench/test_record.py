@@ -22,7 +22,7 @@ def test_titles():
     assert record(variant="a=1").title.endswith("[a=1]")
 
 
-def test_no_number_that_json_does_not_know(tmp_path):
+def test_nan_is_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         record(scores={"psnr": float("nan")}).write(tmp_path)
     assert not list(tmp_path.iterdir())

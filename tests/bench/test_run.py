@@ -1,4 +1,4 @@
-"""The stages of a cell beyond what test_cell.py sees from outside."""
+"""The stages of a cell: checkpoints."""
 
 import pytest
 from rich.console import Console
@@ -25,11 +25,11 @@ def run(data_root):
 
 
 class PulledPlugError(BaseException):
-    """Nothing catches it, as nothing catches SIGKILL."""
+    """Not an Exception, so that nothing catches it, like SIGKILL."""
 
 
 def killed_at(iteration, monkeypatch):
-    """Every checkpoint is written; the process ends after that of an iteration."""
+    """Write a checkpoint at every iteration, and die after that of the given one."""
     after_step = checkpoints.Checkpoint.after_step
 
     def write_and_die(self, log):
@@ -41,7 +41,7 @@ def killed_at(iteration, monkeypatch):
     monkeypatch.setattr(checkpoints.Checkpoint, "after_step", write_and_die)
 
 
-def test_a_killed_cell_goes_on(run, tmp_path, monkeypatch):
+def test_a_killed_cell_resumes(run, tmp_path, monkeypatch):
     assert run(tmp_path / "calm").status == "ok"
     with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
         killed_at(23, patch)

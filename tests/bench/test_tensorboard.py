@@ -20,7 +20,7 @@ def events(folder):
     return scalars, found.Tags()["images"]
 
 
-def test_a_cell_leaves_curves_scores_and_pictures(tmp_path, data_root):
+def test_a_cell_writes_curves_scores_and_pictures(tmp_path, data_root):
     pytest.importorskip("tensorboard")
     cfg = config(
         *SMALL, "log=tensorboard", "budget=demo", "budget.iterations=30", "prior=synthetic", "scene=turntable",
@@ -35,7 +35,7 @@ def test_a_cell_leaves_curves_scores_and_pictures(tmp_path, data_root):
     assert run_cell(cfg, "", CellProgress(Console(quiet=True), 30)).status == "kept"  # how it is logged is no setting
 
 
-def test_what_a_killed_training_wrote_after_its_checkpoint_is_void(tmp_path):
+def test_events_after_the_checkpoint_of_a_killed_training_are_dropped(tmp_path):
     pytest.importorskip("tensorboard")
 
     def write(after, upto, value):
@@ -54,7 +54,7 @@ def test_what_a_killed_training_wrote_after_its_checkpoint_is_void(tmp_path):
     assert events(tmp_path / "cell")[0]["training/loss"] == [(1, 3.0)]
 
 
-def test_without_tensorboard_it_says_what_to_install(tmp_path, monkeypatch):
+def test_the_error_without_tensorboard_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(RuntimeError, match=r"pip install 'tdgbench\[tensorboard\]'"):
         TensorBoardLog(tmp_path, 0)

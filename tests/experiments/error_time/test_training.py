@@ -99,7 +99,7 @@ def test_points_of_a_curve_are_models_that_could_be_saved(data_root):
 
 
 def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
-    original, told = sample_curve, []
+    original, reported = sample_curve, []
 
     def failing(cfg, scene, run, samples):
         if run.method == "msmg":
@@ -107,10 +107,10 @@ def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
         return original(cfg, scene, run, samples)
 
     monkeypatch.setattr(training, "sample_curve", failing)
-    curves, failed = sample_all(experiment(data_root), lambda *seen: told.append(seen))
-    assert failed == 1 and isinstance(told[0][2], RuntimeError) and curves["label"].nunique() == 5
+    curves, failed = sample_all(experiment(data_root), lambda *call: reported.append(call))
+    assert failed == 1 and isinstance(reported[0][2], RuntimeError) and curves["label"].nunique() == 5
 
 
-def test_a_method_that_the_job_lacks_is_named(data_root):
+def test_an_unknown_method_is_named(data_root):
     with pytest.raises(ValueError, match="no method 'splat' among msmg, thermal, tdg"):
         runs_of(experiment(data_root, "job.runs=[{label: x, method: splat}]"))

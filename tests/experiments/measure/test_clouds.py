@@ -7,7 +7,7 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 
 
-def test_a_random_cloud_is_its_seed_and_lies_before_the_camera():
+def test_a_random_cloud_depends_on_its_seed_and_is_in_front_of_the_camera():
     a, b, c = random_cloud(50, 64, 48), random_cloud(50, 64, 48), random_cloud(50, 64, 48, seed=1)
     assert torch.equal(a.means, b.means) and not torch.equal(a.means, c.means)
     assert a.means[:, 2].min() >= 2 and a.colors.shape == (50, 3)
@@ -21,4 +21,4 @@ def test_a_trained_model_from_a_test_view(small_gray_scene, tmp_path):
     assert cloud.colors.shape == (len(points.points), 3) and (cloud.width, cloud.height) == (48, 36)
     gaussians = GaussianTensors(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors)
     view = render_view(gaussians, Pinhole(cloud.viewmat, cloud.K, 48, 36))
-    assert view.transmittance.min() < 0.9  # something is in sight
+    assert view.transmittance.min() < 0.9  # something is visible

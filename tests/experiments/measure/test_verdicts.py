@@ -18,7 +18,7 @@ def test_no_verdict_is_wrong_in_more_than_5_percent():
 
 
 @pytest.mark.parametrize(("offset", "seeds", "rate"), [(1.0, 2, 0.67), (1.0, 3, 0.17), (0.5, 2, 0.83), (0.5, 3, 0.63)])
-def test_the_noise_of_one_run_called_nearly_everything_reproduced(offset, seeds, rate):
+def test_a_rule_by_the_noise_of_one_run_would_call_nearly_everything_reproduced(offset, seeds, rate):
     assert simulate(offset, seeds, DRAWS)["within noise"] == pytest.approx(rate, abs=0.025)
 
 

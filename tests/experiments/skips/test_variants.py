@@ -23,9 +23,9 @@ def test_cells_of_every_variant(tmp_path, data_root):
         "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
         "job.scenes=[turntable]", "job.skips=[gray]",
     )  # fmt: skip
-    told = []
-    outcomes = run_variants(cfg, CellProgress(Console(quiet=True), 12), told.append)
-    assert [o.status for o in outcomes] == ["ok"] * 4 and told == outcomes
+    reported = []
+    outcomes = run_variants(cfg, CellProgress(Console(quiet=True), 12), reported.append)
+    assert [o.status for o in outcomes] == ["ok"] * 4 and reported == outcomes
     records = {r.variant: r for r in read_all(tmp_path / "skips")}
     assert {name: r.channels for name, r in records.items()} == {
         "none": 3, "all": 1, "only gray": 1, "without gray": 3,
@@ -34,5 +34,5 @@ def test_cells_of_every_variant(tmp_path, data_root):
     assert skips["gray"]["taken"] and skips["gray"]["saved"] == "2 of 3 channels"
     assert not skips["rgb"]["taken"] and skips["rgb"]["reason"] == "switched off"
     assert all(s["reason"] == "switched off" for s in records["none"].skips)
-    again = run_variants(cfg, CellProgress(Console(quiet=True), 12), told.append)
+    again = run_variants(cfg, CellProgress(Console(quiet=True), 12), reported.append)
     assert [o.status for o in again] == ["kept"] * 4

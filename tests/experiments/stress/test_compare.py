@@ -1,4 +1,4 @@
-"""A comparison that could not fail would show nothing: spoiled kernels must be seen."""
+"""The comparison finds wrong kernels."""
 
 import torch
 

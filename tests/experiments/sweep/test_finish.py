@@ -5,7 +5,7 @@ import shutil
 from tests.command import QUICK, command
 
 
-def test_a_failure_is_one_line_at_the_end_and_the_rest_is_there(tmp_path, small_scene, small_gray_scene):
+def test_a_failure_is_one_line_at_the_end_and_the_other_results_are_complete(tmp_path, small_scene, small_gray_scene):
     root = tmp_path / "captures"
     for name, scene in (("good", small_scene), ("spoiled", small_scene), ("gray", small_gray_scene)):
         shutil.copytree(scene.train[0].thermal_path.parents[1], root / name)

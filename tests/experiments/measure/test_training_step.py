@@ -1,0 +1,24 @@
+import time
+
+from tdgbench.experiments.measure.training_step import StepProfile
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import touched_rows
+from tdgbench.splats.optimizer import Adam
+
+
+def test_a_part_within_another_counts_for_itself_only_and_functions_are_restored(monkeypatch):
+    def step(self):
+        time.sleep(0.02)
+        pool.run(touched_rows, [])
+
+    def run(function, arguments):
+        time.sleep(0.1)
+
+    monkeypatch.setattr(Adam, "step", step)
+    monkeypatch.setattr(pool, "run", run)
+    profile = StepProfile()
+    with profile.watch():
+        Adam.step(None)
+        pool.run(time.sleep, [])
+    assert 0.1 < profile.seconds["Adam"] < 0.2 and 0.1 < profile.seconds["losses"] < 0.2
+    assert Adam.step is step and pool.run is run
