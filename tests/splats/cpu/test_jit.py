@@ -16,7 +16,7 @@ def test_lanes_can_be_forced(monkeypatch):
         jit.lanes()
 
 
-# Forward and backward in two variants; prints a sum, and hits and misses of the cache over all kernels that were called.
+# Forward and backward in two variants; prints a sum, and the hits and misses of the cache over all kernels called.
 RENDER = """
 import gc
 from numba.core.dispatcher import Dispatcher
