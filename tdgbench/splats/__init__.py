@@ -1,6 +1,6 @@
-"""The shared core: Gaussians, rasterization (colour and depth), density control, optimiser, PLY.
+"""The splat core: Gaussians, rasterization of colour and depth, density control, optimiser, PLY.
 
-Knows no dataset, no method and no configuration.
+It depends on no data set, method or configuration.
 """
 
 from tdgbench.splats.gaussians import Gaussians

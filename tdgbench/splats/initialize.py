@@ -1,4 +1,4 @@
-"""The first Gaussians: one per point, round, as wide as its neighbours are far (3DGS, `create_from_pcd`)."""
+"""Initial Gaussians: one isotropic Gaussian per point, scaled to its neighbours (3DGS, `create_from_pcd`)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.harmonics import num_bases, sh_from_color
 
 INITIAL_OPACITY = 0.1
-MIN_SQUARED_DISTANCE = 1e-7  # 3DGS's floor, for duplicate points
+MIN_SQUARED_DISTANCE = 1e-7  # 3DGS, for duplicate points
 
 
 def neighbour_distances(points: np.ndarray) -> np.ndarray:
-    """Root mean square distance (N,) of each point to its 3 nearest neighbours, as 3DGS's `distCUDA2` gives it.
+    """Root mean square distance (N,) of points (N, 3) to their 3 nearest neighbours (3DGS, `distCUDA2`).
 
-    With fewer than 4 points the neighbours that exist are used; a single point gets the floor.
+    With fewer than 4 points it uses the existing neighbours; a single point gets the floor.
+
+    >>> neighbour_distances(np.array([[0.0, 0, 0], [2.0, 0, 0]])).tolist()
+    [2.0, 2.0]
     """
     neighbours = min(3, len(points) - 1)
     if neighbours < 1:
@@ -26,7 +29,14 @@ def neighbour_distances(points: np.ndarray) -> np.ndarray:
 
 
 def gaussians_from_points(points: np.ndarray, colors: np.ndarray, channels: int, sh_degree: int) -> Gaussians:
-    """Gaussians (float32) at points (N, 3) with colours (N, 3) in [0, 1]; gray models take the mean of the three."""
+    """Gaussians (float32) at points (N, 3), world units, with colours (N, 3) in [0, 1]; gray ones get their mean.
+
+    Raises ValueError without points, or if they are not finite.
+
+    >>> gaussians = gaussians_from_points(np.eye(3), np.full((3, 3), 0.5), channels=1, sh_degree=2)
+    >>> tuple(gaussians.sh.shape), round(gaussians.opacities[0].item(), 3), round(gaussians.scales[0, 0].item(), 3)
+    ((3, 9, 1), 0.1, 1.414)
+    """
     if len(points) == 0:
         raise ValueError("the point cloud is empty; use init=random, or give a COLMAP model with points")
     if not np.isfinite(points).all():

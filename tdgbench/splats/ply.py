@@ -1,6 +1,6 @@
-"""Gaussians as the PLY file that 3DGS writes and every viewer reads.
+"""Gaussians as PLY files in the layout of 3DGS.
 
-Gray models are written as three equal channels; a model read back whose channels are all equal is gray again.
+Gray models are written as three equal channels; a model whose channels are equal is read as gray.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from plyfile import PlyData, PlyElement
 from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 
-ROWS_AT_ONCE = 100_000
+CHUNK_ROWS = 100_000  # written at once
 
 
 def _columns(rest: int) -> list[str]:
+    """Names of the file's columns, with `rest` harmonics coefficients per channel beyond the first."""
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
         *(f"f_dc_{i}" for i in range(3)),
@@ -29,28 +30,36 @@ def _columns(rest: int) -> list[str]:
 
 
 def save_ply(gaussians: Gaussians, path: Path) -> None:
-    """Write the model piece by piece; the file appears whole or not at all."""
+    """Write a 3DGS model; the file appears complete or not at all.
+
+    >>> import tempfile
+    >>> one = Gaussians(torch.zeros(1, 3), torch.zeros(1, 3), torch.zeros(1, 4), torch.zeros(1), torch.zeros(1, 1, 1))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save_ply(one, Path(folder, "model.ply"))
+    ...     tuple(load_ply(Path(folder, "model.ply")).sh.shape)
+    (1, 1, 1)
+    """
     rest = gaussians.sh.shape[1] - 1
     kind = np.dtype([(name, "<f4") for name in _columns(rest)])
-    shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # what the header needs; holds one row
+    shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # for the header; stores one row
     header = PlyData([PlyElement.describe(shape_only, "vertex")], byte_order="<").header
     with whole_file(path) as part, part.open("wb") as file:
         file.write(f"{header}\n".encode("ascii"))
-        for start in range(0, len(gaussians), ROWS_AT_ONCE):
-            some = gaussians.detach().select(slice(start, start + ROWS_AT_ONCE))
+        for start in range(0, len(gaussians), CHUNK_ROWS):
+            some = gaussians.detach().select(slice(start, start + CHUNK_ROWS))
             file.write(_rows(some).cpu().numpy().astype("<f4", copy=False).tobytes())
 
 
 def _rows(g: Gaussians) -> torch.Tensor:
-    """Gaussians as rows of the file's columns."""
+    """Rows (N, columns) of the file."""
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
-    harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as 3DGS does
+    harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as in 3DGS
     parts = (g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats)
     return torch.cat(parts, dim=1).float()
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read a 3DGS model. Raises ValueError, naming the file, if it is not one."""
+    """Read a 3DGS model. Raises ValueError with the file's name if it is not one."""
     try:
         vertex = PlyData.read(str(path))["vertex"]
         names = {p.name for p in vertex.properties}

@@ -1,1 +1,1 @@
-"""The training loop that every method shares: budget, losses, models, the method contract."""
+"""Training, shared by all methods: contract of a method, budget, losses, models, loop, checkpoints."""

@@ -1,4 +1,4 @@
-"""What a killed training goes on from: everything that changes while it runs, in one file."""
+"""Checkpoints: everything that changes during a training, in one file, to resume it after the process was killed."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from tdgbench.training.loop import LogLine, TrainingLog
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips.plateau import Plateau
 
-MOST_OF_THE_TIME = 0.02  # share of the time that goes into writing
+MAX_SHARE = 0.02  # of the time that writing takes
 
 
 @dataclass
 class Checkpoint:
-    """Writes the state of one training to a file now and then, and takes it up again.
+    """File with the state of one training, written at intervals and loaded when the training is resumed.
 
-    Writing changes nothing in what training does next, so a run that went on from a file ends with the bytes of one
-    that was never stopped. What changes during training lies in models, random streams and view orders, all of which
-    a method has from its Context.
+    Writing does not affect training: a resumed run ends with the bytes of an uninterrupted one. What changes during
+    training is in models, random streams and view orders, all of which a method gets from its Context.
     """
 
     path: Path
-    made_with: dict[str, Any]  # what the state depends on; a file that was made with anything else is not used
+    made_with: dict[str, Any]  # what the state depends on; a file made with anything else is not used
     seconds: float | None  # of training between two writes, 0 or more; longer where writing takes long; None: never
-    notes: list[str] = field(default_factory=list)  # files that were not used or could not be written, and why
+    notes: list[str] = field(default_factory=list)  # files that were not used or could not be written, with the reason
     _next: float = 0.0
 
     def __post_init__(self) -> None:
@@ -37,10 +36,10 @@ class Checkpoint:
             raise ValueError(f"checkpoint is {self.seconds}; it must be 0 or more seconds of training, or null")
 
     def take_up(self, method: Method, context: Context, plateau: Plateau | None) -> TrainingLog:
-        """Put the stored state into a method that has just been set up; the log so far, empty if there is none."""
+        """Load the stored state into a method that was just set up; returns the log so far, or an empty one."""
         self._method, self._context, self._plateau = method, context, plateau
-        for left in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
-            left.unlink()  # a process was killed while it wrote
+        for partial in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
+            partial.unlink()  # of a process that was killed while it wrote
         log = TrainingLog()
         saved = self._read()
         if saved is not None:
@@ -56,16 +55,16 @@ class Checkpoint:
         return log
 
     def after_step(self, log: TrainingLog) -> None:
-        """Write the state if it is time."""
+        """Write the state if a write is due."""
         if self.seconds is None or log.seconds < self._next:
             return
         start = time.perf_counter()
         try:
             self._write(log)
-        except (OSError, RuntimeError) as error:  # torch's writer makes the latter of the former
+        except (OSError, RuntimeError) as error:  # torch turns the former into the latter
             self.notes.append(f"no checkpoint at iteration {log.iterations} in {self.path.parent}: {error}")
         took = time.perf_counter() - start
-        self._next = log.seconds + max(self.seconds, took / MOST_OF_THE_TIME)
+        self._next = log.seconds + max(self.seconds, took / MAX_SHARE)
 
     def discard(self) -> None:
         """Remove the file."""
@@ -88,13 +87,13 @@ class Checkpoint:
             torch.save(content, part)
 
     def _read(self) -> dict[str, Any] | None:
-        """The stored state, if there is one that was made as this training is."""
+        """The stored state, or None if there is none of this training."""
         if not self.path.exists():
             return None
         try:
             saved: dict[str, Any] = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
             before, at = saved["made_with"], saved["iterations"]
-        except Exception as error:  # torch names no types for a file that is none of its own
+        except Exception as error:  # torch documents no exception types for foreign files
             self.notes.append(f"a checkpoint was not used: {type(error).__name__}: {error}")
             return None
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]

@@ -1,10 +1,10 @@
-"""Why a training cannot go on."""
+"""Errors that end a training."""
 
 from __future__ import annotations
 
 
 class TrainingError(Exception):
-    """Training stopped at an iteration because of a tensor."""
+    """A tensor ended training at an iteration."""
 
     def __init__(self, iteration: int, tensor: str, message: str) -> None:
         super().__init__(f"{message} at iteration {iteration}")
@@ -12,14 +12,14 @@ class TrainingError(Exception):
 
 
 class NonFiniteError(TrainingError):
-    """Training met a number that is not finite; says where it was first seen."""
+    """A tensor is not finite."""
 
     def __init__(self, iteration: int, tensor: str) -> None:
         super().__init__(iteration, tensor, f"{tensor} is not finite")
 
 
 class EmptyModelError(TrainingError):
-    """Density control removed every Gaussian; nothing would ever come back."""
+    """Density control removed every Gaussian of a model."""
 
     def __init__(self, iteration: int, model: str) -> None:
         super().__init__(iteration, model, f"{model}: no Gaussian is left after density control")

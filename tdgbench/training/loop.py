@@ -1,4 +1,4 @@
-"""The loop that every method shares."""
+"""The training loop, shared by all methods."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOG_LINES = 200
 
 @dataclass
 class LogLine:
-    """Training at one moment. psnr is of the training view just rendered, smoothed."""
+    """State of a training after an iteration. psnr: of the rendered training views, in dB, smoothed."""
 
     iteration: int
     seconds: float
@@ -31,13 +31,13 @@ class LogLine:
 
 @dataclass
 class TrainingLog:
-    """What happened so far, thinned to some 200 lines."""
+    """Course of a training, in about 200 lines."""
 
     lines: list[LogLine] = field(default_factory=list)
     seconds: float = 0.0
     iterations: int = 0
     ended: bool = False
-    resumed: list[int] = field(default_factory=list)  # iterations after which it was taken up from a checkpoint
+    resumed: list[int] = field(default_factory=list)  # iterations after which a checkpoint was loaded
 
 
 def train(
@@ -49,18 +49,17 @@ def train(
     log: TrainingLog | None = None,
     on_model: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
-    """Train a method that is set up, for so many iterations, or until its thermal loss is on a plateau.
+    """Train a method that is set up, for so many iterations or until its thermal loss is on a plateau.
 
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
-    density control, and take no optimiser step in it. A plateau ends training once the models have recovered from
-    their last density control.
+    density control and optimiser step. A plateau ends training once the models have recovered from density control.
 
-    on_step is given the log after each step, on_model before the models change in an iteration, when they are as they
-    would be saved; the clock stands still meanwhile. log: that of the iterations which the method already has behind
-    it, to go on from.
+    on_line is called with each log line. on_step is called after each iteration; on_model before its changes of the
+    models, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to
+    resume after them.
 
-    Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when no
-    Gaussian is left.
+    Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
+    has no Gaussian.
     """
     log = log or TrainingLog()
     every = max(1, iterations // LOG_LINES)
@@ -101,16 +100,18 @@ def train(
 
 
 class Clock:
-    """Seconds of training, counted on from those of before."""
+    """Seconds of training, added to those before."""
 
     def __init__(self, before: float) -> None:
         self._start = time.perf_counter() - before
 
     def seconds(self) -> float:
+        """Seconds so far."""
         return time.perf_counter() - self._start
 
 
 def _finite_loss(step: Step, models: dict[str, SplatModel], iteration: int) -> float:
+    """Value of the loss. Raises NonFiniteError with the tensor that made it not finite."""
     loss = step.loss.item()
     if not math.isfinite(loss):
         for name, model in models.items():
@@ -120,7 +121,7 @@ def _finite_loss(step: Step, models: dict[str, SplatModel], iteration: int) -> f
 
 
 def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
-    """The backward pass, density control and Adam."""
+    """Backward pass, density control and Adam step."""
     step.loss.backward()
     for name, model in models.items():
         bad = model.finish(iteration)
@@ -132,12 +133,13 @@ def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
 
 @torch.no_grad()
 def _psnr(step: Step) -> float:
+    """PSNR of the thermal render, dB."""
     mse = (step.thermal.image - step.target).square().mean().item()
     return -10 * math.log10(max(mse, 1e-12))
 
 
 def _first_bad(step: Step) -> str:
-    """The image, render or loss term that is not finite."""
+    """Name of the first image, render or loss term that is not finite."""
     if not torch.isfinite(step.target).all():
         return "target image"
     for name, tensor in (("thermal render", step.thermal.image), ("depth render", step.thermal.depth)):
@@ -148,7 +150,8 @@ def _first_bad(step: Step) -> str:
 
 
 def _check_parameters(name: str, model: SplatModel, iteration: int) -> None:
-    if not torch.isfinite(model.state.values.sum()):  # one pass; who it was is asked only when it must be
+    """Raise NonFiniteError with the first parameter that is not finite."""
+    if not torch.isfinite(model.state.values.sum()):  # one pass in the usual case
         for parameter, tensor in model.gaussians.items():
             if not torch.isfinite(tensor).all():
                 raise NonFiniteError(iteration, f"{name} {parameter}")

@@ -1,13 +1,14 @@
 """Loss terms that methods share: the 3DGS photometric loss, thermal smoothness in both readings, min-max normalisation.
 
-Images are (H, W, C) in [0, 1]. Float32 on the CPU goes through fused kernels that give value and gradient together;
-other types and devices through torch. Gradients reach the first argument only.
+Images are (H, W, C) in [0, 1]; losses are scalars. Fused kernels compute value and gradient of float32 on the CPU,
+torch those of other types and devices. Only the first argument gets a gradient.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,40 +17,65 @@ from torch import Tensor
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
 from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
+from tdgbench.splats.cpu.losses.ssim import C1, C2, SIGMA, WINDOW
 
-WINDOW, SIGMA = 11, 1.5
-C1, C2 = 0.01**2, 0.03**2
-MIN_RANGE = 1e-8
+MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
+
+
+class Smoothness(NamedTuple):
+    """Factors of the sum of differences over pairs of neighbours, and of its gradient."""
+
+    wrap: bool = False  # neighbours wrap around at the border
+    value: float = 0.0
+    gradient: float = 0.0
+
+
+NO_SMOOTHNESS = Smoothness()
 
 
 def l1(image: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error."""
+    """Mean absolute error of images (H, W, C).
+
+    >>> l1(torch.full((4, 4, 1), 0.75), torch.full((4, 4, 1), 0.5)).item()
+    0.25
+    """
     return l1_and_dssim(image, target, 1.0, 0.0)
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:
-    """Mean SSIM with zero padding, as 3DGS trains with."""
+    """Mean SSIM of images (H, W, C) with zero padding, as in 3DGS.
+
+    >>> image = torch.rand(16, 16, 3)
+    >>> round(ssim(image, image).item(), 4)
+    1.0
+    """
     return 1.0 - l1_and_dssim(image, target, 0.0, 1.0)
 
 
 def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
-    """(1 − λ) L1 + λ (1 − SSIM): 3DGS, eq. 7."""
+    """(1 − λ) L1 + λ (1 − SSIM) of images (H, W, C): 3DGS, eq. 7."""
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim)
 
 
 def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str) -> Tensor:
-    """Thermal loss (TDg, eq. 5, after ThermalGaussian): L1, SSIM and smoothness in one of its readings."""
+    """Thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
+
+    (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
+
+    >>> image = torch.full((8, 8, 1), 0.5)
+    >>> round(thermal(image, image - 0.25, 0.0, 0.6, "paper").item(), 4)
+    0.25
+    """
     if not _is_fused(image):
         loss = photometric(image, target, lambda_ssim)
         return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
-    wrap, value_scale, gradient_scale = _smoothness_scales(image, reading)
-    return _fused(
-        image, target, 1 - lambda_ssim, lambda_ssim, wrap, lambda_smooth * value_scale, lambda_smooth * gradient_scale
-    )
+    scales = _smoothness_scales(image, reading)
+    smooth = Smoothness(scales.wrap, lambda_smooth * scales.value, lambda_smooth * scales.gradient)
+    return _fused(image, target, 1 - lambda_ssim, lambda_ssim, smooth)
 
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
-    """l1_weight · L1 + dssim_weight · (1 − SSIM) of two images. Raises ValueError if their shapes differ."""
+    """l1_weight · L1 + dssim_weight · (1 − SSIM) of images (H, W, C). Raises ValueError if their shapes differ."""
     if not _is_fused(image):
         _check_shapes(image, target)
         target = target.detach()
@@ -59,23 +85,17 @@ def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: 
 
 
 def _fused(
-    image: Tensor,
-    target: Tensor,
-    l1_weight: float,
-    dssim_weight: float,
-    wrap: bool = False,
-    smooth_value: float = 0.0,
-    smooth_gradient: float = 0.0,
+    image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, smooth: Smoothness = NO_SMOOTHNESS
 ) -> Tensor:
-    """One pass for L1, SSIM and smoothness; raises ValueError if the shapes differ."""
+    """L1, SSIM and smoothness in one pass. Raises ValueError if the shapes differ."""
     _check_shapes(image, target)
     other = _array(target)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
         error, similarity, differences, gradient = photometric_and_gradient(
-            a, other, l1_weight, -dssim_weight, smooth_gradient, wrap
+            a, other, l1_weight, -dssim_weight, smooth.gradient, smooth.wrap
         )
-        return l1_weight * error + dssim_weight * (1 - similarity) + smooth_value * differences, gradient
+        return l1_weight * error + dssim_weight * (1 - similarity) + smooth.value * differences, gradient
 
     return _ValueAndGradient.apply(image, compute)
 
@@ -86,7 +106,7 @@ def _check_shapes(image: Tensor, target: Tensor) -> None:
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """SSIM per pixel and channel (H, W, C), in plain torch."""
+    """SSIM per pixel and channel (H, W, C) of images (H, W, C), in plain torch."""
     a, b = (t.permute(2, 0, 1).unsqueeze(1) for t in (image, target))
     mu_a, mu_b = _blur(a), _blur(b)
     var_a = _blur(a * a) - mu_a * mu_a
@@ -98,38 +118,42 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
 
 
 def smoothness(image: Tensor, reading: str) -> Tensor:
-    """How much neighbouring pixels differ, in one of the two readings that differ in their numbers.
+    """Differences of neighbouring pixels of an image (H, W, C), in one of two readings.
 
     `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
-    `reference` (ThermalGaussian's code): not divided by 4, neighbours wrap around at the border and are constants.
+    `reference` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
+
+    >>> image = torch.tensor([[[0.0], [1.0]]])
+    >>> smoothness(image, "paper").item(), smoothness(image, "reference").item()
+    (0.25, 2.0)
     """
-    wrap, value_scale, gradient_scale = _smoothness_scales(image, reading)
+    scales = _smoothness_scales(image, reading)
     if not _is_fused(image):
         return _smoothness_in_torch(image, reading)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
-        total, gradient = differences_and_gradient(a, wrap)
-        return value_scale * total, np.float32(gradient_scale) * gradient
+        total, gradient = differences_and_gradient(a, scales.wrap)
+        return scales.value * total, np.float32(scales.gradient) * gradient
 
     return _ValueAndGradient.apply(image, compute)
 
 
-def _smoothness_scales(image: Tensor, reading: str) -> tuple[bool, float, float]:
-    """Whether neighbours wrap around, and by what the sum over pairs and its gradient are multiplied.
-
-    Each pair is met from both sides. Constant neighbours halve the gradient.
-    """
+def _smoothness_scales(image: Tensor, reading: str) -> Smoothness:
+    """Factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
     if reading not in ("paper", "reference"):
         raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
     if reading == "reference":
-        return True, 2 / image.numel(), 1 / image.numel()
-    return False, 2 / (4 * image.numel()), 2 / (4 * image.numel())
+        return Smoothness(True, 2 / image.numel(), 1 / image.numel())
+    return Smoothness(False, 2 / (4 * image.numel()), 2 / (4 * image.numel()))
 
 
 def min_max(values: Tensor) -> Tensor:
     """Min-max normalisation of a map (H, W) to [0, 1] (TDg, before eq. 4), with the gradients of both extremes.
 
-    A map without any range is all zeros, and its gradient is zero: there is nothing to compare.
+    A map without range becomes zero, with zero gradient.
+
+    >>> min_max(torch.tensor([[1.0, 2.0], [3.0, 5.0]])).tolist()
+    [[0.0, 0.25], [0.5, 1.0]]
     """
     if _is_fused(values):
         return _MinMax.apply(values)
@@ -140,7 +164,11 @@ def min_max(values: Tensor) -> Tensor:
 
 
 def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
-    """1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha is not above min_alpha."""
+    """1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha ≤ min_alpha.
+
+    >>> inverse_expected_depth(torch.tensor([[1.0, 0.0]]), torch.tensor([[0.5, 1.0]]), 1e-3).tolist()
+    [[0.5, 0.0]]
+    """
     if _is_fused(depth):
         return _InverseDepth.apply(depth, transmittance, min_alpha)
     alpha = 1.0 - transmittance
@@ -161,8 +189,8 @@ def _smoothness_in_torch(image: Tensor, reading: str) -> Tensor:
         down = (image[1:] - image[:-1]).abs().sum()
         right = (image[:, 1:] - image[:, :-1]).abs().sum()
         return 2 * (down + right) / (4 * image.numel())
-    still = image.detach()
-    neighbours = [still.roll(shift, dim) for dim in (0, 1) for shift in (1, -1)]
+    constant = image.detach()
+    neighbours = [constant.roll(shift, dim) for dim in (0, 1) for shift in (1, -1)]
     total = torch.stack([(image - neighbour).abs().sum() for neighbour in neighbours]).sum()
     return total / image.numel()
 
@@ -175,7 +203,7 @@ def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def _blur(images: Tensor) -> Tensor:
-    """The separable Gaussian window over (C, 1, H, W), zeros outside."""
+    """Images (C, 1, H, W) filtered by the Gaussian window, with zeros outside."""
     w = _window(images.dtype, images.device)
     half = WINDOW // 2
     images = torch.nn.functional.conv2d(images, w.view(1, 1, 1, -1), padding=(0, half))
@@ -183,7 +211,7 @@ def _blur(images: Tensor) -> Tensor:
 
 
 class _ValueAndGradient(torch.autograd.Function):
-    """A scalar whose gradient is computed together with it."""
+    """Scalar that is computed together with its gradient."""
 
     @staticmethod
     def forward(ctx, image: Tensor, compute: Callable[[np.ndarray], tuple[float, np.ndarray]]) -> Tensor:

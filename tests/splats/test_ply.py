@@ -33,7 +33,7 @@ def test_round_trip(tmp_path, channels, degree):
 
 def test_a_model_is_written_piece_by_piece(tmp_path, monkeypatch):
     save_ply(model(3, 2, count=10), tmp_path / "whole.ply")
-    monkeypatch.setattr(ply, "ROWS_AT_ONCE", 4)
+    monkeypatch.setattr(ply, "CHUNK_ROWS", 4)
     save_ply(model(3, 2, count=10), tmp_path / "pieces.ply")
     assert (tmp_path / "pieces.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 

@@ -62,7 +62,7 @@ def test_a_new_backend_renders(double):
     plain = rasterization(*given, *camera, 16, 12, backend="reference")[0]
     image, _, meta = rasterization(*given, *camera, 16, 12, backend="double")
     assert torch.equal(image, 2 * plain) and meta["backend"] == "double" and double.CALLS == ["render"]
-    with pytest.raises(ValueError, match="backend double takes float32 tensors, not torch.float64"):
+    with pytest.raises(ValueError, match="backend double takes float32 tensors, not"):
         rasterization(*(t.double() for t in given), *camera, 16, 12, backend="double")
 
 
