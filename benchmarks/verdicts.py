@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from tdgbench.tables.results import DECIMALS
+from tdgbench.tables.measures import digits
 from tdgbench.tables.verdicts import BETTER, REPRODUCED, UNDECIDED, WORDS, WORSE, interval, judge, load_margins
 
 OFFSETS = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0)  # dB, true; 0.2 is the margin
@@ -27,10 +27,10 @@ DRAWS = 100_000
 def simulate(offset: float, seeds: int, draws: int = DRAWS, spread: float = SPREAD) -> dict[str, float]:
     """Rates of each word, of each wrong one, and of the earlier `reproduced`, at one true offset (dB)."""
     rng = np.random.default_rng([seeds, round(1000 * (offset + 10))])
-    margin, digits = load_margins()["psnr"], DECIMALS["psnr"]
-    half_unit = 0.5 * 10.0**-digits
+    margin, places = load_margins()["psnr"], digits("psnr")
+    half_unit = 0.5 * 10.0**-places
     truth = rng.uniform(20, 30, draws)
-    printed = truth.round(digits)
+    printed = truth.round(places)
     ours = truth[:, None] + offset + rng.normal(0, spread, (draws, seeds))
     mean = ours.mean(axis=1)
     words, within_noise = np.full(draws, UNDECIDED), np.zeros(draws, bool)

@@ -12,6 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,9 @@ from rich.markup import escape
 from tdgbench.bench.output import hashes, read_cameras, render_model
 from tdgbench.bench.record import FILE
 from tdgbench.scenes import Camera
-from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
-from tdgbench.scoring.psnr import psnr
-from tdgbench.scoring.ssim import ssim
+from tdgbench.scoring import METRICS, LPIPSOptions, Scorer, to_8bit
+from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.scored_view import ImagePair, Modality, NotApplicableError
 from tdgbench.splats.ply import load_ply
 
 SCHEMA = Path(__file__).parent / "bench" / "record.schema.json"
@@ -128,19 +129,27 @@ def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
 
 
 def _scores_of(folder: Path, name: str, row: dict[str, str], scorer: Scorer) -> dict[str, float]:
-    """A view's scores from its pictures, of the thermal and of an RGB model; pictures that are missing are told so."""
+    """A view's scores from its stored pictures; pictures that are missing are reported elsewhere."""
     found = {}
-    for suffix, prefix in (("", ""), ("_rgb", "rgb_")):
-        pair = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
-        if not all(path.exists() for path in pair):
+    for metric in METRICS.values():
+        if not isinstance(metric, ImageMetric):
             continue
-        image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
-        found[f"{prefix}psnr"] = psnr(image, target)
-        found[f"{prefix}ssim"] = ssim(image, target, scorer.ssim_border)
-        if row[f"{prefix}lpips"] != "n/a":
-            lpips = scorer.lpips(image, target)
-            found |= {} if lpips is None else {f"{prefix}lpips": lpips}
+        pair = _pair(folder, name, metric.modality, scorer)
+        if pair is None or row.get(metric.name, "n/a") == "n/a":
+            continue
+        with suppress(NotApplicableError):
+            found[metric.name] = metric.of_images(pair)
     return found
+
+
+def _pair(folder: Path, name: str, modality: Modality, scorer: Scorer) -> ImagePair | None:
+    """A view's render and ground truth from disk; None where a file is missing."""
+    suffix = "" if modality == "thermal" else f"_{modality}"
+    paths = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
+    if not all(path.exists() for path in paths):
+        return None
+    image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in paths)
+    return ImagePair(image, target, scorer.settings)
 
 
 def _is_close(a: float, b: float) -> bool:

@@ -3,7 +3,7 @@ import pytest
 from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
-from tdgbench.scoring.psnr import psnr
+from tdgbench.scoring.metrics.psnr import psnr
 from tests.conftest import config
 
 
