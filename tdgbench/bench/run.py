@@ -170,8 +170,7 @@ class CellRun:
         if self.method.needs_rgb:
             return self.scene.train + [view for view in self.scene.test if view.load_rgb is not None]
         there = [view for view in self.scene.train if view.load_rgb is not None]
-        needless = f"{self.method.name} trains on thermal images alone"
-        return [] if self.skips.rgb.decide(bool(there), needless, f"{len(there)} images") else there
+        return [] if self.skips.rgb.skip_images(self.method.name, len(there)) else there
 
     def _priors(self) -> dict[str, DepthPrior]:
         """The training views' depth priors, from the cache where they are there."""
@@ -180,9 +179,7 @@ class CellRun:
             estimator = instantiate(self.cfg.prior.estimator)
             cache = Path(self.cfg.results) / "cache" / "priors" if skip.allowed else None
             priors, made = estimate_all(estimator, self.scene, cache, self.progress.count)
-            there = views - made
-            reason = f"{there} of {views} training views were estimated before; test views need no prior"
-            skip.decide(there > 0, reason, f"{there} estimates")
+            skip.note_cached(views - made, views)
             self.record.prior = {**estimator.identity(self.scene), "kind": next(iter(priors.values())).kind}
         return priors
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -12,15 +11,11 @@ from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
-from tdgbench.splats import Gaussians
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.rasterization import choose_backend
 from tdgbench.training.budget import Budget
 from tdgbench.training.model import Render, SplatModel
 from tdgbench.training.skips import Skips
-from tdgbench.training.skips.view_dependence import explained_by_direction
-
-ImageOf = Callable[[View, torch.device], Tensor]
 
 
 class ViewOrder:
@@ -75,18 +70,11 @@ class Context:
         """Where this cell trains: a GPU if the backend is `cuda`, else the CPU."""
         return training_device(self.backend)
 
-    def make_model(self, channels: int, images: ImageOf) -> SplatModel:
-        """Gaussians at the first points, ready to train on `images` (thermal_tensor or rgb_tensor) of the views."""
+    def make_model(self, channels: int) -> SplatModel:
+        """Gaussians at the first points, ready to train on images of so many channels."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
-
-        def view_dependence(gaussians: Gaussians) -> float:
-            targets = [images(view, self.device) for view in self.scene.train]
-            return explained_by_direction(gaussians, self.scene.train, targets, self.backend)
-
-        return SplatModel(
-            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, view_dependence
-        )
+        return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips)
 
     def view_order(self) -> ViewOrder:
         """The training views in an order of their own."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -20,8 +19,6 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.training.budget import Budget
 from tdgbench.training.skips import Skips
-
-MIN_VIEW_DEPENDENCE = 0.02  # R² below which the harmonics do not grow
 
 
 @dataclass
@@ -81,9 +78,7 @@ class SplatModel:
         backend: str,
         generator: torch.Generator,
         skips: Skips | None = None,
-        view_dependence: Callable[[Gaussians], float] | None = None,
     ) -> None:
-        """view_dependence: how much of what is left unexplained direction explains (R²); None: the degree grows."""
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -92,8 +87,6 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.view_dependence: float | None = None  # as it was last measured
-        self._measure_view_dependence = view_dependence
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -139,7 +132,6 @@ class SplatModel:
             "density": self.density.state_dict(),
             "degree": self.degree,
             "work": asdict(self.work),
-            "view_dependence": self.view_dependence,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -147,22 +139,14 @@ class SplatModel:
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
-        self.degree, self.view_dependence = saved["degree"], saved["view_dependence"]
+        self.degree = saved["degree"]
         self.work = Work(**saved["work"])
 
     def begin(self, iteration: int) -> None:
         """Before an iteration (1-based): raise the SH degree if it is time."""
         self._iteration = iteration
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
-            self._grow_degree()
-
-    def _grow_degree(self) -> None:
-        """Take in the next band of harmonics, unless training views show that direction explains nothing."""
-        if self.skips.sh.allowed and self._measure_view_dependence is not None:
-            self.view_dependence = self._measure_view_dependence(self.gaussians.detach())
-            if self.view_dependence < MIN_VIEW_DEPENDENCE:
-                return
-        self.degree += 1
+            self.degree += 1
 
     def forget_views(self) -> None:
         """Drop the gradients that were gathered since the last step."""
