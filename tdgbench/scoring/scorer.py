@@ -60,9 +60,9 @@ class Scorer:
         return scores
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
-        """LPIPS of two images (H, W, C) in [0, 1]. Raises NotApplicableError without a backbone."""
+        """LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""
         if isinstance(self._lpips, BackboneUnavailableError):
-            raise NotApplicableError(str(self._lpips))
+            raise BackboneUnavailableError(str(self._lpips))
         return self._lpips(image, target)
 
     @cached_property

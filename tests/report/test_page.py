@@ -69,8 +69,8 @@ def test_everything_is_in_the_file(page):
     assert parser.found and all(s.startswith(("data:", "#")) for s in parser.found)
     assert "url(http" not in text and "@import" not in text
     assert parser.opened.count("section") == 2 and text.count('class="slider"') == 3
-    for said in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
-        assert said in text, said
+    for part in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
+        assert part in text, part
     assert len(re.findall(r"<svg", text)) == 2
     assert 'id="papers"' not in text  # nothing is published for these scenes
 

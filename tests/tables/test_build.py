@@ -16,8 +16,8 @@ from tests.tables.records import published_as_records, write, write_ablation
 def test_the_published_numbers_give_the_published_table(tmp_path):
     published_as_records(tmp_path)
     tables = build_tables(tmp_path)
-    own = tables.difference[~tables.difference["scene"].str.contains("Average")]
-    assert own["difference"].abs().max() < 1e-9
+    found = tables.difference[~tables.difference["scene"].str.contains("Average")]
+    assert found["difference"].abs().max() < 1e-9
     assert tables.difference["difference"].abs().max() < 0.006  # averages: rounding
     written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
     assert list(written.columns[:7]) == ["method", "dataset", "group", "scene", "metric", "value", "bold"]
@@ -73,9 +73,9 @@ def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
             )  # fmt: skip
     Plan("ablation").write(tmp_path)
     tables = build_tables(tmp_path)
-    own = tables.difference[tables.difference["metric"] == "psnr"].set_index(["method", "init"])
-    assert set(own.index) == {(m, i) for m in ("tdg", "msmg") for i in ("random", "random_box", "colmap")}
-    assert own.loc[("tdg", "random_box"), "published"] == own.loc[("tdg", "random"), "published"] == 9.69
+    found = tables.difference[tables.difference["metric"] == "psnr"].set_index(["method", "init"])
+    assert set(found.index) == {(m, i) for m in ("tdg", "msmg") for i in ("random", "random_box", "colmap")}
+    assert found.loc[("tdg", "random_box"), "published"] == found.loc[("tdg", "random"), "published"] == 9.69
     assert r"MSMG & $\checkmark$ (box) & $\times$ & 9.64 / 0.3471" in tables.latex and "12.50 / 0.5000" in tables.latex
     assert r"MSMG & $\checkmark$ (cameras)" in tables.latex
 

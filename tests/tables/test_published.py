@@ -17,8 +17,7 @@ from tdgbench.tables.published import (
 )
 from tdgbench.tables.results import with_averages, with_bold
 
-# Where the paper's own marks do not follow from its numbers: nobody is bold at Ebike LPIPS, and TDg is at the tie of
-# Road Block SSIM.
+# The paper's marks that do not follow from its numbers: none at Ebike LPIPS, and TDg at the tie of Road Block SSIM.
 ODD_BOLD = {("Ebike", "lpips"), ("RoadBlock", "ssim")}
 
 
@@ -37,8 +36,8 @@ def test_every_cell_is_there():
 )  # fmt: skip
 def test_spot_checks(method, scene, metric, value):
     table = published_main()
-    own = table[(table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)]
-    assert own["value"].tolist() == [value]
+    found = table[(table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)]
+    assert found["value"].tolist() == [value]
 
 
 def test_averages_follow_from_the_rows():

@@ -13,7 +13,7 @@ from tdgbench.tables.cell import Cell
 def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
     """Iterations (or seconds) until each run first has one level of training PSNR.
 
-    The level lies `reach` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
+    The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
     or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
     """
     logs = mine.log(), other.log()
@@ -23,7 +23,7 @@ def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tup
     start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
     if best <= start:
         return None
-    level = start + claim["reach"] * (best - start)
+    level = start + claim["level"] * (best - start)
     return first_at(logs[0], level, column), first_at(logs[1], level, column)
 
 

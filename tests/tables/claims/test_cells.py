@@ -49,8 +49,8 @@ def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
     claim = CLAIMS[name]
     found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
     assert found.verdict == verdict, found.grounds
-    said = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
-    assert said in found.grounds and claim.get("note", "") in found.grounds
+    expected = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
+    assert expected in found.grounds and claim.get("note", "") in found.grounds
     assert check_claim(claim, ours(*sides(tmp_path, {**claim, "against": []}, gains[:1]))).verdict == UNDECIDED
 
 
@@ -72,10 +72,10 @@ def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
 
 def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     claim = CLAIMS["fewer-floaters"]
-    seen = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
-    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in seen
-    seen = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
-    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in seen
+    grounds = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
+    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in grounds
+    grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
+    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
@@ -161,7 +161,7 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
 
 
 @pytest.mark.parametrize(
-    ("smooth", "verdict", "said"),
+    ("smooth", "verdict", "expected"),
     [
         (130, HOLDS, "fewer iterations 50 %, no RGB model -9 %, depth 60 %"),
         (100, UNDECIDED, "fewer iterations 50 %, depth 50 %; depth alone multiplies time by 0.25 [0.24, 0.25]"),
@@ -170,11 +170,11 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
         (20, FAILS, "depth -"),
     ],
 )
-def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, said):
+def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, expected):
     times = {("msmg", 3000): 400.0, ("msmg", 1000): 100.0, ("splat_smooth", 1000): smooth, ("tdg", 1000): 24.5}
     claim = CLAIMS["speed-from-depth"]
     found = check_claim(claim, ours(*chain(tmp_path, times)))
-    assert found.verdict == verdict and said in found.grounds, found.grounds
+    assert found.verdict == verdict and expected in found.grounds, found.grounds
 
 
 def test_attribution_needs_a_sure_speed_up_and_every_link(tmp_path):
