@@ -32,8 +32,8 @@ class MSMG:
         self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
 
     def setup(self, context: Context) -> None:
-        self.rgb = context.make_model(3, rgb_tensor)
-        self.thermal = context.make_model(context.scene.channels, thermal_tensor)
+        self.rgb = context.make_model(3)
+        self.thermal = context.make_model(context.scene.channels)
         self.rgb_views = context.view_order()
         self.thermal_views = context.view_order()
 

@@ -28,7 +28,7 @@ class Splat:
         self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels, thermal_tensor)
+        self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
 
     def step(self, iteration: int) -> Step:

@@ -62,7 +62,7 @@ class TDg:
         self.lambda_depth, self.depth, self.decay, self.decay_end = lambda_depth, depth, decay, decay_end
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels, thermal_tensor)
+        self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
         self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
         self.backend = context.backend
@@ -109,11 +109,7 @@ class TDg:
             without = iterations
         if self.depth == "released":
             reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
-        return context.skips.depth.decide(
-            without > 0,
-            reason or f"the depth loss weighs nothing from iteration {iterations - without + 1} on",
-            f"depth and its loss in {without} of {iterations} iterations",
-        )
+        return context.skips.depth.skip_iterations(without, iterations, reason)
 
 
 @dataclass(frozen=True)

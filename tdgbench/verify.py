@@ -12,6 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,9 @@ from tdgbench.bench.hashes import hashes
 from tdgbench.bench.record import FILE, record_files, schema_problems
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
-from tdgbench.scoring import LPIPSOptions, Scorer, to_8bit
-from tdgbench.scoring.psnr import psnr
-from tdgbench.scoring.ssim import ssim
+from tdgbench.scoring import METRICS, LPIPSOptions, Scorer, to_8bit
+from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.scored_view import ImagePair, Modality, NotApplicableError
 from tdgbench.splats.ply import load_ply
 
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
@@ -120,19 +121,27 @@ def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
 
 
 def _scores_of(folder: Path, name: str, row: dict[str, str], scorer: Scorer) -> dict[str, float]:
-    """Scores of one view from its pictures, of the thermal and the RGB model; missing pictures are left out."""
-    scores = {}
-    for suffix, prefix in (("", ""), ("_rgb", "rgb_")):
-        pair = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
-        if not all(path.exists() for path in pair):
+    """A view's scores from its stored pictures; pictures that are missing are reported elsewhere."""
+    found = {}
+    for metric in METRICS.values():
+        if not isinstance(metric, ImageMetric):
             continue
-        image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in pair)
-        scores[f"{prefix}psnr"] = psnr(image, target)
-        scores[f"{prefix}ssim"] = ssim(image, target, scorer.ssim_border)
-        if row[f"{prefix}lpips"] != "n/a":
-            lpips = scorer.lpips(image, target)
-            scores |= {} if lpips is None else {f"{prefix}lpips": lpips}
-    return scores
+        pair = _pair(folder, name, metric.modality, scorer)
+        if pair is None or row.get(metric.name, "n/a") == "n/a":
+            continue
+        with suppress(NotApplicableError):
+            found[metric.name] = metric.of_images(pair)
+    return found
+
+
+def _pair(folder: Path, name: str, modality: Modality, scorer: Scorer) -> ImagePair | None:
+    """A view's render and ground truth from disk; None where a file is missing."""
+    suffix = "" if modality == "thermal" else f"_{modality}"
+    paths = [folder / f"{sub}{suffix}" / f"{name}.png" for sub in ("renders", "targets")]
+    if not all(path.exists() for path in paths):
+        return None
+    image, target = (_picture(path).astype(np.float32) / np.float32(255) for path in paths)
+    return ImagePair(image, target, scorer.settings)
 
 
 def _is_close(a: float, b: float) -> bool:

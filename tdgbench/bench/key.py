@@ -11,6 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 from tdgbench.bench.record import Record
 from tdgbench.training.method import Method
 
+_OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that tables alone read
+
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     """Part of the configuration that a result depends on, as plain data."""
@@ -22,7 +24,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "dataset": loader,
         "init": plain["init"],
         "prior": plain["prior"] if method.needs_prior else None,
-        "method": plain["method"],
+        "method": {k: v for k, v in plain["method"].items() if k not in _OF_TABLES},
         "backend": plain["backend"],
         "budget": plain["budget"],
         "metrics": metrics,

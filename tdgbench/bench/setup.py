@@ -99,8 +99,7 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     if method.needs_rgb:
         return scene.train + [view for view in scene.test if view.load_rgb is not None]
     available = [view for view in scene.train if view.load_rgb is not None]
-    reason = f"{method.name} trains on thermal images alone"
-    return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
+    return [] if skips.rgb.skip_images(method.name, len(available)) else available
 
 
 def _estimate_priors(
@@ -110,9 +109,6 @@ def _estimate_priors(
     with observer.stage("prior"):
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
-        total = len(scene.train)
-        cached = total - estimated
-        reason = f"{cached} of {total} training views were estimated before; test views need no prior"
-        skips.prior.decide(cached > 0, reason, f"{cached} estimates")
+        skips.prior.note_cached(len(scene.train) - estimated, len(scene.train))
         observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind})
     return priors

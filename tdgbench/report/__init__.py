@@ -1,1 +1,1 @@
-"""What a person looks at: pictures, and the end of a run."""
+"""Presentation of finished experiments: pictures and the HTML report."""

@@ -1,4 +1,4 @@
-"""How pictures are written: whole or not at all, all at one resolution."""
+"""Figures on disk: written whole or not at all, all at one resolution."""
 
 from __future__ import annotations
 

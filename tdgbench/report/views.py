@@ -1,4 +1,4 @@
-"""Pictures of one test view for the report: temperatures, errors, depth, and how many training views saw what."""
+"""Pictures of one test view: temperatures, errors, depth, and coverage by training views."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
 
 THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
-ERROR_RANGE = 0.15
-MIN_ALPHA = 0.5  # less is no surface
+ERROR_RANGE = 0.15  # upper end of the colour scale of errors
+MIN_ALPHA = 0.5  # below, a pixel shows no surface
 
 
 def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
-    """(H, W) in a perceptual colour map, (H, W, 3) uint8; what is not finite is gray."""
+    """Values (H, W) in a perceptual colour map: (H, W, 3) uint8; gray where they are not finite.
+
+    >>> colored(np.array([[np.nan]]), "inferno", 0, 1).tolist()
+    [[[128, 128, 128]]]
+    """
     span = max(high - low, 1e-12)
     mapped = matplotlib.colormaps[name](np.clip((np.nan_to_num(values) - low) / span, 0, 1))[..., :3]
     mapped[~np.isfinite(values)] = 0.5
@@ -37,7 +41,7 @@ def embedded(pixels: np.ndarray) -> str:
 
 
 def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """A stored picture: in colour (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
+    """A stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
     stored = np.asarray(Image.open(path))
     if stored.ndim == 3:
         return stored, stored.astype(np.float64) / 255
@@ -45,23 +49,23 @@ def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Mean absolute difference over the channels, in colour."""
-    return colored(np.abs(image - truth).mean(axis=2), ERROR, 0, ERROR_RANGE)
+    """Mean absolute difference (H, W) over the channels of images (H, W, C) in [0, 1]."""
+    return np.abs(image - truth).mean(axis=2)
 
 
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
-    """Expected z (H, W) of a cell's model from a test camera, NaN where there is no surface; and that camera."""
+    """Expected z (H, W) of a cell's model from a test camera, NaN without a surface; and that camera."""
     gaussians, camera = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")[view]
-    seen = render_model(gaussians, camera, depth=True)
-    assert seen.depth is not None
-    alpha = 1 - seen.transmittance
-    return torch.where(alpha > MIN_ALPHA, seen.depth / alpha, torch.nan).numpy(), camera
+    render = render_model(gaussians, camera, depth=True)
+    assert render.depth is not None
+    alpha = 1 - render.transmittance
+    return torch.where(alpha > MIN_ALPHA, render.depth / alpha, torch.nan).numpy(), camera
 
 
 def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:
-    """How many other cameras have each pixel's point in their picture (H, W), whatever stands before it; NaN: no point.
+    """Number of other cameras whose picture contains each pixel's point (H, W), occluded or not; NaN without a point.
 
-    A region that few training views see is where a model must guess: the paper's half-seen building.
+    depth: z (H, W) in scene units. Few training views constrain a region of low coverage.
     """
     rows, columns = np.indices(depth.shape) + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T

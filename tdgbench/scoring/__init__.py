@@ -1,5 +1,10 @@
-"""PSNR, SSIM, LPIPS and °C error, in the conventions of the published tables and of the literature."""
+"""Scores of rendered views in the conventions of the published tables and of the literature.
 
-from tdgbench.scoring.scorer import METRICS, TRAIN_METRICS, LPIPSOptions, RenderedImages, Scorer, mean_scores, to_8bit
+A metric is one file of `metrics/`: its function and its description.
+"""
+
+from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
+from tdgbench.scoring.scored_view import RenderedImages, to_8bit
+from tdgbench.scoring.scorer import LPIPSOptions, Scorer, mean_scores
 
 __all__ = ["METRICS", "TRAIN_METRICS", "LPIPSOptions", "RenderedImages", "Scorer", "mean_scores", "to_8bit"]

@@ -1,4 +1,4 @@
-"""The convolutional trunks of LPIPS in plain torch layers, with torchvision's state-dict names, and their weights."""
+"""Convolutional trunks of LPIPS in plain torch layers, with torchvision's state-dict names, and their weights."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tdgbench.scoring.scored_view import NotApplicableError
+
 DOWNLOAD_TIMEOUT_SECONDS = 20
 _failed_downloads: dict[str, str] = {}
 
 
-class BackboneUnavailableError(Exception):
-    """No weights for the trunk; the message is the reason that records and tables give."""
+class BackboneUnavailableError(NotApplicableError):
+    """No weights for the trunk."""
 
 
 @dataclass(frozen=True)
 class TrunkSpec:
-    """Where a trunk's weights are found, and after which layers LPIPS looks at it."""
+    """A trunk's weights, and the layers whose features LPIPS compares."""
 
     file: str
     url: str
-    ends: tuple[int, ...]  # layer counts after which features are taken
+    ends: tuple[int, ...]  # numbers of layers before each set of features
     channels: tuple[int, ...]
 
 
@@ -47,7 +49,7 @@ SPECS = {
 
 
 class Fire(nn.Module):
-    """SqueezeNet's block: squeeze, then expand with 1×1 and 3×3 kernels side by side."""
+    """SqueezeNet's block: squeeze, then expand with 1×1 and 3×3 kernels in parallel."""
 
     def __init__(self, inputs: int, squeeze: int, expand: int) -> None:
         super().__init__()
@@ -91,7 +93,7 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     """The trunk's state dict (`features.*` of torchvision's names, prefix removed).
 
     From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
-    reason; a download that failed is not tried again in the same process.
+    reason. A failed download is not tried again in the same process.
     """
     if file is None and net in _failed_downloads:
         raise BackboneUnavailableError(_failed_downloads[net])

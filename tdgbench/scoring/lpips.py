@@ -1,7 +1,7 @@
 """LPIPS v0.1 (Zhang et al. 2018), through the `lpips` package where it can be imported.
 
-`lpips` imports torchvision, which fails beside a CPU build of torch. Then the same trunk from plain torch layers is
-used with the linear heads that the package ships; the two agree to float rounding (tested).
+`lpips` imports torchvision, which fails beside a CPU build of torch. The fallback is the same trunk from plain torch
+layers, with the linear heads that the package ships. The two agree to float rounding (tested).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 class LPIPS:
     """Perceptual distance of two images.
 
-    input_range `signed`: images are mapped to [−1, 1] as LPIPS asks; `unit`: they are fed in [0, 1] as 3DGS's
-    metrics.py does (a quirk of published tables). Raises BackboneUnavailableError where no weights can be had.
+    input_range `signed`: images are mapped to [−1, 1] as LPIPS expects; `unit`: they stay in [0, 1] as in 3DGS's
+    metrics.py (a quirk of published tables). Raises BackboneUnavailableError if no weights are available.
     """
 
     def __init__(self, net: Net, input_range: Range, weights: str | None = None, download: bool = True) -> None:
@@ -40,7 +40,7 @@ class LPIPS:
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
-        """Distance of images (H, W, 1 or 3) in [0, 1]; gray ones are shown as three equal channels."""
+        """Distance of images (H, W, 1 or 3) in [0, 1]; gray images become three equal channels."""
         return float(self.model(self._prepare(image), self._prepare(target)))
 
     def _prepare(self, image: np.ndarray) -> Tensor:
@@ -50,7 +50,7 @@ class LPIPS:
 
 
 class _PlainLPIPS(nn.Module):
-    """The distance itself: differences of unit-length features, weighted by the heads, averaged over the image."""
+    """Differences of unit-length features, weighted by the heads, averaged over the image."""
 
     def __init__(self, net: Net, state: dict[str, Tensor]) -> None:
         super().__init__()
@@ -80,7 +80,7 @@ class _PlainLPIPS(nn.Module):
 
 
 def _heads(net: Net) -> list[Tensor]:
-    """The linear heads (1, C, 1, 1) from the files inside the lpips package, which is not imported for it."""
+    """The linear heads (1, C, 1, 1) from the files of the lpips package, without importing it."""
     found = importlib.util.find_spec("lpips")
     if found is None or not found.submodule_search_locations:
         raise BackboneUnavailableError("the lpips package, which holds the linear heads, is not installed")
@@ -90,7 +90,7 @@ def _heads(net: Net) -> list[Tensor]:
 
 
 def _package_model(net: Net, state: dict[str, Tensor]) -> nn.Module | None:
-    """lpips.LPIPS with our trunk weights, or None where the package cannot be imported."""
+    """lpips.LPIPS with our trunk weights, or None if the package cannot be imported."""
     try:
         import lpips
     except Exception:  # torchvision beside a CPU torch raises RuntimeError, not ImportError

@@ -1,10 +1,11 @@
-"""Do printed averages follow from the rows above them? The same check for every paper, and for our own tables."""
+"""Check that printed averages follow from the rows above them, in papers and in our tables."""
 
 from __future__ import annotations
 
 import pandas as pd
 
-from tdgbench.tables.results import AVERAGE, KEYS, OVERALL, with_averages
+from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.results import with_averages
 
 FOLLOWS, OFF, UNKNOWN = "follows", "does not follow", "cannot be recomputed"
 
@@ -13,7 +14,7 @@ def check_averages(table: pd.DataFrame) -> pd.DataFrame:
     """One row per average: KEYS, printed, mean (of its rows), tolerance, verdict.
 
     table: KEYS, value and half_unit (half a unit of the last printed digit; 0 for numbers that were not rounded).
-    tolerance: how far rounding may separate the printed average from the mean of the printed rows, at most.
+    tolerance: the largest difference between the printed average and the mean of the printed rows due to rounding.
     """
     is_average = table["scene"].isin((AVERAGE, OVERALL))
     scenes = table[~is_average].assign(reason="")

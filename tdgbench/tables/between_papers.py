@@ -1,8 +1,8 @@
-"""How far papers are apart that print numbers for the same method and scene, and whether a gain is larger than that.
+"""The spread between papers on the same method and scene, and whether a gain is larger than that spread.
 
-Papers differ in splits, training lengths, seeds and code, so their spread is what a gain inside one paper has to exceed
-before it can be told from the choice of setup. Averages are compared over the scenes that the papers share, never as
-printed: papers average over different scenes.
+Papers differ in splits, training lengths, seeds and code. A gain inside one paper must exceed their spread before it
+can be told from the choice of setup. Averages are compared over the scenes that the papers share, never as printed:
+papers average over different scenes.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.tables.averages import check_averages
+from tdgbench.tables.measures import HOURS, digits, gain, half_unit, measure
+from tdgbench.tables.methods import paper_pair
+from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
-from tdgbench.tables.results import AVERAGE, DECIMALS, HIGHER_IS_BETTER, OVERALL, decimals
 
 PLACE = ["method", "dataset", "scene", "metric"]
 SHARED = "Average (shared scenes)"
-GAINER, BASELINE = "tdg", "msmg"
-UNITS = {"psnr": " dB"}
 
 
 @cache
 def between_papers() -> pd.DataFrame:
     """One row per method, dataset, scene and metric that two papers or more print.
 
-    Columns: PLACE, papers (how many), low, high, spread (high − low), scenes (1, or of the average), values (in words),
-    note (where a source leaves open which method it means). The scene SHARED is the average over the scenes that all
-    papers on the method have.
+    Columns: PLACE, papers (their number), low, high, spread (high − low), scenes (1, or those of the average), values
+    (in words), note (where a source does not settle its method). The scene SHARED is the average over the scenes that
+    all papers on the method have.
     """
     numbers = _numbers()
     rows = [_row(place, group) for place, group in numbers.groupby(PLACE, sort=False) if group["source"].nunique() > 1]
@@ -42,7 +42,7 @@ def between_papers() -> pd.DataFrame:
 
 
 def with_others(differences: pd.DataFrame) -> pd.DataFrame:
-    """The table with others_low, others_high (NaN where no other paper has the number), and papers (with this one)."""
+    """The table with others_low, others_high (NaN without another paper's number), and papers (including this one)."""
     others = _numbers().query("source != @PAPER").groupby(PLACE)["value"]
     ranges = others.agg(others_low="min", others_high="max", papers="count").reset_index()
     if "scene" not in differences:  # the ablation: averages, which other papers take over other scenes
@@ -53,7 +53,7 @@ def with_others(differences: pd.DataFrame) -> pd.DataFrame:
 
 
 def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> str:
-    """Whether TDg's gains over MSMG are larger than the spread between papers for MSMG, in words; empty if unknown.
+    """The paper's gains over its baseline against the spread between papers on the baseline, in words.
 
     main: a main table. over: `overall` (the average gain) or `scenes` (every scene's). Empty where the table has no
     gain, or lacks the scenes that papers share.
@@ -61,27 +61,27 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> st
     if over not in ("overall", "scenes"):
         raise ValueError(f"a claim's gain is over {over!r}; it must be overall or scenes")
     spreads = between_papers()
-    said = []
+    sentences = []
     for metric in metrics:
-        group = spreads[(spreads["method"] == BASELINE) & (spreads["metric"] == metric)]
+        group = spreads[(spreads["method"] == paper_pair().baseline) & (spreads["metric"] == metric)]
         if group.empty:  # hours, for one: only one paper prints them
             continue
         gains, places = _gains(main, metric), group[group["scene"] != SHARED]
         if not set(places["scene"]) <= set(gains.index):
             continue
         if over == "overall":
-            said.append(_overall(gains, group, metric))
+            sentences.append(_overall(gains, group, metric))
         else:
-            said.append(_by_scene(gains, places, metric))
-    return "; ".join(text for text in said if text)
+            sentences.append(_by_scene(gains, places, metric))
+    return "; ".join(text for text in sentences if text)
 
 
 def all_averages() -> pd.DataFrame:
-    """The averages of every source, checked: source, and what `check_averages` finds."""
-    ours = published_main()
-    places = zip(ours["metric"], ours["scene"], strict=True)
-    ours["half_unit"] = [0.5 * 10.0 ** -decimals(metric, scene) for metric, scene in places]
-    parts = [check_averages(ours).assign(source=PAPER)]
+    """The averages of every source, checked: source, and the columns of `check_averages`."""
+    paper = published_main()
+    places = zip(paper["metric"], paper["scene"], strict=True)
+    paper["half_unit"] = [half_unit(metric, scene) for metric, scene in places]
+    parts = [check_averages(paper).assign(source=PAPER)]
     for source, table in published_elsewhere().groupby("source", sort=False):
         parts.append(check_averages(table.assign(method=table["printed_as"])).assign(source=source))
     found = pd.concat(parts, ignore_index=True)
@@ -89,22 +89,22 @@ def all_averages() -> pd.DataFrame:
 
 
 def _numbers() -> pd.DataFrame:
-    """source, PLACE, value, printed_as of all papers: scenes alone, scores alone."""
-    ours = published_main().assign(source=PAPER)
-    table = pd.concat([ours.assign(printed_as=ours["method"]), published_elsewhere()], ignore_index=True)
-    kept = ~table["scene"].isin((AVERAGE, OVERALL)) & (table["metric"] != "hours")
-    return table.loc[kept, ["source", *PLACE, "value", "printed_as"]]
+    """source, PLACE, value, printed_as of all papers: scores of single scenes."""
+    paper = published_main().assign(source=PAPER)
+    table = pd.concat([paper.assign(printed_as=paper["method"]), published_elsewhere()], ignore_index=True)
+    chosen = ~table["scene"].isin((AVERAGE, OVERALL)) & (table["metric"] != HOURS.name)
+    return table.loc[chosen, ["source", *PLACE, "value", "printed_as"]]
 
 
 def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[str, object]:
-    sources, digits = load_sources(), DECIMALS[place[3]]
+    sources, places = load_sources(), digits(place[3])
     notes = []
     for row in group.itertuples():
         entry = sources[row.source].methods.get(row.printed_as, {})
         if entry and not entry["sure"]:
             notes.append(f"{row.source}, {row.printed_as}: {entry['note']}")
     low, high = float(group["value"].min()), float(group["value"].max())
-    values = "; ".join(f"{row.source} {row.value:.{digits}f}" for row in group.itertuples())
+    values = "; ".join(f"{row.source} {row.value:.{places}f}" for row in group.itertuples())
     return {
         **dict(zip(PLACE, place, strict=True)),
         "papers": len(group), "low": low, "high": high, "spread": round(high - low, 9), "scenes": scenes,
@@ -113,12 +113,13 @@ def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[s
 
 
 def _gains(main: pd.DataFrame, metric: str) -> pd.Series:
-    """By how much TDg is better than MSMG, by scene; scenes without both are left out."""
-    chosen = main[(main["metric"] == metric) & main["method"].isin((GAINER, BASELINE))]
+    """The gain of the paper's method over its baseline, by scene; scenes without both are dropped."""
+    pair = paper_pair()
+    chosen = main[(main["metric"] == metric) & main["method"].isin(pair)]
     wide = chosen.pivot_table(index="scene", columns="method", values="value", aggfunc="first")
-    if not {GAINER, BASELINE} <= set(wide):
+    if not set(pair) <= set(wide):
         return pd.Series(dtype=float)
-    return ((wide[GAINER] - wide[BASELINE]) * (1 if HIGHER_IS_BETTER[metric] else -1)).dropna()
+    return gain(metric, wide[pair.method], wide[pair.baseline]).dropna()
 
 
 def _overall(gains: pd.Series, group: pd.DataFrame, metric: str) -> str:
@@ -126,26 +127,26 @@ def _overall(gains: pd.Series, group: pd.DataFrame, metric: str) -> str:
     if not gains.get(OVERALL, np.nan) > 0:
         return ""
     shared = group[group["scene"] == SHARED].iloc[0]
-    gain = gains.reindex(group.loc[group["scene"] != SHARED, "scene"]).mean()
-    digits, unit = decimals(metric, OVERALL), UNITS.get(metric, "")
-    total, there, spread = (f"{value:.{digits}f}{unit}" for value in (gains[OVERALL], gain, shared.spread))
+    mean = gains.reindex(group.loc[group["scene"] != SHARED, "scene"]).mean()
+    numbers = (gains[OVERALL], mean, shared.spread)
+    total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{measure(metric).suffix}" for value in numbers)
     return (
         f"the gain in {metric} is {total}; over the {shared.scenes} scenes that papers share it is {there}, "
-        f"{_compared(gain, shared.spread)} the {spread} between papers"
+        f"{_compared(mean, shared.spread)} the {spread} between papers"
     )
 
 
 def _by_scene(gains: pd.Series, places: pd.DataFrame, metric: str) -> str:
     spread = places.set_index("scene")["spread"]
-    gain = gains.reindex(spread.index)
-    widest, digits, unit = spread.idxmax(), DECIMALS[metric], UNITS.get(metric, "")
+    shared = gains.reindex(spread.index)
+    widest, form, unit = spread.idxmax(), f".{digits(metric)}f", measure(metric).suffix
     return (
-        f"{metric}: {int((gain > spread).sum())} of {len(spread)} gains are larger than the spread between papers "
-        f"({widest}: gain {gain[widest]:+.{digits}f}{unit}, spread {spread[widest]:.{digits}f}{unit})"
+        f"{metric}: {int((shared > spread).sum())} of {len(spread)} gains are larger than the spread between papers "
+        f"({widest}: gain {shared[widest]:+{form}}{unit}, spread {spread[widest]:{form}}{unit})"
     )
 
 
-def _compared(gain: float, spread: float) -> str:
-    if np.isclose(gain, spread):
+def _compared(value: float, spread: float) -> str:
+    if np.isclose(value, spread):
         return "equal to"
-    return "larger than" if gain > spread else "smaller than"
+    return "larger than" if value > spread else "smaller than"

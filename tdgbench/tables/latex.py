@@ -1,4 +1,4 @@
-"""The tables as LaTeX (booktabs), in the paper's rows, groups and bold."""
+"""Tables as LaTeX (booktabs), with the paper's rows, groups and bold."""
 
 from __future__ import annotations
 
@@ -6,55 +6,47 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
-from tdgbench.tables.readings import widest_average, with_setup
-from tdgbench.tables.results import AVERAGE, DECIMALS, METRICS, OVERALL, decimals, first_points, split_notes
+from tdgbench.tables import methods
+from tdgbench.tables.measures import GAUSSIANS, PUBLISHED, PUBLISHED_SCORES, digits, measure
+from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.readings import COMPARED, widest_average, with_setup
+from tdgbench.tables.results import first_points, split_notes
 
-HEADERS = {
-    "psnr": r"PSNR $\uparrow$",
-    "ssim": r"SSIM $\uparrow$",
-    "lpips": r"LPIPS $\downarrow$",
-    "hours": r"Time [h] $\downarrow$",
-}
-METHOD_NAMES = {
-    "msmg": "MSMG",
-    "thermal": "MSMG's thermal model",
-    "splat": "3DGS",
-    "splat_smooth": "3DGS, smooth",
-    "tdg": "TDg",
-    "tdg_released": "TDg as released",
-    "tdg_switch": "TDg, switched",
-}
 LABELS = {scene.name: scene.label for scene in SCENES}
 ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX."""
+    """Text as LaTeX.
+
+    >>> print(escape("50 % of a_b"))
+    50 \\% of a\\_b
+    """
     return "".join(ESCAPES.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
 
 
 def main_table(rows: pd.DataFrame) -> str:
-    """Scenes down, methods × metrics across; a standalone `tabular` that needs the package booktabs."""
-    methods = list(dict.fromkeys(rows["method"]))
+    """Scenes down, methods × measures across; a standalone `tabular` that needs the package booktabs."""
+    columns = list(dict.fromkeys(rows["method"]))
     cells = {
-        (r.method, r.dataset, r.scene, r.metric): _number(r.value, decimals(r.metric, r.scene), r.bold)
+        (r.method, r.dataset, r.scene, r.metric): _number(r.value, digits(r.metric, r.scene), r.bold)
         for r in rows.itertuples()
     }
 
     def line(label: str, dataset: str, scene: str) -> str:
-        values = [cells[m, dataset, scene, metric] for m in methods for metric in METRICS]
+        values = [cells[m, dataset, scene, metric] for m in columns for metric in PUBLISHED]
         return f"{label} & {' & '.join(values)} \\\\"
 
-    width = 1 + len(methods) * len(METRICS)
-    heads = [rf"\multicolumn{{{len(METRICS)}}}{{c}}{{{_method(m)}}}" for m in methods]
-    rules = [rf"\cmidrule(lr){{{2 + i * len(METRICS)}-{1 + (i + 1) * len(METRICS)}}}" for i in range(len(methods))]
+    width, per_method = 1 + len(columns) * len(PUBLISHED), len(PUBLISHED)
+    heads = [rf"\multicolumn{{{per_method}}}{{c}}{{{_method(m)}}}" for m in columns]
+    rules = [rf"\cmidrule(lr){{{2 + i * per_method}-{1 + (i + 1) * per_method}}}" for i in range(len(columns))]
     lines = [
         *(f"% {note}" for note in split_notes(rows)),
         rf"\begin{{tabular}}{{l{'c' * (width - 1)}}}",
         r"\toprule",
         f"Dataset & {' & '.join(heads)} \\\\",
         "".join(rules),
-        f" & {' & '.join(HEADERS[metric] for _ in methods for metric in METRICS)} \\\\",
+        f" & {' & '.join(measure(metric).latex_column for _ in columns for metric in PUBLISHED)} \\\\",
     ]
     single = rows[rows["scene"] != OVERALL]
     for dataset, of_dataset in single.groupby("dataset", sort=False):
@@ -72,9 +64,9 @@ def main_table(rows: pd.DataFrame) -> str:
 
 
 def papers_table(rows: pd.DataFrame) -> str:
-    """Scenes down; for each score what each paper prints, in the order of the comment, and how far they are apart.
+    """Scenes down; for each score the papers' numbers, in the order of the comment, and their spread.
 
-    rows: as `between_papers` makes them.
+    rows: from `between_papers`.
     """
     orders = dict.fromkeys(
         "; ".join(part.rsplit(" ", 1)[0] for part in values.split("; ")) for values in rows["values"]
@@ -85,15 +77,15 @@ def papers_table(rows: pd.DataFrame) -> str:
         *(f"% {note}" for note in dict.fromkeys(rows["note"]) if note),
         rf"\begin{{tabular}}{{ll{'cc' * len(metrics)}}}",
         r"\toprule",
-        f" & & {' & '.join(f'{HEADERS[metric]} & spread' for metric in metrics)} \\\\",
+        f" & & {' & '.join(f'{measure(metric).latex_column} & spread' for metric in metrics)} \\\\",
         r"\midrule",
     ]
-    for (method, _, scene), own in rows.groupby(["method", "dataset", "scene"], sort=False):
-        by_metric, cells = own.set_index("metric"), []
+    for (method, _, scene), group in rows.groupby(["method", "dataset", "scene"], sort=False):
+        by_metric, cells = group.set_index("metric"), []
         for metric in metrics:
             if metric in by_metric.index:
                 texts = [part.rsplit(" ", 1)[1] for part in by_metric.loc[metric, "values"].split("; ")]
-                cells += [" / ".join(texts), f"{by_metric.loc[metric, 'spread']:.{DECIMALS[metric]}f}"]
+                cells += [" / ".join(texts), f"{by_metric.loc[metric, 'spread']:.{digits(metric)}f}"]
             else:
                 cells += ["n/a", "n/a"]
         lines.append(
@@ -103,8 +95,9 @@ def papers_table(rows: pd.DataFrame) -> str:
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
-    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2; beside them those of the training views and of
-    the RGB model. Several kinds of random points are named.
+    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, of test views, training views and RGB model.
+
+    Several kinds of random points are named.
 
     rows: method, init, metric, value, bold, points.
     """
@@ -115,10 +108,10 @@ def ablation_table(rows: pd.DataFrame) -> str:
         r"\toprule",
         r" & Random & COLMAP & PSNR / SSIM & training views & RGB model \\",
     ]
-    for method, own in rows.groupby("method", sort=False):
+    for method, group in rows.groupby("method", sort=False):
         lines.append(r"\midrule")
-        for init in dict.fromkeys(own["init"]):
-            values = own[own["init"] == init].set_index("metric")
+        for init in dict.fromkeys(group["init"]):
+            values = group[group["init"] == init].set_index("metric")
             kind = str(init).removeprefix("random").strip("_") or "cameras"
             random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
@@ -128,26 +121,34 @@ def ablation_table(rows: pd.DataFrame) -> str:
 
 
 def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
-    """Two tabulars: average scores by method and iterations, and what each difference changes, with its interval.
+    """Two tabulars: average scores by method and iterations, and the change that each difference makes.
 
-    rows: as `readings` makes them. changes: as `effects` makes them. A single scene stands for itself.
+    rows: from `readings`. changes: from `effects`. With one scene, its numbers take the place of an average.
     """
     rows, changes = with_setup(widest_average(rows), "method"), with_setup(widest_average(changes), "effect")
-    metrics = ("psnr", "ssim", "lpips", "hours", "gaussians")
-    titles = [*(HEADERS[m] for m in metrics[:4]), "Gaussians"]
-    lines = [r"\begin{tabular}{lrccccc}", r"\toprule", f"Method & Iterations & {' & '.join(titles)} \\\\", r"\midrule"]
-    for (method, length), own in rows.groupby(["method", "iterations"], sort=False):
-        values = own.set_index("metric")
-        numbers = [_spread(values, m) for m in metrics]
+    titles = [*(measure(m).latex_column for m in PUBLISHED), GAUSSIANS.label]
+    lines = [
+        rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
+        r"\toprule",
+        f"Method & Iterations & {' & '.join(titles)} \\\\",
+        r"\midrule",
+    ]
+    for (method, length), group in rows.groupby(["method", "iterations"], sort=False):
+        values = group.set_index("metric")
+        numbers = [_spread(values, m) for m in COMPARED]
         lines.append(f"{_method(str(method))} & {length} & {' & '.join(numbers)} \\\\")
     lines += [r"\bottomrule", r"\end{tabular}", ""]
-    compared = ("psnr", "ssim", "lpips", "hours")
-    titles, arrow = [*(HEADERS[m] for m in compared[:3]), r"Time $\times$"], r"$\to$"
-    lines += [r"\begin{tabular}{lrcccc}", r"\toprule", f"Change & Iterations & {' & '.join(titles)} \\\\", r"\midrule"]
-    for (effect, words), own in changes.groupby(["effect", "iterations"], sort=False):
-        values = own.set_index("metric")
-        numbers = [_change(values, m) for m in compared]
-        lines.append(f"{escape(str(effect))} & {str(words).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
+    titles, arrow = [*(measure(m).latex_column for m in PUBLISHED_SCORES), r"Time $\times$"], r"$\to$"
+    lines += [
+        rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
+        r"\toprule",
+        f"Change & Iterations & {' & '.join(titles)} \\\\",
+        r"\midrule",
+    ]
+    for (effect, lengths), group in changes.groupby(["effect", "iterations"], sort=False):
+        values = group.set_index("metric")
+        numbers = [_change(values, m) for m in PUBLISHED]
+        lines.append(f"{escape(str(effect))} & {str(lengths).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -155,37 +156,32 @@ def _spread(values: pd.DataFrame, metric: str) -> str:
     if metric not in values.index:
         return "n/a"
     value, std = float(values.loc[metric, "value"]), float(values.loc[metric, "std"])
-    if metric == "gaussians":
-        return f"{value:.0f}"
-    text = _number(value, decimals(metric, AVERAGE), False)
-    return text if np.isnan(std) or metric == "hours" else rf"{text} $\pm$ {std:.{decimals(metric, AVERAGE)}f}"
+    text = _number(value, digits(metric), False)
+    return text if np.isnan(std) or measure(metric).ratio else rf"{text} $\pm$ {std:.{digits(metric)}f}"
 
 
 def _change(values: pd.DataFrame, metric: str) -> str:
     if metric not in values.index:
         return "n/a"
     row = values.loc[metric]
-    digits, sign = (2, "") if metric == "hours" else (decimals(metric, AVERAGE), "+")
-    text = f"{row['change']:{sign}.{digits}f}"
-    if np.isnan(row["low"]):
-        return text
-    return f"{text} [{row['low']:{sign}.{digits}f}, {row['high']:{sign}.{digits}f}]"
+    form = ".2f" if measure(metric).ratio else f"+.{digits(metric)}f"
+    text = f"{row['change']:{form}}"
+    return text if np.isnan(row["low"]) else f"{text} [{row['low']:{form}}, {row['high']:{form}}]"
 
 
 def _pair(values: pd.DataFrame, part: str) -> str:
-    """PSNR / SSIM of test views, training views (part `train_`) or the RGB model (`rgb_`); bold if one of them is."""
+    """PSNR / SSIM of test views, training views (part `train_`) or the RGB model (`rgb_`); bold if either is best."""
     names = [f"{part}psnr", f"{part}ssim"]
-    text = " / ".join(_number(values.loc[name, "value"], decimals(name, OVERALL), False) for name in names)
+    text = " / ".join(_number(values.loc[name, "value"], digits(name, OVERALL), False) for name in names)
     return rf"\textbf{{{text}}}" if bool(values.loc[names, "bold"].any()) else text
 
 
-def _method(label: str) -> str:
-    name, _, rest = label.partition(" ")
-    return escape(f"{METHOD_NAMES.get(name, name)} {rest}".strip())
+def _method(column: str) -> str:
+    return escape(methods.label(column))
 
 
-def _number(value: float, digits: int, bold: bool) -> str:
+def _number(value: float, places: int, bold: bool) -> str:
     if np.isnan(value):
         return "n/a"
-    text = f"{value:.{digits}f}"
+    text = f"{value:.{places}f}"
     return rf"\textbf{{{text}}}" if bold else text

@@ -1,4 +1,4 @@
-"""The published numbers, this paper's and others', as CSV in `paper_tables/` with the same keys as our own results."""
+"""Published numbers of this paper and others, from CSV in `paper_tables/`, with the keys of our tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PAPER = "tdg"  # the source whose tables are reproduced
 class Source:
     """A paper or page with numbers.
 
-    methods: by printed name, which of our methods it is (`as`), whether the source says so (`sure`), and a `note`.
+    methods: by printed name, our method (`as`), whether the source settles it (`sure`), and a `note`.
     """
 
     title: str
@@ -45,16 +45,16 @@ def published_ablation() -> pd.DataFrame:
 
 
 def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, Source]:
-    """Where the numbers come from, by the name that the CSV files use."""
+    """The sources of the numbers, by their name in the CSV files."""
     found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     return {name: Source(**entry) for name, entry in found.items()}
 
 
 def published_elsewhere() -> pd.DataFrame:
-    """What other papers print for the same scenes.
+    """Numbers of other papers for the same scenes.
 
     Columns: source, method, dataset, group, scene, metric, value, half_unit (of the last printed digit), printed_as.
-    method is our name where sources.yaml has one, else the printed name; printed_as is always the printed name.
+    method is our name where sources.yaml has one, else the printed name (printed_as).
     Averages are rows with the scene `Average`. Raises ValueError for a source that sources.yaml lacks.
     """
     table = pd.read_csv(FOLDER / "others.csv", keep_default_na=False, dtype=str)
@@ -74,7 +74,11 @@ def published_elsewhere() -> pd.DataFrame:
 
 
 def half_unit(printed: str) -> float:
-    """Half a unit of the last digit of a printed number: how far it may be from what it stands for."""
+    """Half a unit of the last digit of a printed number: how far it may be from the number itself.
+
+    >>> half_unit("27.42")
+    0.005
+    """
     exponent = Decimal(printed).as_tuple().exponent
     assert isinstance(exponent, int)
     return 0.5 * 10.0**exponent

@@ -1,7 +1,7 @@
-"""As written and as released at equal iterations: scores by method and length, and what each difference changes.
+"""As written and as released at equal iterations: scores by method and length, and the change of each difference.
 
 Effects are paired: cells that differ in one thing share data set, scene, first points and seed. Their interval is
-Student's over seeds, of the mean over scenes; what differs between scenes is shown row by row.
+Student's over seeds, of the mean over scenes; each scene has its row as well.
 """
 
 from __future__ import annotations
@@ -13,18 +13,26 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.record import Record
+from tdgbench.scoring import METRICS
+from tdgbench.tables import methods
+from tdgbench.tables.measures import GAUSSIANS, HOURS, PUBLISHED, PUBLISHED_SCORES, digits, measure
+from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import AVERAGE, OVERALL, decimals, metric_value
+from tdgbench.tables.results import metric_value
 from tdgbench.tables.statistics import half_width
 
-SCORES = ("psnr", "ssim", "lpips", "channel_psnr", "depth_abs_rel", "depth_consistency", "floaters")
-RATIOS = ("hours", "gaussians")  # compared by their ratio
+COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables
+_OMITTED = "mae_degC"  # scales with a scene's temperature range
+SCORES = (
+    *PUBLISHED_SCORES,
+    *sorted(name for name in set(METRICS) - set(PUBLISHED) - {_OMITTED} if not METRICS[name].part),
+)
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95
 
 
 class Effect(NamedTuple):
-    """A change of one thing: cells of `after` against cells of `before` of the same length."""
+    """A change of one thing: cells of method `after` against cells of method `before` of the same length."""
 
     name: str
     before: str
@@ -42,16 +50,23 @@ EFFECTS = (
 )
 
 
+def compared_methods() -> list[Effect]:
+    """EFFECTS, and every other pair that a method's `compared_with` names."""
+    known = {(effect.after, effect.before) for effect in EFFECTS}
+    more = [pair for pair in methods.pairs() if pair not in known]
+    return [*EFFECTS, *(Effect(f"{methods.label(a)} for {methods.label(b)}", b, a) for a, b in more)]
+
+
 def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
-    """One row per finished cell and metric that it has: method, iterations, PLACE, metric, value."""
+    """One row per finished cell and known number: method, iterations, PLACE, metric, value."""
     rows = []
     for record in records:
         if record.failure is not None:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         head = [record.method, int(record.config["budget"]["iterations"]), *place]
-        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, "hours")}
-        values["gaussians"] = float(sum(record.gaussians.values()))
+        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, HOURS.name)}
+        values[GAUSSIANS.name] = float(sum(record.gaussians.values()))
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 
@@ -59,8 +74,8 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
 def readings(cells: pd.DataFrame) -> pd.DataFrame:
     """method, iterations, init, split, dataset, scene, metric, value, std, seeds, published: means over seeds.
 
-    Averages are over the scenes that every method and length has; they are absent where a seed lacks one of them.
-    published: the paper's number, beside MSMG at the most iterations and TDg at the fewest.
+    Averages are over the scenes that every method and length has; a seed that lacks one of them has no average.
+    published: the paper's number, beside its baseline at the most iterations and its method at the fewest.
     """
     keys = ["method", "iterations", "init", "split", "metric"]
     if cells.empty:
@@ -68,11 +83,11 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
     by_seed = [cells]
     shared = _shared_scenes(cells)
     for names, scene in ((["dataset"], AVERAGE), ([], OVERALL)):
-        own = cells[[key in shared for key in zip(cells["dataset"], cells["scene"], strict=True)]]
-        if scene == OVERALL and own["dataset"].nunique() < 2:
+        common = cells[[key in shared for key in zip(cells["dataset"], cells["scene"], strict=True)]]
+        if scene == OVERALL and common["dataset"].nunique() < 2:
             continue
-        groups = own.groupby([*keys, "seed", *names], sort=False)["value"]
-        wanted = own.drop_duplicates(["dataset", "scene"]).groupby(names)["scene"].count() if names else len(shared)
+        groups = common.groupby([*keys, "seed", *names], sort=False)["value"]
+        wanted = common.drop_duplicates(["dataset", "scene"]).groupby(names)["scene"].count() if names else len(shared)
         means = groups.agg(["mean", "count"]).reset_index()
         full = means["dataset"].map(wanted) if names else wanted
         means = means[means["count"] == full].rename(columns={"mean": "value"})
@@ -84,7 +99,7 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the widest average that there is; with one scene alone, all rows."""
+    """The rows of the widest average; with one scene alone, all rows."""
     for name in (OVERALL, AVERAGE):
         if (rows["scene"] == name).any():
             return rows[rows["scene"] == name]
@@ -92,7 +107,7 @@ def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
-    """The rows with first points and split added to the words in a column, where the table has several of them."""
+    """The rows with first points and split added to a column's text, where the table has several of them."""
     varied = [name for name in ("init", "split") if rows[name].nunique() > 1]
     if not varied:
         return rows
@@ -110,7 +125,8 @@ def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:
 def _with_published(found: pd.DataFrame) -> pd.DataFrame:
     printed = published_main()[["method", "dataset", "scene", "metric", "value"]].rename(columns={"value": "published"})
     length = {}
-    for method, choose in (("msmg", max), ("tdg", min)):
+    pair = methods.paper_pair()
+    for method, choose in ((pair.baseline, max), (pair.method, min)):
         of_method = found.loc[found["method"] == method, "iterations"]
         if len(of_method):
             length[method] = choose(of_method)
@@ -121,44 +137,46 @@ def _with_published(found: pd.DataFrame) -> pd.DataFrame:
 def effects(cells: pd.DataFrame) -> pd.DataFrame:
     """effect, iterations, init, split, dataset, scene, metric, kind, change, low, high, seeds, scenes.
 
-    kind: `difference` (after − before) or `ratio` (after / before) for hours and Gaussians. low, high: the 95 %
-    interval over seeds, NaN for one seed. Besides EFFECTS at each length: fewer iterations, method by method, and TDg
-    at the fewest against MSMG at the most, as published.
+    kind: `difference` (after − before), or `ratio` (after / before) for hours and Gaussians. low, high: the 95 %
+    interval over seeds, NaN for one seed. The rows are the compared methods at each length; fewer iterations, method
+    by method; and the paper's method at the fewest iterations against its baseline at the most, as published.
     """
     lengths = sorted(cells["iterations"].unique())
-    pairs = [(e.name, (e.before, n), (e.after, n)) for n in lengths for e in EFFECTS]
+    pairs = [(e.name, (e.before, n), (e.after, n)) for n in lengths for e in compared_methods()]
     if len(lengths) > 1:
         few, many = lengths[0], lengths[-1]
         pairs += [(f"fewer iterations: {m}", (m, many), (m, few)) for m in cells["method"].unique()]
-        pairs.append(("as published: TDg at the fewest for MSMG at the most", ("msmg", many), ("tdg", few)))
+        new, old = methods.paper_pair()
+        name = f"as published: {methods.label(new)} at the fewest for {methods.label(old)} at the most"
+        pairs.append((name, (old, many), (new, few)))
     parts = []
     for name, before, after in pairs:
         a, b = (cells[(cells["method"] == m) & (cells["iterations"] == n)] for m, n in (before, after))
         both = a.merge(b, on=[*PLACE, "metric"], suffixes=("_before", "_after"))
         if not both.empty:
-            words = str(after[1]) if before[1] == after[1] else f"{before[1]} → {after[1]}"
-            parts.append(_changes(both).assign(effect=name, iterations=words))
+            lengths_used = str(after[1]) if before[1] == after[1] else f"{before[1]} → {after[1]}"
+            parts.append(_changes(both).assign(effect=name, iterations=lengths_used))
     columns = ["effect", "iterations", "init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high",
                "seeds", "scenes"]  # fmt: skip
     return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
 
 
 def _changes(both: pd.DataFrame) -> pd.DataFrame:
-    """Per scene, and over all scenes that every seed has."""
-    ratio = both["metric"].isin(RATIOS)
+    """Changes by scene, and over all scenes that every seed has."""
+    ratio = both["metric"].map(lambda name: measure(name).ratio)
     before, after = both["value_before"], both["value_after"]
     logs = np.log((after / before).where(ratio, 1.0))
     both = both.assign(change=(after - before).where(~ratio, logs))
     rows = []
-    for (init, split, metric), own in both.groupby(["init", "split", "metric"], sort=False):
-        wide = own.pivot_table(index="seed", columns=["dataset", "scene"], values="change").dropna(axis=1)
+    for (init, split, metric), group in both.groupby(["init", "split", "metric"], sort=False):
+        wide = group.pivot_table(index="seed", columns=["dataset", "scene"], values="change").dropna(axis=1)
         places = [(dataset, scene, wide[[(dataset, scene)]]) for dataset, scene in wide.columns]
         if wide.shape[1] > 1:
             datasets = wide.columns.get_level_values(0).unique()
             places.append((datasets[0] if len(datasets) == 1 else "", AVERAGE if len(datasets) == 1 else OVERALL, wide))
         for dataset, scene, values in places:
             mean, low, high = _interval(values.mean(axis=1).to_numpy())
-            kind = "ratio" if metric in RATIOS else "difference"
+            kind = "ratio" if measure(str(metric)).ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
     names = ["init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high", "seeds", "scenes"]
@@ -166,7 +184,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
 
 
 def _interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean, and Student's 95 % interval of it; NaN for fewer than two."""
+    """Mean, and its 95 % Student interval; NaN for fewer than two values."""
     mean = float(values.mean())
     if len(values) < 2:
         return mean, float("nan"), float("nan")
@@ -175,20 +193,19 @@ def _interval(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows for a reader: each change of the widest average, with its interval. changes: as by `effects`."""
-    metrics = ("psnr", "ssim", "lpips", "hours", "gaussians")
-    heads = ["change", "iterations", "scene", "PSNR, dB", "SSIM", "LPIPS", "time ×", "Gaussians ×"]
+    """Heads and rows for a reader: each change of the widest average, with its interval. changes: from `effects`."""
+    heads = ["change", "iterations", "scene", *(measure(name).change for name in COMPARED)]
     rows = []
-    own = with_setup(widest_average(changes), "effect")
-    for place, group in own.groupby(["effect", "iterations", "scene"], sort=False):
+    shown = with_setup(widest_average(changes), "effect")
+    for place, group in shown.groupby(["effect", "iterations", "scene"], sort=False):
         by_metric = {row.metric: row for row in group.itertuples()}
-        rows.append([*(str(part) for part in place), *(_change_as_text(by_metric.get(m)) for m in metrics)])
+        rows.append([*(str(part) for part in place), *(_change_as_text(by_metric.get(m)) for m in COMPARED)])
     return heads, rows
 
 
 def _change_as_text(row: Any) -> str:
     if row is None:
         return "n/a"
-    form = ".2f" if row.kind == "ratio" else f"+.{decimals(row.metric, AVERAGE)}f"
+    form = ".2f" if row.kind == "ratio" else f"+.{digits(row.metric)}f"
     text = format(row.change, form)
     return text if np.isnan(row.low) else f"{text} [{row.low:{form}}, {row.high:{form}}]"

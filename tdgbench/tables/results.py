@@ -1,4 +1,4 @@
-"""Records as a long table: one row per method, scene and metric; what is not there is n/a with its reason."""
+"""Records as a long table: one row per method, scene and metric; missing numbers are n/a with a reason."""
 
 from __future__ import annotations
 
@@ -10,16 +10,10 @@ import pandas as pd
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
-from tdgbench.scoring import METRICS as SCORES
+from tdgbench.tables import methods
+from tdgbench.tables.measures import EXTRA, HOURS, PUBLISHED, TRAINING, digits, measure
+from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
 
-METRICS = ("psnr", "ssim", "lpips", "hours")  # of the published tables
-TRAIN_METRICS = ("train_psnr", "train_ssim")  # of the training views: what overfits is far better there
-EXTRA_METRICS = (*(m for m in SCORES if m not in METRICS), *TRAIN_METRICS)
-HIGHER_IS_BETTER = {m: m.endswith(("psnr", "ssim")) for m in (*METRICS, *EXTRA_METRICS)}
-DECIMALS = {m: 2 if m.endswith("psnr") else 3 for m in (*METRICS, *EXTRA_METRICS)}
-KEYS = ["method", "dataset", "group", "scene", "metric"]
-AVERAGE, OVERALL = "Average", "Average (Overall)"
-METHOD_ORDER = ("msmg", "tdg")
 SPLITS = {
     "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",
     "every_8th": "every 8th view is tested",
@@ -29,7 +23,11 @@ NO_RECORD = "not run, or the scene is not on disk"
 
 
 def method_label(record: Record, with_init: bool) -> str:
-    """The method as a column: other overrides, and inits other than COLMAP, set columns apart."""
+    """The method's column. Inits other than COLMAP (if `with_init`) and other overrides get separate columns.
+
+    >>> method_label(Record("tdg", "synthetic", "orbit", "random", 0, "demo", "budget=short"), with_init=True)
+    'tdg (random) [budget=short]'
+    """
     label = record.method
     if with_init and record.init != "colmap":
         label += f" ({record.init})"
@@ -37,12 +35,12 @@ def method_label(record: Record, with_init: bool) -> str:
 
 
 def metric_value(record: Record, metric: str) -> tuple[float, str]:
-    """The value (NaN for n/a) and the reason if there is none."""
+    """The value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, f"failed in {record.failure.stage}: {record.failure.error.splitlines()[0]}"
-    if metric == "hours":
+    if metric == HOURS.name:
         return record.seconds["train"] / 3600, ""
-    if metric in TRAIN_METRICS:
+    if metric in TRAINING:
         value = record.train_scores.get(metric.removeprefix("train_"))
     else:
         value = record.scores.get(metric)
@@ -50,26 +48,25 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
 
 
 def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
-    """Rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a rows where nothing is known.
+    """Rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a without a record.
 
     With `init` only its records count, and inits do not make columns.
     """
+    by_place: dict[tuple[str, str, str], list[Record]] = {}
     chosen = [r for r in records if init in (None, r.init)]
-    labels = [method_label(r, with_init=init is None) for r in chosen]
+    for record in chosen:
+        place = (method_label(record, with_init=init is None), record.dataset, record.scene)
+        by_place.setdefault(place, []).append(record)
+    labels = {label for label, _, _ in by_place}
     scenes = _scenes(chosen, plan)
     of_paper = any(s["dataset"] in DATASETS.values() for s in scenes)
-    wanted = {*plan.methods, *(METHOD_ORDER if of_paper else ())} - {label.split(" ")[0] for label in labels}
-    methods = sorted({*labels, *wanted}, key=_method_rank)
+    without_records = {*plan.methods, *(methods.paper_pair() if of_paper else ())} - {m.split(" ")[0] for m in labels}
     rows = []
-    for method in methods:
+    for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
-            own = [
-                r
-                for r, label in zip(chosen, labels, strict=True)
-                if label == method and (r.dataset, r.scene) == (scene["dataset"], scene["scene"])
-            ]
-            for metric in (*METRICS, *EXTRA_METRICS):
-                pairs = [metric_value(r, metric) for r in own] or [(np.nan, NO_RECORD)]
+            cells = by_place.get((method, scene["dataset"], scene["scene"]), [])
+            for metric in (*PUBLISHED, *EXTRA):
+                pairs = [metric_value(r, metric) for r in cells] or [(np.nan, NO_RECORD)]
                 value = float(np.mean([v for v, _ in pairs]))  # NaN if any seed lacks it
                 reason = next((reason for _, reason in pairs if reason), "")
                 rows.append({"method": method, **scene, "metric": metric, "value": value, "reason": reason})
@@ -77,45 +74,44 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
 
 
 def with_splits(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
-    """The rows with `split`: how the views of their cells were split (`a + b` for an average over both)."""
+    """The rows with `split`, the split of their cells' views (`a + b` for an average over both)."""
     splits: dict[str, dict[tuple[str, str], set[str]]] = {}
     for record in records:
         of_method = splits.setdefault(method_label(record, with_init=True), {})
         of_method.setdefault((record.dataset, record.scene), set()).add(record.split)
 
     def split_of(method: str, dataset: str, scene: str) -> str:
-        own = splits.get(method, {})
+        by_scene = splits.get(method, {})
         if scene not in (AVERAGE, OVERALL):
-            return " + ".join(sorted(own.get((dataset, scene), set())))
-        return " + ".join(sorted({s for (d, _), found in own.items() if dataset in ("", d) for s in found}))
+            return " + ".join(sorted(by_scene.get((dataset, scene), set())))
+        return " + ".join(sorted({s for (d, _), names in by_scene.items() if dataset in ("", d) for s in names}))
 
-    found = [split_of(r.method, r.dataset, r.scene) for r in rows.itertuples()]
-    return rows.assign(split=found)
+    return rows.assign(split=[split_of(r.method, r.dataset, r.scene) for r in rows.itertuples()])
 
 
 def split_notes(main: pd.DataFrame) -> list[str]:
-    """Which views were tested, in words, one line for each split in a main table."""
+    """The test views in words, one line for each split in a main table."""
     return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows and their averages per data set and overall; an average over anything missing is n/a."""
+    """The rows and their averages per data set and overall; an average over a missing number is n/a."""
     parts = []
     datasets = list(dict.fromkeys(rows["dataset"]))
     for method, of_method in rows.groupby("method", sort=False):
         for dataset in datasets:
-            own = of_method[of_method["dataset"] == dataset]
-            parts += [own, _average(own, str(method), dataset, AVERAGE)]
+            of_dataset = of_method[of_method["dataset"] == dataset]
+            parts += [of_dataset, _average(of_dataset, str(method), dataset, AVERAGE)]
         if len(datasets) > 1:
             parts.append(_average(of_method, str(method), "", OVERALL))
     return pd.concat(parts, ignore_index=True) if parts else rows
 
 
 def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mark the best method of each row of the table; values that print the same are a tie, and nobody is marked."""
+    """Mark the best method of each row of the table. Values that print the same are a tie, which has no mark."""
     rows = rows.copy()
     rounded = [
-        np.nan if np.isnan(v) else round(v, decimals(metric, scene))
+        np.nan if np.isnan(v) else round(v, digits(metric, scene))
         for v, metric, scene in zip(rows["value"], rows["metric"], rows["scene"], strict=True)
     ]
     rows["bold"] = False
@@ -123,7 +119,7 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
         [rows["dataset"], rows["scene"], rows["metric"]], sort=False
     ):
         known = group.dropna()
-        best = known.max() if HIGHER_IS_BETTER[str(metric)] else known.min()
+        best = known.max() if measure(str(metric)).higher_is_better else known.min()
         winners = known.index[known == best]
         if len(known) > 1 and len(winners) == 1:
             rows.loc[winners, "bold"] = True
@@ -131,38 +127,24 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def first_points(ablation: pd.DataFrame) -> list[str]:
-    """How the first points of each init of an ablation were made, in words, where it is known."""
+    """The origin of each init's first points in an ablation, in words, where it is known."""
     hows = ablation.groupby("init", sort=False)["points"].first()
     return [f"{init}: {how}" for init, how in hows.items() if how]
 
 
-def decimals(metric: str, scene: str) -> int:
-    """Digits after the point, as the paper prints them (its overall SSIM has four)."""
-    return 4 if metric.endswith("ssim") and scene == OVERALL else DECIMALS[metric]
-
-
 def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.DataFrame:
     result = []
-    for metric, own in rows.groupby("metric", sort=False):
-        lacking = int(own["value"].isna().sum())
-        reasons = set(own["reason"]) - {""}
-        why = reasons.pop() if len(reasons) == 1 else f"{lacking} of {len(own)} scenes are n/a"
-        result.append(
-            {
-                "method": method,
-                "dataset": dataset,
-                "group": "",
-                "scene": name,
-                "metric": metric,
-                "value": float(own["value"].mean(skipna=False)),
-                "reason": why if lacking else "",
-            }
-        )
-    return pd.DataFrame(result)
+    for metric, group in rows.groupby("metric", sort=False):
+        missing = int(group["value"].isna().sum())
+        reasons = set(group["reason"]) - {""}
+        why = reasons.pop() if len(reasons) == 1 else f"{missing} of {len(group)} scenes are n/a"
+        value = float(group["value"].mean(skipna=False))
+        result.append([method, dataset, "", name, metric, value, why if missing else ""])
+    return pd.DataFrame(result, columns=[*KEYS, "value", "reason"])
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[dict[str, str]]:
-    """The scenes of the table: planned, seen in records, and if any is of the paper, all of the paper's."""
+    """The planned scenes and those of records; with one of the paper's scenes, all of them."""
     keys = {(s["dataset"], s["scene"]): s for s in plan.scenes}
     for r in records:
         keys.setdefault((r.dataset, r.scene), {"scene": r.scene, "dataset": r.dataset, "group": r.group})
@@ -173,8 +155,3 @@ def _scenes(records: list[Record], plan: Plan) -> list[dict[str, str]]:
     if any(key in paper for key in keys):
         keys = {**paper, **{k: v for k, v in keys.items() if k not in paper}}
     return list(keys.values())
-
-
-def _method_rank(label: str) -> tuple[int, str]:
-    name = label.split(" ")[0]
-    return (METHOD_ORDER.index(name) if name in METHOD_ORDER else len(METHOD_ORDER), label)

@@ -1,10 +1,10 @@
-"""How sure a number of ours is: its spread over seeds, an interval over seeds and views; tests of TDg against MSMG."""
+"""Uncertainty of our numbers: spread over seeds, intervals over seeds and views, tests of a method against another."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,16 +13,11 @@ from scipy import stats
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
-from tdgbench.tables.results import (
-    AVERAGE,
-    HIGHER_IS_BETTER,
-    KEYS,
-    OVERALL,
-    TRAIN_METRICS,
-    method_label,
-    scene_rows,
-    with_averages,
-)
+from tdgbench.tables.measures import HOURS, TRAINING, gain
+from tdgbench.tables.methods import MethodPair
+from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.published import published_main
+from tdgbench.tables.results import method_label, scene_rows, with_averages
 
 REPLICATES = 1000
 SEED = 0
@@ -32,7 +27,10 @@ COVERAGE = 0.95
 def half_width(std: Any, count: Any, tail: float) -> Any:
     """Half of Student's interval of a mean over `count` values (2 or more) with sample standard deviation std.
 
-    tail: the probability left out on each side. Arrays broadcast.
+    tail: probability outside of the interval on each side. Arrays broadcast.
+
+    >>> round(float(half_width(1.0, 4, 0.025)), 3)
+    1.591
     """
     return stats.t.isf(tail, np.asarray(count) - 1) * std / np.sqrt(count)
 
@@ -48,7 +46,7 @@ def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd
 
 
 def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
-    """KEYS, low, high: 95 % bootstrap intervals of each mean, drawing seeds anew, and for each its test views."""
+    """KEYS, low, high: 95 % bootstrap interval of each mean, which resamples seeds and, of each seed, test views."""
     rng = np.random.default_rng(SEED)
     cells: dict[tuple[str, str, str, str], list[dict[str, np.ndarray]]] = {}
     for record in sorted(records, key=lambda r: (r.title, r.seed)):
@@ -65,15 +63,16 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
         datasets = list(dict.fromkeys(key[1] for key in replicates if key[0] == method))
         for dataset in [*datasets, *([""] if len(datasets) > 1 else [])]:
             for metric in dict.fromkeys(key[4] for key in replicates if key[0] == method):
-                own = [v for k, v in replicates.items() if k[0] == method and k[4] == metric and dataset in ("", k[1])]
+                chosen = [k for k in replicates if k[0] == method and k[4] == metric and dataset in ("", k[1])]
+                group = [replicates[k] for k in chosen]
                 scene = AVERAGE if dataset else OVERALL
-                rows.append(_row((method, dataset, "", scene, metric), np.mean(own, axis=0)))
+                rows.append(_row((method, dataset, "", scene, metric), np.mean(group, axis=0)))
     return pd.DataFrame(rows, columns=[*KEYS, "low", "high"])
 
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Every number of a cell: scores by view, hours as one value."""
-    found = {"hours": np.array([record.seconds["train"] / 3600])}
+    found = {HOURS.name: np.array([record.seconds["train"] / 3600])}
     path = cell_folder_of(experiment, record) / "views.csv"
     if path.exists():
         with path.open(newline="") as file:
@@ -98,26 +97,46 @@ def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
     return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
 
 
-def speed_ratios(main: pd.DataFrame) -> pd.DataFrame:
-    """dataset, group, scene, ratio: hours of TDg over those of MSMG, which may be compared between machines."""
-    hours = main[main["metric"] == "hours"]
+class Comparison(NamedTuple):
+    """A method against its baseline. paired: from `paired_tests`. speed: from `speed_table`."""
+
+    pair: MethodPair
+    paired: pd.DataFrame
+    speed: pd.DataFrame
+
+
+def compare(main: pd.DataFrame, pair: MethodPair) -> Comparison:
+    """Compare the two methods of a main table."""
+    return Comparison(pair, paired_tests(main, pair), speed_table(main, pair))
+
+
+def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
+    """dataset, group, scene, ratio: hours of the method over those of its baseline, which compare between machines."""
+    hours = main[main["metric"] == HOURS.name]
     wide = hours.pivot_table(index=["dataset", "group", "scene"], columns="method", values="value", sort=False)
-    if not {"tdg", "msmg"} <= set(wide):
+    if not set(pair) <= set(wide):
         return pd.DataFrame(columns=["dataset", "group", "scene", "ratio"])
-    return (wide["tdg"] / wide["msmg"]).rename("ratio").reset_index()
+    return (wide[pair.method] / wide[pair.baseline]).rename("ratio").reset_index()
 
 
-def paired_tests(main: pd.DataFrame) -> pd.DataFrame:
-    """metric, scenes, better, p: Wilcoxon's signed-rank test over scenes that TDg beats MSMG (one-sided)."""
+def speed_table(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
+    """dataset, group, scene, ours, published: hours of the method over those of its baseline."""
+    ours = speed_ratios(main, pair).rename(columns={"ratio": "ours"})
+    published = speed_ratios(published_main(), pair).rename(columns={"ratio": "published"})
+    return ours.merge(published, on=["dataset", "group", "scene"], how="left")
+
+
+def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
+    """metric, scenes, better, p: Wilcoxon's signed-rank test over scenes that a method is better (one-sided)."""
     single = main[~main["scene"].isin((AVERAGE, OVERALL))]
     rows = []
-    for metric, own in single[~single["metric"].isin(TRAIN_METRICS)].groupby("metric", sort=False):
-        wide = own.pivot_table(index=["dataset", "scene"], columns="method", values="value", sort=False)
-        if not {"tdg", "msmg"} <= set(wide):
+    for metric, group in single[~single["metric"].isin(TRAINING)].groupby("metric", sort=False):
+        wide = group.pivot_table(index=["dataset", "scene"], columns="method", values="value", sort=False)
+        if not set(pair) <= set(wide):
             continue
-        both = wide[["tdg", "msmg"]].dropna()
-        gain = (both["tdg"] - both["msmg"]) * (1 if HIGHER_IS_BETTER[str(metric)] else -1)
-        tested = len(gain) >= 5 and bool((gain != 0).any())  # with fewer, no outcome could be below 5 %
-        p = float(stats.wilcoxon(gain, alternative="greater").pvalue) if tested else float("nan")
-        rows.append({"metric": metric, "scenes": len(gain), "better": int((gain > 0).sum()), "p": p})
+        both = wide[list(pair)].dropna()
+        gains = gain(str(metric), both[pair.method], both[pair.baseline])
+        tested = len(gains) >= 5 and bool((gains != 0).any())  # with fewer, no outcome could be below 5 %
+        p = float(stats.wilcoxon(gains, alternative="greater").pvalue) if tested else float("nan")
+        rows.append({"metric": metric, "scenes": len(gains), "better": int((gains > 0).sum()), "p": p})
     return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -12,16 +11,12 @@ from torch import Tensor
 
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
-from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
-from tdgbench.training.skips.view_dependence import explained_by_direction
-
-ImageOf = Callable[[View, torch.device], Tensor]
 
 
 class ViewOrder:
@@ -77,18 +72,11 @@ class Context:
         """Device on which the backend trains."""
         return training_device(self.backend)
 
-    def make_model(self, channels: int, images: ImageOf) -> SplatModel:
-        """Model at the initial points, to train on `images` (thermal_tensor or rgb_tensor) of the views."""
+    def make_model(self, channels: int) -> SplatModel:
+        """Model at the initial points, to train on images with this many channels."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
-
-        def view_dependence(gaussians: Gaussians) -> float:
-            targets = [images(view, self.device) for view in self.scene.train]
-            return explained_by_direction(gaussians, self.scene.train, targets, self.backend)
-
-        return SplatModel(
-            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, view_dependence
-        )
+        return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips)
 
     def view_order(self) -> ViewOrder:
         """A new random order of the training views."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,8 +20,6 @@ from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.skips import Skips
-
-MIN_VIEW_DEPENDENCE = 0.02  # R² below which the harmonics do not grow
 
 
 @dataclass
@@ -66,12 +63,8 @@ class SplatModel:
         backend: str,
         generator: torch.Generator,
         skips: Skips | None = None,
-        view_dependence: Callable[[Gaussians], float] | None = None,
     ) -> None:
-        """extent: of the scene, world units. generator: draws the children of split Gaussians.
-
-        view_dependence: measures how much of the residuals direction explains (R²); None: the SH degree always grows.
-        """
+        """extent: of the scene, world units. generator: draws the children of split Gaussians."""
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -80,8 +73,6 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.view_dependence: float | None = None  # last measurement
-        self._measure_view_dependence = view_dependence
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -123,7 +114,6 @@ class SplatModel:
             "density": self.density.state_dict(),
             "degree": self.degree,
             "work": asdict(self.work),
-            "view_dependence": self.view_dependence,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -131,22 +121,14 @@ class SplatModel:
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
-        self.degree, self.view_dependence = saved["degree"], saved["view_dependence"]
+        self.degree = saved["degree"]
         self.work = Work(**saved["work"])
 
     def begin(self, iteration: int) -> None:
         """Start an iteration (1-based): raise the SH degree if it is due."""
         self._iteration = iteration
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
-            self._grow_degree()
-
-    def _grow_degree(self) -> None:
-        """Raise the SH degree by one, unless direction explains nothing in the training views."""
-        if self.skips.sh.allowed and self._measure_view_dependence is not None:
-            self.view_dependence = self._measure_view_dependence(self.gaussians.detach())
-            if self.view_dependence < MIN_VIEW_DEPENDENCE:
-                return
-        self.degree += 1
+            self.degree += 1
 
     def forget_views(self) -> None:
         """Drop the gradients since the last step."""

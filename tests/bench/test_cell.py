@@ -62,7 +62,7 @@ def test_the_data_folder_is_only_read(run, data_root):
 
 
 def test_scores_are_those_of_the_stored_pictures(run):
-    from tdgbench.scoring.psnr import psnr
+    from tdgbench.scoring.metrics.psnr import psnr
 
     run("scene=orbit", "method=splat")
     record = read_all(run.experiment)[0]

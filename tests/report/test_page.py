@@ -14,7 +14,7 @@ import pytest
 from tdgbench.bench.plan import Plan
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
-from tests.tables.test_build import published_as_records, write_ablation
+from tests.tables.records import published_as_records, write_ablation
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 PROBE = """
@@ -69,8 +69,8 @@ def test_everything_is_in_the_file(page):
     assert parser.found and all(s.startswith(("data:", "#")) for s in parser.found)
     assert "url(http" not in text and "@import" not in text
     assert parser.opened.count("section") == 2 and text.count('class="slider"') == 3
-    for said in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
-        assert said in text, said
+    for part in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
+        assert part in text, part
     assert len(re.findall(r"<svg", text)) == 2
     assert 'id="papers"' not in text  # nothing is published for these scenes
 
@@ -88,7 +88,7 @@ def test_an_ablation(tmp_path):
     Plan("ablation").write(tmp_path)
     tables = replace(build_tables(tmp_path), records=[])
     text = write_report(tmp_path, tables).read_text()
-    assert "PSNR ↑, training views" in text and "random: somewhere" in text
+    assert "PSNR of the training views, dB ↑" in text and "random: somewhere" in text
     assert text.count('class="note undecided"') == 8 and "40.00" in text
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from tdgbench.report.page import TITLES
-from tdgbench.report.published import beside, section
+from tdgbench.report.published import beside, published_section
 from tdgbench.tables.build import build_tables
-from tests.tables.test_build import write
+from tdgbench.tables.measures import measure
+from tests.tables.records import write
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +29,17 @@ def row(tables, method, scene, metric="psnr"):
 
 
 def test_a_verdict_in_words(tables):
-    note, said = beside(row(tables, "msmg", "Parterre"), "Parterre")
+    note, details = beside(row(tables, "msmg", "Parterre"), "Parterre")
     assert note == "+0.00"
-    assert said == ("published 24.06: reproduced; 90 % of our mean: 24.04 to 24.09, margin 0.2; other papers: 26.16")
-    note, said = beside(row(tables, "msmg", "Truck"), "Truck")
-    assert note == "-1.84" and said.startswith("published 25.90: worse; 90 % of our mean")
+    interval = "90 % interval of our mean: 24.04 to 24.09, margin 0.2"
+    assert details == f"published 24.06: reproduced; {interval}; other papers: 26.16"
+    note, details = beside(row(tables, "msmg", "Truck"), "Truck")
+    assert note == "-1.84" and details.startswith("published 25.90: worse; 90 % interval of our mean")
 
 
 def test_undecided_says_why(tables):
-    _, said = beside(row(tables, "tdg", "Truck"), "Truck")
-    assert said == "published 26.28: undecided, one seed has no spread; seeds needed: unknown"
+    _, details = beside(row(tables, "tdg", "Truck"), "Truck")
+    assert details == "published 26.28: undecided, one seed has no spread; seeds needed: unknown"
 
 
 def test_nothing_is_said_where_there_is_nothing(tables):
@@ -46,11 +47,11 @@ def test_nothing_is_said_where_there_is_nothing(tables):
 
 
 def test_the_section(tables):
-    found = section(tables, TITLES)
-    psnr = next(v for v in found["verdicts"] if v["metric"] == TITLES["psnr"])
-    assert psnr["margin"] == "0.2" and psnr["said"] == "1 reproduced, 1 worse, 1 undecided (unknown for 1)"
-    assert TITLES["hours"] not in [v["metric"] for v in found["verdicts"]]
+    found = published_section(tables)
+    psnr = next(v for v in found["verdicts"] if v["metric"] == measure("psnr").title)
+    assert psnr["margin"] == "0.2" and psnr["counts"] == "1 reproduced, 1 worse, 1 undecided (unknown for 1)"
+    assert measure("hours").title not in [v["metric"] for v in found["verdicts"]]
     parterre = next(r for r in found["rows"] if r["head"][1] == "Parterre")
     assert parterre["cells"][0] == {"text": "tdg 24.06; thermosplat-2601 26.16", "spread": "2.10"}
     assert len(found["rows"]) == 8 and len(found["notes"]) == 1
-    assert section(replace(tables, difference=None), TITLES) is None
+    assert published_section(replace(tables, difference=None)) is None

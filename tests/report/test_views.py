@@ -14,9 +14,9 @@ def test_coverage_counts_the_cameras_that_have_a_point_in_their_picture():
     depth = np.full((6, 8), 2.0)
     depth[0, 0] = np.nan
     # Half of what the first camera sees lies in the picture of one that stands 1 unit to the right.
-    seen = coverage(depth, camera(0), [camera(0), camera(1), camera(100)])
-    assert np.isnan(seen[0, 0])
-    assert (seen[1:, 4:] == 2).all() and (seen[1:, :4] == 1).all()
+    covered = coverage(depth, camera(0), [camera(0), camera(1), camera(100)])
+    assert np.isnan(covered[0, 0])
+    assert (covered[1:, 4:] == 2).all() and (covered[1:, :4] == 1).all()
 
 
 def test_behind_a_camera_nothing_is_seen():

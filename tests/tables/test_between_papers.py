@@ -1,4 +1,4 @@
-"""How far papers are apart, from the data, and what is said of a gain."""
+"""The spread between papers, from the data, and gains against it."""
 
 from __future__ import annotations
 

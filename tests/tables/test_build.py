@@ -4,59 +4,20 @@ import subprocess
 import pandas as pd
 import pytest
 
-from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record, read_all
-from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.bench.record import read_all
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
-from tdgbench.tables.published import published_ablation, published_main
-from tdgbench.tables.results import KEYS
-
-
-def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group="day", init="colmap", seed=0, **extra):
-    record = Record(method, dataset, scene, init, seed, experiment.name, extra.pop("variant", ""), group=group)
-    record.scores = {"psnr": 20.0, "ssim": 0.8, "lpips": 0.2, **extra.pop("scores", {})}
-    record.seconds = {"train": 360.0}
-    for name, value in extra.items():
-        setattr(record, name, value)
-    folder = cell_folder_of(experiment, record)
-    folder.mkdir(parents=True)
-    record.write(folder)
-    return folder
-
-
-def published_as_records(experiment) -> None:
-    values = published_main().set_index(["method", "scene", "metric"])["value"]
-    for method in ("msmg", "tdg"):
-        for s in SCENES:
-            scores = {m: float(values[method, s.name, m]) for m in ("psnr", "ssim", "lpips")}
-            hours = float(values[method, s.name, "hours"])
-            write(
-                experiment, method, s.name, DATASETS[s.dataset], s.group, scores=scores, seconds={"train": hours * 3600}
-            )
-
-
-def write_ablation(experiment) -> None:
-    """The published ablation as records, with scores of training views and points of which the paper says nothing."""
-    values = published_ablation().set_index(["method", "init", "metric"])["value"]
-    for method in ("msmg", "tdg"):
-        for init in ("random", "colmap"):
-            for s in SCENES:
-                scores = {m: float(values[method, init, m]) for m in ("psnr", "ssim")}
-                overfit = {"psnr": 40.0 if init == "random" else 30.0, "ssim": 0.9}
-                points = {"how": "somewhere"} if init == "random" else {}
-                write(
-                    experiment, method, s.name, DATASETS[s.dataset], s.group, init, scores=scores, train_scores=overfit,
-                    init_points=points,
-                )  # fmt: skip
+from tdgbench.tables.names import KEYS
+from tdgbench.tables.published import published_main
+from tests.tables.records import published_as_records, write, write_ablation
 
 
 def test_the_published_numbers_give_the_published_table(tmp_path):
     published_as_records(tmp_path)
     tables = build_tables(tmp_path)
-    own = tables.difference[~tables.difference["scene"].str.contains("Average")]
-    assert own["difference"].abs().max() < 1e-9
+    found = tables.difference[~tables.difference["scene"].str.contains("Average")]
+    assert found["difference"].abs().max() < 1e-9
     assert tables.difference["difference"].abs().max() < 0.006  # averages: rounding
     written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
     assert list(written.columns[:7]) == ["method", "dataset", "group", "scene", "metric", "value", "bold"]
@@ -112,9 +73,9 @@ def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
             )  # fmt: skip
     Plan("ablation").write(tmp_path)
     tables = build_tables(tmp_path)
-    own = tables.difference[tables.difference["metric"] == "psnr"].set_index(["method", "init"])
-    assert set(own.index) == {(m, i) for m in ("tdg", "msmg") for i in ("random", "random_box", "colmap")}
-    assert own.loc[("tdg", "random_box"), "published"] == own.loc[("tdg", "random"), "published"] == 9.69
+    found = tables.difference[tables.difference["metric"] == "psnr"].set_index(["method", "init"])
+    assert set(found.index) == {(m, i) for m in ("tdg", "msmg") for i in ("random", "random_box", "colmap")}
+    assert found.loc[("tdg", "random_box"), "published"] == found.loc[("tdg", "random"), "published"] == 9.69
     assert r"MSMG & $\checkmark$ (box) & $\times$ & 9.64 / 0.3471" in tables.latex and "12.50 / 0.5000" in tables.latex
     assert r"MSMG & $\checkmark$ (cameras)" in tables.latex
 

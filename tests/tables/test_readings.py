@@ -3,8 +3,8 @@ import pytest
 
 from tdgbench.bench.record import Failure, Record
 from tdgbench.tables.latex import readings_table
+from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.readings import effects, reading_cells, readings
-from tdgbench.tables.results import AVERAGE, OVERALL
 
 
 def record(method, iterations, psnr, seed=0, scene="orbit", dataset="synthetic", hours=1.0, gaussians=1000):

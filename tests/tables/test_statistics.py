@@ -7,11 +7,12 @@ from scipy import stats
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import read_all
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.methods import paper_pair
+from tdgbench.tables.names import KEYS
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import KEYS
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
-from tests.tables.test_build import published_as_records, write
+from tests.tables.records import published_as_records, write
 
 
 def with_views(folder, psnr):
@@ -54,23 +55,25 @@ def test_the_published_numbers_are_reproduced_by_themselves(tmp_path):
     assert set(of_scores["verdict"]) == {REPRODUCED} and (of_scores["seeds"] == 2).all()
     assert set(tables.difference.query("metric == 'hours'")["verdict"]) == {UNDECIDED}
     assert (tmp_path / "tables" / "paired.csv").exists()
-    speed = tables.speed[~tables.speed["scene"].str.contains("Average")]
+    assert tables.comparisons[0].pair == paper_pair()
+    speed = tables.comparisons[0].speed
+    speed = speed[~speed["scene"].str.contains("Average")]
     assert len(speed) == 14 and speed["ours"].to_numpy() == pytest.approx(speed["published"].to_numpy())
 
 
 def test_paired_test_is_scipys():
     table = published_main()
-    found = paired_tests(table).set_index("metric")
+    found = paired_tests(table, paper_pair()).set_index("metric")
     psnr = table.query("metric == 'psnr' and not scene.str.contains('Average')").pivot(
         index=["dataset", "scene"], columns="method", values="value"
     )
     want = stats.wilcoxon(psnr["tdg"], psnr["msmg"], alternative="greater").pvalue
     assert found.loc["psnr", "p"] == pytest.approx(want) and found.loc["psnr", "scenes"] == 14
     assert found.loc["hours", "better"] == 14
-    few = paired_tests(table[table["scene"].isin(["Truck", "Lion"])])
+    few = paired_tests(table[table["scene"].isin(["Truck", "Lion"])], paper_pair())
     assert few["p"].isna().all()
 
 
 def test_speed_ratio():
-    ratios = speed_ratios(published_main()).set_index("scene")["ratio"]
+    ratios = speed_ratios(published_main(), paper_pair()).set_index("scene")["ratio"]
     assert ratios["Dimsum"] == pytest.approx(0.376 / 0.407)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from tdgbench.tables.results import DECIMALS
+from tdgbench.tables.measures import digits
 from tdgbench.tables.verdicts import (
     BETTER,
     NEVER,
@@ -75,7 +75,7 @@ def test_the_interval_is_students():
 @pytest.mark.parametrize("rounding", [-0.5, 0.0, 0.5])
 def test_no_word_is_wrong_in_more_than_5_percent(seeds, rounding):
     """At the margin itself, the worst place, and for the worst rounding of the published number."""
-    draws, unit, margin = 20_000, 10.0 ** -DECIMALS["psnr"], load_margins()["psnr"]
+    draws, unit, margin = 20_000, 10.0 ** -digits("psnr"), load_margins()["psnr"]
     runs = np.random.default_rng(seeds).normal(margin, 0.15, (draws, seeds))  # around a true value of 0
     low, high = interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
     words = judge(low, high, rounding * unit, unit / 2, margin)

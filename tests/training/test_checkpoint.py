@@ -6,7 +6,6 @@ import torch
 
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
 from tests.conftest import ready_to_train
 
@@ -25,7 +24,7 @@ def set_up(scene, name: str):
         "budget.density.reset_recovery=1",
         "budget.sh_every=12",
     )  # fmt: skip
-    method, context = ready_to_train(scene, name, ITERATIONS, *often, skips=Skips(sh=False))
+    method, context = ready_to_train(scene, name, ITERATIONS, *often)
     return method, context, Plateau(RULE, len(scene.train))
 
 

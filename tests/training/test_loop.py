@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.training import method as method_module
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
@@ -53,15 +52,8 @@ def test_gray_scenes_train_one_channel(small_gray_scene):
 
 
 def test_sh_degree_rises(small_scene):
-    degrees = [trained(small_scene, "splat", n, skips=Skips(sh=False))[0].model.degree for n in (24, 26)]
+    degrees = [trained(small_scene, "splat", n)[0].model.degree for n in (24, 26)]
     assert degrees == [0, 1]
-
-
-def test_sh_degree_rises_only_where_direction_explains_something(small_scene, monkeypatch):
-    for explained, degree in ((0.0, 0), (0.5, 1)):
-        monkeypatch.setattr(method_module, "explained_by_direction", lambda *_, e=explained: e)
-        model = trained(small_scene, "splat", 26)[0].model
-        assert (model.degree, model.view_dependence) == (degree, explained)
 
 
 def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):

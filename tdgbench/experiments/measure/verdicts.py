@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from tdgbench.tables.results import DECIMALS
+from tdgbench.tables.measures import digits, half_unit
 from tdgbench.tables.verdicts import BETTER, REPRODUCED, UNDECIDED, WORDS, WORSE, interval, judge, load_margins
 
 OFFSETS = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0)  # dB, true; 0.2 is the margin
@@ -24,19 +24,18 @@ DRAWS = 100_000
 def simulate(offset: float, seeds: int, draws: int = DRAWS, spread: float = SPREAD) -> dict[str, float]:
     """Rates of each verdict, of each wrong verdict, and of the other rule, for one true offset (dB)."""
     rng = np.random.default_rng([seeds, round(1000 * (offset + 10))])
-    margin, digits = load_margins()["psnr"], DECIMALS["psnr"]
-    half_unit = 0.5 * 10.0**-digits
+    margin, rounding = load_margins()["psnr"], half_unit("psnr")
     truth = rng.uniform(20, 30, draws)
-    printed = truth.round(digits)
+    printed = truth.round(digits("psnr"))
     ours = truth[:, None] + offset + rng.normal(0, spread, (draws, seeds))
     mean = ours.mean(axis=1)
     words, within_noise = np.full(draws, UNDECIDED), np.zeros(draws, bool)
     if seeds > 1:
         std = ours.std(axis=1, ddof=1)
         low, high = interval(mean - printed, std, seeds)
-        words = judge(low, high, 0.0, half_unit, margin)
+        words = judge(low, high, 0.0, rounding, margin)
         noise = stats.t.ppf(0.975, seeds - 1) * std * np.sqrt(1 + 1 / seeds)
-        within_noise = np.abs(mean - printed) <= noise + half_unit
+        within_noise = np.abs(mean - printed) <= noise + rounding
     rates = {word: float((words == word).mean()) for word in WORDS}
     wrong = {
         f"wrong {REPRODUCED}": rates[REPRODUCED] if abs(offset) >= margin else 0.0,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterator, Mapping
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.cell import Outcome, run_cell
 from tdgbench.bench.progress import CellProgress
-from tdgbench.training.skips import Skips
+from tdgbench.training.skips.registry import find_skips
 
-NAMES = tuple(inspect.signature(Skips).parameters)
+NAMES = tuple(find_skips())
 NONE, ALL = "none", "all"
 
 
@@ -57,12 +56,12 @@ def run_variants(cfg: DictConfig, progress: CellProgress, report: Callable[[Outc
 
 
 def _cells(cfg: DictConfig) -> Iterator[tuple[DictConfig, str]]:
-    usual = {name: bool(cfg.skip[name]) for name in NAMES}
+    usual = {name: bool(cfg.skip.get(name, True)) for name in NAMES}
     for scene in cfg.job.scenes:
         for seed in cfg.job.seeds:
             for label, options in variants(list(cfg.job.skips), usual).items():
                 cell = cfg.copy()
                 cell.scene, cell.seed = scene, seed
                 for name, on in options.items():
-                    cell.skip[name] = on
+                    OmegaConf.update(cell, f"skip.{name}", on, force_add=True)
                 yield cell, label

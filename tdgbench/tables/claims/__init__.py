@@ -1,6 +1,6 @@
-"""The paper's claims in words, each held against the published tables, and against our results.
+"""The paper's claims in words, each checked against the published tables and against our results.
 
-A claim `holds`, `fails`, or is `undecided` where the evidence lacks what it is about, or does not tell.
+A claim `holds`, `fails`, or is `undecided` where the evidence lacks its numbers or does not settle it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,7 @@ from tdgbench.tables.claims import cells, main_table
 from tdgbench.tables.claims.evidence import (
     FAILS,
     HOLDS,
-    METHODS,
     UNDECIDED,
-    Cell,
     Evidence,
     Finding,
     MissingError,
@@ -29,8 +27,8 @@ from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER
 
 __all__ = [
-    "CHECKS", "FAILS", "HOLDS", "METHODS", "UNDECIDED", "Cell", "Evidence", "Finding", "MissingError", "check_all",
-    "check_claim", "evidence_of", "load_claims",
+    "CHECKS", "FAILS", "HOLDS", "UNDECIDED", "Evidence", "Finding", "MissingError", "check_all", "check_claim",
+    "evidence_of", "load_claims",
 ]  # fmt: skip
 
 Check = Callable[[dict[str, Any], Evidence], Finding]
@@ -58,13 +56,13 @@ CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_
 
 
 def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
-    """The claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
+    """The claims. Raises ValueError for a claim without id, words, a known check, known quantities or their reason."""
     claims: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for claim in claims:
         name = claim.get("id", "?")
-        lacking = {"id", "said", "where", "check"} - set(claim)
-        if lacking:
-            raise ValueError(f"{path}: claim {name} lacks {', '.join(sorted(lacking))}")
+        missing = {"id", "said", "where", "check"} - set(claim)
+        if missing:
+            raise ValueError(f"{path}: claim {name} lacks {', '.join(sorted(missing))}")
         if claim["check"] not in CHECKS:
             raise ValueError(f"{path}: claim {name} has an unknown check {claim['check']!r}")
         unknown = set(claim.get("margins", {})) - set(QUANTITIES)
@@ -76,14 +74,13 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
 
 
 def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """Hold one claim against a table. A claim with `gain` says where it claims one, which is held against the spread
-    between papers."""
+    """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
         found = check(claim, evidence)
     except MissingError as error:
         return Finding(UNDECIDED, str(error))
-    parts = [found.seen]
+    parts = [found.grounds]
     if check in OF_TABLES:
         parts.append(evidence.note)
     if "gain" in claim:
@@ -93,12 +90,12 @@ def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
 
 
 def check_all(claims: list[dict[str, Any]], published: Evidence, ours: Evidence | None) -> pd.DataFrame:
-    """One row per claim: id, said, where, and of the published table and of ours the verdict and what it rests on."""
+    """One row per claim: id, said, where, and for the published table and for ours the verdict and its grounds."""
     rows = []
     for claim in claims:
         row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}
         for side, evidence in (("published", published), ("ours", ours)):
             found = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
-            row |= {side: found.verdict, f"{side}_seen": found.seen}
+            row |= {side: found.verdict, f"{side}_seen": found.grounds}
         rows.append(row)
     return pd.DataFrame(rows)

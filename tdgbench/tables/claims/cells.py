@@ -1,7 +1,7 @@
-"""Checks that compare trained cells pair by pair. Where the paper prints no such number only our results decide them.
+"""Checks that compare trained cells pair by pair. Where the paper prints no such number, only our results decide.
 
-Each gain is stated with its 95 % interval (`pairs.interval`) and judged against the claim's margin (`pairs.judge`).
-Gains at different numbers of iterations are judged apart.
+Each gain has its 95 % interval (`pairs.interval`) and is judged against the claim's margin (`pairs.judge`). Gains at
+different numbers of iterations are judged apart.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from tdgbench.tables import methods
+from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims import main_table
 from tdgbench.tables.claims.evidence import (
-    METHODS,
     UNDECIDED,
-    Cell,
     Evidence,
     Finding,
     MissingError,
@@ -33,25 +33,25 @@ def better(claim: Claim, evidence: Evidence) -> Finding:
     """Each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
 
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
-    their ratio (0.1: 10 % less). Combinations without pairs are left out.
+    their ratio (0.1: 10 % less). Combinations without pairs do not count.
     """
     sides = [(Side(a, COLMAP), Side(b, COLMAP)) for a in claim["methods"] for b in claim["against"] if a != b]
     return _compare(claim, evidence, sides)
 
 
 def better_average(claim: Claim, evidence: Evidence) -> Finding:
-    """TDg is better than MSMG in the mean of each of `metrics`: as printed, or over pairs of the main table's cells."""
+    """The paper's method beats its baseline in the mean of each of `metrics`: as printed, or over pairs of cells."""
     if evidence.printed:
         return main_table.better_average(claim, evidence)
     _need_cells(claim, evidence)
-    tdg, msmg = (
+    new, old = (
         {(cell.setup, cell.record.seed): cell for cell in as_published(evidence.cells) if cell.record.method == m}
-        for m in METHODS
+        for m in methods.paper_pair()
     )
-    pairs = [Pair(cell, msmg[place]) for place, cell in tdg.items()]
+    pairs = [Pair(cell, old[place]) for place, cell in new.items()]
     found = [part for metric in claim["metrics"] for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
     if not found:
-        raise MissingError("no pair of tdg and msmg")
+        raise MissingError(f"no pair of {' and '.join(methods.paper_pair())}")
     return all_of(found)
 
 
@@ -78,11 +78,11 @@ def random_fails(claim: Claim, evidence: Evidence) -> Finding:
 
 
 def attributed(claim: Claim, evidence: Evidence) -> Finding:
-    """Depth explains more than `share` of the time that TDg saves: of log(time of MSMG / time of TDg).
+    """Depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
 
     A chain of changes leads from MSMG at its longest to TDg at its shortest, and their logarithms add up: fewer
-    iterations (MSMG at TDg's length), no RGB model (splat_smooth; it also weighs its loss by 1 and reads the smoothness
-    as eq. 6), depth (TDg).
+    iterations (MSMG at TDg's length), no RGB model (splat_smooth, which also weighs its loss by 1 and uses the
+    smoothness of eq. 6), depth (TDg).
     """
     _need_cells(claim, evidence)
     links = _links(evidence.cells)
@@ -97,12 +97,12 @@ def attributed(claim: Claim, evidence: Evidence) -> Finding:
     named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
     shares = [f"{name} {100 * interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()]
     depth = interval(scenes, chain[:, 2])
-    seen = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio(depth)}"
-    return Finding(judge(interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), seen)
+    grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio(depth)}"
+    return Finding(judge(interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), grounds)
 
 
 def _need_cells(claim: Claim, evidence: Evidence) -> None:
-    """Raise MissingError where there are no cells."""
+    """Raise MissingError without cells."""
     if evidence.printed:
         raise MissingError(f"the paper prints no {claim.get('unprinted', 'such number')}")
     if not evidence.cells:
@@ -118,14 +118,14 @@ def _compare(claim: Claim, evidence: Evidence, sides: Sequence[tuple[Side, Side]
             for budget in sorted({pair.mine.budget for pair in pairs}):
                 found += _gain(claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.budget == budget])
     if not found:
-        said = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
-        raise MissingError(f"no pair of {said} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
+        sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
+        raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
     result = all_of(found)
-    return Finding(result.verdict, "; ".join([result.seen, *([claim["note"]] if "note" in claim else [])]))
+    return Finding(result.verdict, "; ".join([result.grounds, *([claim["note"]] if "note" in claim else [])]))
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]) -> list[Finding]:
-    """The finding on one quantity of pairs that are alike in their iterations; none where no pair has it."""
+    """The finding on one quantity of pairs with equal iterations; none where no pair has it."""
     if quantity.timed:
         pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
     both = [(pair, numbers) for pair in pairs if (numbers := quantity.of(*pair, claim)) is not None]
@@ -148,7 +148,7 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
 
 
 def _name(side: Side, other: Side) -> str:
-    """The method, or where both sides are one method, with its points."""
+    """The method; where both sides are one method, with its first points."""
     return side.method if side.method != other.method else f"{side.method} from {side.init}"
 
 

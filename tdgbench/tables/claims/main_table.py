@@ -1,6 +1,6 @@
-"""Checks on numbers of the main table (and the ablation's), as printed or of ours.
+"""Checks of claims on numbers of the main table (and the ablation's), as printed or ours.
 
-What is printed with so many digits is believed to half a unit of the last one.
+A printed number is known to half a unit of its last digit.
 """
 
 from __future__ import annotations
@@ -9,98 +9,99 @@ from typing import Any
 
 import pandas as pd
 
+from tdgbench.tables import measures, methods
 from tdgbench.tables.averages import OFF, UNKNOWN, check_averages
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, METHODS, Evidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, Evidence, Finding, MissingError
+from tdgbench.tables.measures import HOURS, PUBLISHED, digits
+from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import half_unit
-from tdgbench.tables.results import (
-    AVERAGE,
-    DECIMALS,
-    HIGHER_IS_BETTER,
-    METRICS,
-    OVERALL,
-    decimals,
-    with_bold,
-)
+from tdgbench.tables.results import with_bold
 
 
 def _value(evidence: Evidence, method: str, scene: str, metric: str) -> float:
     table = evidence.main
-    own = table[(table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)]["value"].dropna()
-    if len(own) != 1:
+    chosen = (table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)
+    values = table[chosen]["value"].dropna()
+    if len(values) != 1:
         raise MissingError(f"no {metric} of {method} at {scene}")
-    return float(own.iloc[0])
+    return float(values.iloc[0])
 
 
 def _pair(evidence: Evidence, scene: str, metric: str) -> tuple[float, float]:
-    """TDg's and MSMG's value."""
-    tdg, msmg = (_value(evidence, method, scene, metric) for method in METHODS)
-    return tdg, msmg
+    """The value of the paper's method, and its baseline's."""
+    new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
+    return new, old
+
+
+def _labels() -> tuple[str, str]:
+    """The paper's method and its baseline, as they are printed."""
+    new, old = (methods.label(method) for method in methods.paper_pair())
+    return new, old
 
 
 def _tolerance(evidence: Evidence, metric: str, scene: str) -> float:
     """How far a value may be from what was printed."""
-    return 0.5 * 10.0 ** -decimals(metric, scene) if evidence.printed else 0.0
+    return measures.half_unit(metric, scene) if evidence.printed else 0.0
 
 
-def _gain(tdg: float, msmg: float, metric: str) -> float:
-    """By how many percent TDg is better."""
-    sign = 1 if HIGHER_IS_BETTER[metric] else -1
-    return sign * 100 * (tdg - msmg) / msmg
+def _gain(new: float, old: float, metric: str) -> float:
+    """By how many percent the new value is better."""
+    return measures.measure(metric).sign * 100 * (new - old) / old
 
 
-def _gain_range(evidence: Evidence, metric: str, tdg: float, msmg: float) -> tuple[float, float]:
-    """All gains that the printed numbers leave possible."""
+def _gain_range(evidence: Evidence, metric: str, new: float, old: float) -> tuple[float, float]:
+    """The least and the greatest gain that the printed numbers allow."""
     tolerance = _tolerance(evidence, metric, OVERALL)
-    gains = [_gain(tdg + a * tolerance, msmg + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
+    gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
     return min(gains), max(gains)
 
 
 def relative_gain(claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """The average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
-    tdg, msmg = _pair(evidence, evidence.overall, metric)
-    low, high = _gain_range(evidence, metric, tdg, msmg)
+    new, old = _pair(evidence, evidence.overall, metric)
+    low, high = _gain_range(evidence, metric, new, old)
     half = half_unit(percent)
     fits = low <= float(percent) + half and high >= float(percent) - half
-    digits = decimals(metric, OVERALL)
-    seen = f"{msmg:.{digits}f} → {tdg:.{digits}f} is {_gain(tdg, msmg, metric):+.3f} %"
+    places = digits(metric, OVERALL)
+    grounds = f"{old:.{places}f} → {new:.{places}f} is {_gain(new, old, metric):+.3f} %"
     if not fits and low / 100 - half <= float(percent) <= high / 100 + half:
-        seen += f"; {percent} is the fraction, not the percentage"
-    return Finding(HOLDS if fits else FAILS, seen)
+        grounds += f"; {percent} is the fraction, not the percentage"
+    return Finding(HOLDS if fits else FAILS, grounds)
 
 
 def averages(claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """The averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
-    metric = claim["metric"]
-    tdg, msmg = _pair(evidence, evidence.overall, metric)
-    fits = all(abs(v - float(claim[m])) <= half_unit(claim[m]) for m, v in (("tdg", tdg), ("msmg", msmg)))
-    return Finding(HOLDS if fits else FAILS, f"TDg {tdg:.4g}, MSMG {msmg:.4g}")
+    values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
+    fits = all(abs(value - float(claim[method])) <= half_unit(claim[method]) for method, value in values.items())
+    grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
+    return Finding(HOLDS if fits else FAILS, grounds)
 
 
 def better_average(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    worse, seen = [], []
-    for metric in claim["metrics"]:
-        tdg, msmg = _pair(evidence, evidence.overall, metric)
-        gain = _gain(tdg, msmg, metric)
-        seen.append(f"{metric} {gain:+.2f} %")
-        if gain <= 0:
-            worse.append(metric)
-    return Finding(FAILS if worse else HOLDS, "TDg is better by " + ", ".join(seen))
+    """The paper's method is better in the average of each of `metrics`."""
+    gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
+    grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
+    return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
 
 
 def minutes_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """Training takes `minutes` less on average."""
     _of_paper(evidence)
-    tdg, msmg = _pair(evidence, evidence.overall, "hours")
-    tolerance = 60 * 2 * _tolerance(evidence, "hours", OVERALL) + half_unit(claim["minutes"])
-    saved = 60 * (msmg - tdg)
+    new, old = _pair(evidence, evidence.overall, HOURS.name)
+    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + half_unit(claim["minutes"])
+    saved = 60 * (old - new)
     return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
 
 
 def percent_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    tdg, msmg = _pair(evidence, evidence.overall, "hours")
-    low, high = _gain_range(evidence, "hours", tdg, msmg)
+    """Training takes `percent` less time on average."""
+    new, old = _pair(evidence, evidence.overall, HOURS.name)
+    low, high = _gain_range(evidence, HOURS.name, new, old)
     half = half_unit(claim["percent"])
     fits = low <= float(claim["percent"]) + half and high >= float(claim["percent"]) - half
-    return Finding(HOLDS if fits else FAILS, f"{_gain(tdg, msmg, 'hours'):.1f} %")
+    return Finding(HOLDS if fits else FAILS, f"{_gain(new, old, HOURS.name):.1f} %")
 
 
 def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
@@ -114,43 +115,45 @@ def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
 
 
 def better_scenes(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    counted: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
+    """The paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
+    exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
-        for metric in claim["metrics"]:
-            tdg, msmg = _pair(evidence, scene, metric)
-            if _gain(tdg, msmg, metric) <= 0:
-                counted[metric].append(f"{scene} {msmg:.{DECIMALS[metric]}f} → {tdg:.{DECIMALS[metric]}f}")
-    fits = all(len(found) <= claim["exceptions"].get(metric, 0) for metric, found in counted.items())
-    said = [f"{metric}: {', '.join(found)}" for metric, found in counted.items() if found]
-    return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(said) if said else "better everywhere")
+        for metric, found in exceptions.items():
+            new, old = _pair(evidence, scene, metric)
+            if _gain(new, old, metric) <= 0:
+                found.append(f"{scene} {old:.{digits(metric)}f} → {new:.{digits(metric)}f}")
+    fits = all(len(found) <= claim["exceptions"].get(metric, 0) for metric, found in exceptions.items())
+    parts = [f"{metric}: {', '.join(found)}" for metric, found in exceptions.items() if found]
+    return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
 
 def better_mostly(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """TDg is better in more than half of all scenes × metrics; equal values (as printed, if printed) are no gain."""
+    """The paper's method is better in more than half of all scenes × metrics. Equal (printed) values are no gain."""
     better, equal, total = _wins(claim, evidence)
-    seen = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
+    grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
     by_metric = ", ".join(f"{metric} {sum(m == metric for _, m in better)}" for metric in claim["metrics"])
-    return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{seen} ({by_metric})")
+    return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
 def mixed(claim: dict[str, Any], evidence: Evidence) -> Finding:
     """Each method is better somewhere among the data set's scenes × metrics."""
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
-    seen = f"of {total} scenes × metrics TDg is better in {len(better)}, worse in {worse}, equal in {len(equal)}"
-    return Finding(HOLDS if better and worse else FAILS, seen)
+    counts = f"better in {len(better)}, worse in {worse}, equal in {len(equal)}"
+    return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_labels()[0]} is {counts}")
 
 
 def within(claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """At every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
     for scene in _scenes(evidence, claim["dataset"]):
-        tdg, msmg = _pair(evidence, scene, claim["metric"])
-        gaps[scene] = tdg - msmg
+        new, old = _pair(evidence, scene, claim["metric"])
+        gaps[scene] = new - old
     widest = max(gaps, key=lambda scene: abs(gaps[scene]))
     tolerance = 2 * _tolerance(evidence, claim["metric"], widest)
     over = [f"{scene} {gap:+.2f}" for scene, gap in gaps.items() if abs(gap) > claim["most"] + tolerance]
-    seen = ", ".join(over) if over else f"at most {gaps[widest]:+.2f} at {widest}"
-    return Finding(FAILS if over else HOLDS, seen)
+    grounds = ", ".join(over) if over else f"at most {gaps[widest]:+.2f} at {widest}"
+    return Finding(FAILS if over else HOLDS, grounds)
 
 
 def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
@@ -161,8 +164,8 @@ def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
         if not {"random", "colmap"} <= set(by_init.index):
             raise MissingError(f"no PSNR of {method} from random and from COLMAP points")
         drops[method] = float(by_init["colmap"] - by_init["random"])
-    seen = ", ".join(f"{method} loses {drop:.2f} dB" for method, drop in drops.items())
-    return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, seen)
+    grounds = ", ".join(f"{method} loses {drop:.2f} dB" for method, drop in drops.items())
+    return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, grounds)
 
 
 def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
@@ -171,7 +174,7 @@ def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
         raise MissingError("our tables are made of the same cells")
     off = []
     for metric in claim["metrics"]:
-        for method in METHODS:
+        for method in methods.paper_pair():
             there, here = _by_init(evidence, method, metric), _value(evidence, method, evidence.overall, metric)
             if abs(there["colmap"] - here) > 2 * _tolerance(evidence, metric, OVERALL):
                 off.append(f"{method} {metric}: {there['colmap']} in the ablation, {here} in the main table")
@@ -179,7 +182,8 @@ def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
 
 
 def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
-    table = evidence.main[evidence.main["metric"].isin(METRICS)]
+    """The averages are those of the rows."""
+    table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
     rounding = [
         _tolerance(evidence, metric, scene) for metric, scene in zip(table["metric"], table["scene"], strict=True)
     ]
@@ -196,22 +200,23 @@ def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
 
 
 def bold_follows(_claim: dict[str, Any], evidence: Evidence) -> Finding:
+    """The better value of each row is bold."""
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
-    marked = table["metric"].isin(METRICS)
+    marked = table["metric"].isin(PUBLISHED)
     odd = table[(made["bold"].to_numpy() != table["bold"].to_numpy()) & marked]
     places = list(dict.fromkeys(f"{row.scene} {row.metric}" for row in odd.itertuples()))
     return Finding(FAILS if places else HOLDS, ", ".join(places) if places else "every mark follows")
 
 
 def _of_paper(evidence: Evidence) -> None:
-    """Raise MissingError where numbers of other scenes would be held against a number for the paper's."""
+    """Raise MissingError unless the evidence is of the paper's scenes, which the claimed number is for."""
     if not evidence.is_of_paper:
         raise MissingError("a number for the paper's scenes, which these are not")
 
 
 def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
-    """Scene and metric where TDg is better, and where both are equal; and how many there are."""
+    """Scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
     better, equal, total = [], [], 0
     for scene in _scenes(evidence, claim["dataset"]):
         for metric in claim["metrics"]:
@@ -225,7 +230,7 @@ def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, st
 
 
 def _by_init(evidence: Evidence, method: str, metric: str) -> pd.Series:
-    """The ablation's values by init; raises MissingError where there is none."""
+    """The ablation's values by init. Raises MissingError without an ablation."""
     if evidence.ablation is None:
         raise MissingError("no ablation over the first points")
     table = evidence.ablation

@@ -1,4 +1,4 @@
-"""Two kinds of cells compared pair by pair: which cells make a pair, the interval of a gain, and the verdict on it."""
+"""Two kinds of cells compared pair by pair: the pairs, the interval of a gain, and the verdict on it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Cell, Finding
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
 from tdgbench.tables.statistics import half_width
 
 COVERAGE = 0.95
@@ -29,7 +30,7 @@ class Pair(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval (infinite where there is one pair), and of what: pairs in so many scenes."""
+    """A mean and its 95 % interval (infinite for one pair) over a number of pairs in a number of scenes."""
 
     mean: float
     low: float
@@ -54,10 +55,13 @@ def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
 
 
 def interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
-    """Student's 95 % interval of the mean gain. scenes: of each gain.
+    """Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
 
-    Each scene counts once, by the mean of its pairs, so that seeds do not pass for scenes. With one scene the interval
-    is over its pairs, and says nothing of other scenes.
+    Each scene counts once, by the mean of its pairs, so that seeds do not count as scenes. With one scene the interval
+    is over its pairs and does not extend to other scenes.
+
+    >>> interval([("a", "x"), ("a", "x"), ("a", "y")], [1.0, 3.0, 4.0]).mean
+    3.0
     """
     values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(scenes)), dtype=float)
     by_scene = values.groupby(level=[0, 1]).mean()
@@ -76,6 +80,9 @@ def judge(gain: Interval, margin: float) -> str:
     - `holds`: the whole interval lies on the claimed side of 0, and the mean is not below the margin. With a negative
       margin (the claim allows so much loss) the whole interval lies above the margin.
     - `undecided`: anything else, and always with one pair.
+
+    >>> judge(Interval(0.5, low=0.4, high=0.6, pairs=4, scenes=4), margin=0.2)
+    'holds'
     """
     if gain.high <= margin:
         return FAILS
@@ -85,19 +92,23 @@ def judge(gain: Interval, margin: float) -> str:
 def all_of(findings: Sequence[Finding]) -> Finding:
     """One finding of several parts: `holds` where all hold, `fails` where any fails.
 
-    Each part's interval covers 95 % by itself, so one false `fails` becomes likelier with the number of parts.
+    Each part's interval covers 95 % by itself, so a false `fails` becomes likelier with the number of parts.
     """
     verdicts = [found.verdict for found in findings]
     if FAILS in verdicts:
         verdict = FAILS
     else:
         verdict = HOLDS if set(verdicts) == {HOLDS} else UNDECIDED
-    parts = [found.seen if len(findings) == 1 else f"{found.seen} ({found.verdict})" for found in findings]
+    parts = [found.grounds if len(findings) == 1 else f"{found.grounds} ({found.verdict})" for found in findings]
     return Finding(verdict, "; ".join(parts))
 
 
 def counted(gain: Interval) -> str:
-    """`12 pairs in 4 scenes`."""
+    """The numbers of pairs and scenes.
+
+    >>> counted(Interval(0.5, 0.4, 0.6, pairs=12, scenes=4))
+    '12 pairs in 4 scenes'
+    """
     one = "one pair has no interval; " if not np.isfinite(gain.low) else ""
     pairs, scenes = (f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((gain.pairs, "pair"), (gain.scenes, "scene")))
     return f"{one}{pairs} in {scenes}"

@@ -1,4 +1,4 @@
-"""What two cells are compared in: scores, times, counts, and what their training logs show."""
+"""Quantities that two cells are compared in: scores, times, counts, and numbers from training logs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from tdgbench.scoring import METRICS
-from tdgbench.tables.claims.evidence import Cell
+from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.training import loss_rise, progress, psnr_drop
-from tdgbench.tables.results import HIGHER_IS_BETTER
+from tdgbench.tables.measures import measure
 
 Claim = dict[str, Any]
 OneOf = Callable[[Cell, Claim], float | None]
@@ -63,10 +63,10 @@ def _overfit(cell: Cell, _claim: Claim) -> float | None:
 
 
 def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
-    """Geometric mean depth consistency over the views that have one in both cells: some views overlap with no other,
-    and single views are off by a hundred times the median view.
+    """Geometric mean of the depth consistency over the views that have one in both cells.
 
-    Of scenes without true depth only: where it is known, the error against it says more.
+    Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
+    depth, where the error against it is the better measure.
     """
     tables = mine.views(), other.views()
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
@@ -91,9 +91,9 @@ def _gaussians(cell: Cell, _claim: Claim) -> float | None:
 
 
 def _metric(metric: str) -> Quantity:
-    unit = " dB" if metric.endswith("psnr") else ""
-    of = _of_each(partial(_score, metric=metric))
-    return Quantity(metric, of, higher=HIGHER_IS_BETTER[metric], digits=2 if unit else 4, unit=unit)
+    described, of = measure(metric), _of_each(partial(_score, metric=metric))
+    places = described.digits if described.unit else 4
+    return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
 
 QUANTITIES: dict[str, Quantity] = {

@@ -1,4 +1,4 @@
-"""What training logs show: how soon a level is reached, and what happens where the depth loss is switched off."""
+"""Numbers from training logs: the time until a level of PSNR, and the effect of switching the depth loss off."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.claims.evidence import Cell
+from tdgbench.tables.cell import Cell
 
 
 def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
-    """Iterations (or seconds) until both runs reach one level of training PSNR, for the first time.
+    """Iterations (or seconds) until each run first has one level of training PSNR.
 
-    The level lies `reach` (0 to 1) of the way from where the runs start to the worse run's best. column: `iteration` or
-    `seconds`. PSNR is the log's, which is smoothed over views. None without logs, or where the worse run gets nowhere.
+    The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
+    or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
     """
     logs = mine.log(), other.log()
     if logs[0] is None or logs[1] is None:
@@ -23,12 +23,17 @@ def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tup
     start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
     if best <= start:
         return None
-    level = start + claim["reach"] * (best - start)
+    level = start + claim["level"] * (best - start)
     return first_at(logs[0], level, column), first_at(logs[1], level, column)
 
 
 def first_at(log: pd.DataFrame, level: float, column: str) -> float:
-    """The column where train_psnr first reaches the level, linear between lines. Raises ValueError if it never does."""
+    """The column's value where train_psnr first has the level, linear between lines. ValueError if it never does.
+
+    >>> log = pd.DataFrame({"train_psnr": [10.0, 20.0], "iteration": [0, 100]})
+    >>> first_at(log, 15.0, "iteration")
+    50.0
+    """
     psnr, along = log["train_psnr"].to_numpy(), log[column].to_numpy(float)
     reached = np.flatnonzero(psnr >= level)
     if not len(reached):
@@ -40,21 +45,21 @@ def first_at(log: pd.DataFrame, level: float, column: str) -> float:
 
 
 def psnr_drop(cell: Cell, claim: dict[str, Any]) -> float | None:
-    """By how much training PSNR (dB) falls at the switch: its mean before, less its lowest value after."""
+    """Fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
     windows = _around_switch(cell, claim["window"], "train_psnr")
     return None if windows is None else float(windows[0].mean() - windows[1].min())
 
 
 def loss_rise(cell: Cell, claim: dict[str, Any]) -> float | None:
-    """How many times its mean before the switch the highest thermal loss after it is."""
+    """Rise of the thermal loss at the switch: its highest value after, over its mean before."""
     windows = _around_switch(cell, claim["window"], "loss_thermal")
     return None if windows is None else float(windows[1].max() / windows[0].mean())
 
 
 def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, pd.Series] | None:
-    """The log's column just before and just after the depth loss ends. window: share of all iterations on each side.
+    """The log's column just before and just after the end of the depth loss. window: share of iterations on each side.
 
-    None without a log, without an end of the depth loss, and where a window is empty.
+    None without a log, without an end of the depth loss, or with an empty window.
     """
     log = cell.log()
     share = cell.record.config.get("method", {}).get("method", {}).get("decay_end")

@@ -1,22 +1,27 @@
-"""When training has stopped getting better: the loss of the training views, averaged over whole rounds of them."""
+"""Skip `plateau`: training ends when the training views' loss, averaged over whole rounds of them, no longer falls."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from tdgbench.training.skips.skip import Skip
+
+if TYPE_CHECKING:
+    from tdgbench.training.skips.account import FinishedTraining
 
 
 @dataclass(frozen=True)
 class PlateauRule:
-    """Training stops after `patience` windows in a row whose mean loss is not below the best one by `gain`.
+    """Training ends after `patience` windows in a row whose mean loss is not below the best one by `gain`.
 
-    A window is `rounds` times all training views, so that every view counts alike in it.
+    A window is `rounds` times all training views, so that every view has equal weight in it.
     """
 
     rounds: int
     patience: int  # windows
     gain: float  # relative
-    after: int  # not before this iteration
+    after: int  # earliest iteration
 
     def __post_init__(self) -> None:
         if self.rounds < 1 or self.patience < 1 or self.gain < 0:
@@ -25,7 +30,7 @@ class PlateauRule:
 
 @dataclass
 class Plateau:
-    """Watches the loss by a rule."""
+    """Detects a plateau of the loss by a rule. views: number of training views."""
 
     rule: PlateauRule
     views: int
@@ -36,15 +41,15 @@ class Plateau:
     _reached: bool = False
 
     def state_dict(self) -> dict[str, Any]:
-        """What was seen so far."""
+        """The state of the detection."""
         return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """Restore a state from `state_dict`."""
         vars(self).update(saved)
 
     def reached(self, iteration: int, loss: float) -> bool:
-        """Take in one iteration's loss; True once it is time to stop, and from then on."""
+        """Add one iteration's loss; True from the iteration on at which training may end."""
         if self._reached:
             return True
         if iteration <= self.rule.after:
@@ -60,3 +65,20 @@ class Plateau:
         self._best = min(self._best, mean)
         self._reached = self._without >= self.rule.patience
         return self._reached
+
+
+class PlateauSkip(Skip):
+    """Skips the iterations after a plateau, if the budget has a rule."""
+
+    order = 70
+
+    def account(self, training: FinishedTraining) -> None:
+        rule, iterations = training.budget.plateau, training.budget.iterations
+        remaining = iterations - training.log.iterations
+        if rule is None:
+            reason = "the budget has no plateau rule"
+        elif remaining == 0:
+            reason = "the loss went on falling"
+        else:
+            reason = f"the loss no longer fell by {rule.gain:.2%} a window"
+        self.decide(remaining > 0, reason, f"{remaining} of {iterations} iterations")

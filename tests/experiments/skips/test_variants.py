@@ -8,11 +8,11 @@ from tests.conftest import SMALL, config
 
 
 def test_variants():
-    usual = {**dict.fromkeys(NAMES, True), "sh": False}
-    made = variants(["gray", "depth", "sh"], usual)
-    assert list(made) == ["none", "all", "only gray", "without gray", "only depth", "without depth", "only sh"]
+    usual = {**dict.fromkeys(NAMES, True), "prior": False}
+    made = variants(["gray", "depth", "prior"], usual)
+    assert list(made) == ["none", "all", "only gray", "without gray", "only depth", "without depth", "only prior"]
     on = {label: [name for name, is_on in options.items() if is_on] for label, options in made.items()}
-    assert on["none"] == [] and on["all"] == ["gray", "depth"] and on["only sh"] == ["sh"]
+    assert on["none"] == [] and on["all"] == ["gray", "depth"] and on["only prior"] == ["prior"]
     assert on["only gray"] == ["gray"] and on["without depth"] == ["gray"]
     with pytest.raises(ValueError, match="there is no skip grey"):
         variants(["grey"], usual)

@@ -48,16 +48,16 @@ def test_every_claim_that_compares_methods_is_here():
 def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
     claim = CLAIMS[name]
     found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
-    assert found.verdict == verdict, found.seen
-    said = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
-    assert said in found.seen and claim.get("note", "") in found.seen
+    assert found.verdict == verdict, found.grounds
+    expected = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
+    assert expected in found.grounds and claim.get("note", "") in found.grounds
     assert check_claim(claim, ours(*sides(tmp_path, {**claim, "against": []}, gains[:1]))).verdict == UNDECIDED
 
 
 @pytest.mark.parametrize("name", [*OF_METHODS, "random-overfits", "random-fits-training", "random-spoils-rgb"])
 def test_the_paper_prints_none_of_it(name):
     found = check_claim(CLAIMS[name], PUBLISHED)
-    assert found.verdict == UNDECIDED and found.seen == f"the paper prints no {CLAIMS[name]['unprinted']}"
+    assert found.verdict == UNDECIDED and found.grounds == f"the paper prints no {CLAIMS[name]['unprinted']}"
 
 
 def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
@@ -66,25 +66,25 @@ def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
     assert check_claim(claim, ours(*short)).verdict == HOLDS
     found = check_claim(claim, ours(*short, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), iterations=3000)))
     assert found.verdict == FAILS
-    assert "psnr, tdg − splat_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.seen
-    assert "psnr, tdg − splat_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.seen
+    assert "psnr, tdg − splat_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.grounds
+    assert "psnr, tdg − splat_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.grounds
 
 
 def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     claim = CLAIMS["fewer-floaters"]
-    seen = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).seen
-    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in seen
-    seen = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).seen
-    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in seen
+    grounds = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
+    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in grounds
+    grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
+    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
     cells = sides(tmp_path, CLAIMS["geometry-better"], (1.0, 1.1, 0.9))
-    assert "inconsistency" not in check_claim(CLAIMS["geometry-better"], ours(*cells)).seen
+    assert "inconsistency" not in check_claim(CLAIMS["geometry-better"], ours(*cells)).grounds
     for one in cells:
         one.record.scores["depth_abs_rel"] = None
     found = check_claim(CLAIMS["geometry-better"], ours(*cells))
-    assert found.verdict == HOLDS and "depth inconsistency" in found.seen and "depth error" not in found.seen
+    assert found.verdict == HOLDS and "depth inconsistency" in found.grounds and "depth error" not in found.grounds
 
 
 def test_times_of_other_machines_do_not_compare(tmp_path):
@@ -93,7 +93,7 @@ def test_times_of_other_machines_do_not_compare(tmp_path):
     for one in cells:
         one.record.environment = {"cpu": one.record.method}
     found = check_claim(claim, ours(*cells))
-    assert found.verdict == UNDECIDED and found.seen.startswith("no pair of thermal and msmg")
+    assert found.verdict == UNDECIDED and found.grounds.startswith("no pair of thermal and msmg")
 
 
 def test_shares_below_the_margin_fail(tmp_path):
@@ -122,9 +122,9 @@ def test_random_points(tmp_path, name):
     ):
         (tmp_path / folder).mkdir()
         found = check_claim(CLAIMS[name], ours(*by_init(tmp_path / folder, gains)))
-        assert found.verdict == verdict, found.seen
-        assert "random_box" not in gains or "from colmap − msmg from random_box at 1000" in found.seen
-    assert found.seen == "no cells from random points"
+        assert found.verdict == verdict, found.grounds
+        assert "random_box" not in gains or "from colmap − msmg from random_box at 1000" in found.grounds
+    assert found.grounds == "no cells from random points"
     unclear = by_init(tmp_path, {"random": -3.0})
     for one in unclear:
         if one.record.init == "random" and one.record.scene == "a":
@@ -147,7 +147,7 @@ def test_random_fails_as_printed():
     ablation = published_ablation()
     ablation.loc[(ablation["method"] == "tdg") & (ablation["init"] == "random"), "value"] = 25.0
     found = check_claim(CLAIMS["random-fails"], Evidence(published_main(), ablation, True))
-    assert found.verdict == FAILS and "tdg loses 2.42 dB" in found.seen
+    assert found.verdict == FAILS and "tdg loses 2.42 dB" in found.grounds
     assert check_claim(CLAIMS["random-fails"], Evidence(published_main(), None, True)).verdict == UNDECIDED
 
 
@@ -161,7 +161,7 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
 
 
 @pytest.mark.parametrize(
-    ("smooth", "verdict", "said"),
+    ("smooth", "verdict", "expected"),
     [
         (130, HOLDS, "fewer iterations 50 %, no RGB model -9 %, depth 60 %"),
         (100, UNDECIDED, "fewer iterations 50 %, depth 50 %; depth alone multiplies time by 0.25 [0.24, 0.25]"),
@@ -170,20 +170,20 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
         (20, FAILS, "depth -"),
     ],
 )
-def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, said):
+def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, expected):
     times = {("msmg", 3000): 400.0, ("msmg", 1000): 100.0, ("splat_smooth", 1000): smooth, ("tdg", 1000): 24.5}
     claim = CLAIMS["speed-from-depth"]
     found = check_claim(claim, ours(*chain(tmp_path, times)))
-    assert found.verdict == verdict and said in found.seen, found.seen
+    assert found.verdict == verdict and expected in found.grounds, found.grounds
 
 
 def test_attribution_needs_a_sure_speed_up_and_every_link(tmp_path):
     claim = CLAIMS["speed-from-depth"]
     slow = {("msmg", 1000): 100.0, ("splat_smooth", 1000): 120.0, ("tdg", 1000): 140.0}
     found = check_claim(claim, ours(*chain(tmp_path, slow)))
-    assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG 1.41" in found.seen
+    assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG 1.41" in found.grounds
     lacking = {("msmg", 3000): 100.0, ("splat_smooth", 1000): 50.0, ("tdg", 1000): 9.0}  # MSMG at 1000
-    assert "no cells of tdg, splat_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).seen
+    assert "no cells of tdg, splat_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).grounds
 
 
 def test_better_overall_is_decided_on_pairs(tmp_path):
@@ -199,6 +199,6 @@ def test_better_overall_is_decided_on_pairs(tmp_path):
             cells.append(cell(tmp_path / folder, "tdg", gain, scene=scene))
             cells.append(cell(tmp_path / folder, "msmg", scene=scene, iterations=3000))
         found = check_claim(claim, ours(*cells))
-        assert found.verdict == verdict, found.seen
-        assert "psnr, tdg − msmg at 1000 and 3000" in found.seen
+        assert found.verdict == verdict, found.grounds
+        assert "psnr, tdg − msmg at 1000 and 3000" in found.grounds
     assert check_claim(claim, PUBLISHED).verdict == HOLDS

@@ -44,7 +44,7 @@ def test_checks_that_tell_print_from_ours_can_turn():
     assert check_claim(CLAIMS["better-overall"], worse).verdict == FAILS
     other = changed("Average (Overall)", "ssim", "msmg", 0.8891, printed=True)
     found = check_claim(CLAIMS["tables-agree"], other)
-    assert (found.verdict, found.seen) == (FAILS, "msmg ssim: 0.8896 in the ablation, 0.8891 in the main table")
+    assert (found.verdict, found.grounds) == (FAILS, "msmg ssim: 0.8896 in the ablation, 0.8891 in the main table")
 
 
 def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
@@ -57,7 +57,7 @@ def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
 def test_most_cases_are_more_than_half():
     found = check_claim(CLAIMS["most-cases"], PUBLISHED)
     assert found.verdict == HOLDS
-    assert found.seen == "better in 28 of 42 scenes × metrics, equal in 2 (psnr 10, ssim 8, lpips 10)"
+    assert found.grounds == "better in 28 of 42 scenes × metrics, equal in 2 (psnr 10, ssim 8, lpips 10)"
     two_of_three = with_values(["Lion", "Pan"], 0.9, 0.8)  # better PSNR and SSIM, worse LPIPS
     assert check_claim(CLAIMS["most-cases"], two_of_three).verdict == HOLDS
     assert check_claim(CLAIMS["most-cases"], with_values(["Lion", "Pan"], 0.8, 0.9)).verdict == FAILS
@@ -68,12 +68,12 @@ def test_most_cases_are_more_than_half():
 def test_mixed_is_better_here_and_worse_there():
     found = check_claim(CLAIMS["thermalmix-mixed"], PUBLISHED)
     assert found.verdict == HOLDS
-    assert found.seen == "of 15 scenes × metrics TDg is better in 4, worse in 10, equal in 1"
+    assert found.grounds == "of 15 scenes × metrics TDg is better in 4, worse in 10, equal in 1"
     everywhere = with_values(["Lion", "Pan"], 0.9, 0.8)
     everywhere.main.loc[(everywhere.main["metric"] == "lpips") & (everywhere.main["method"] == "tdg"), "value"] = 0.1
     assert check_claim(CLAIMS["thermalmix-mixed"], everywhere).verdict == FAILS
     other = with_values(["Truck"], 0.9, 0.8, dataset="RGBT-Scenes")
-    assert check_claim(CLAIMS["thermalmix-mixed"], other).seen == "no scene of ThermalMix"
+    assert check_claim(CLAIMS["thermalmix-mixed"], other).grounds == "no scene of ThermalMix"
 
 
 def test_numbers_for_the_papers_scenes_say_nothing_of_others():
@@ -81,14 +81,14 @@ def test_numbers_for_the_papers_scenes_say_nothing_of_others():
     table["dataset"] = table["dataset"].replace({"ThermalMix": "synthetic"})
     for claim in ("psnr-averages", "time-minutes"):
         found = check_claim(CLAIMS[claim], Evidence(table, None, printed=False))
-        assert (found.verdict, found.seen) == (UNDECIDED, "a number for the paper's scenes, which these are not")
+        assert (found.verdict, found.grounds) == (UNDECIDED, "a number for the paper's scenes, which these are not")
         assert check_claim(CLAIMS[claim], Evidence(published_main(), None, printed=False)).verdict == HOLDS
 
 
 def test_with_one_data_set_its_average_stands_for_all():
     table = published_main().query("dataset == 'ThermalMix'")
     found = check_claim(CLAIMS["time-percent"], Evidence(table, None, printed=False, note="5 scenes"))
-    assert found.verdict == HOLDS and found.seen == "55.0 %; 5 scenes"
+    assert found.verdict == HOLDS and found.grounds == "55.0 %; 5 scenes"
 
 
 def test_ours_has_no_second_table_that_could_disagree():

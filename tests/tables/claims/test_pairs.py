@@ -102,5 +102,5 @@ def test_judge(mean, low, high, margin, verdict):
 )
 def test_all_of(parts, verdict):
     found = all_of([Finding(part, f"part {i}") for i, part in enumerate(parts)])
-    assert found.verdict == verdict and found.seen == f"part 0 ({parts[0]}); part 1 ({parts[1]})"
+    assert found.verdict == verdict and found.grounds == f"part 0 ({parts[0]}); part 1 ({parts[1]})"
     assert all_of([Finding(HOLDS, "alone")]) == Finding(HOLDS, "alone")

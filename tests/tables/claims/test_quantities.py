@@ -8,7 +8,7 @@ import pytest
 from tdgbench.tables.claims.quantities import QUANTITIES
 from tests.tables.claims.conftest import cell
 
-CLAIM = {"reach": 0.95, "window": 0.05}
+CLAIM = {"level": 0.95, "window": 0.05}
 
 
 @pytest.mark.parametrize(

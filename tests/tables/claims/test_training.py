@@ -4,10 +4,10 @@ import pandas as pd
 import pytest
 
 from tdgbench.bench.record import Record
-from tdgbench.tables.claims.evidence import Cell
+from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.training import first_at, loss_rise, progress, psnr_drop
 
-CLAIM = {"reach": 0.5, "window": 0.1}
+CLAIM = {"level": 0.5, "window": 0.1}
 
 
 def with_log(folder, name, psnr, loss=None, decay_end=0.5):

@@ -20,13 +20,12 @@ def test_reasons_and_savings(small_gray_scene, small_scene):
     assert not account(small_scene)["gray"].taken
     assert gray["unseen"].taken and "% of the rows" in gray["unseen"].saved
     assert gray["plateau"].reason == "the loss went on falling" and not gray["plateau"].taken
-    assert "direction explains" in gray["sh"].reason
     assert all(skip.reason for skip in gray.values())
 
 
 def test_what_is_switched_off_says_so(small_gray_scene):
-    found = account(small_gray_scene, unseen=False, sh=False)
-    assert found["unseen"].reason == found["sh"].reason == "switched off" and not found["unseen"].taken
+    found = account(small_gray_scene, unseen=False, saturated=False)
+    assert found["unseen"].reason == found["saturated"].reason == "switched off" and not found["unseen"].taken
 
 
 def test_methods_without_depth_or_prior(small_gray_scene):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scoring.ssim import ssim
+from tdgbench.scoring.metrics.ssim import ssim
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
 

@@ -2,16 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera
-from tdgbench.scoring.geometry import depth_abs_rel, depth_consistency, floater_share
-
-
-def test_depth_against_truth():
-    truth = np.full((4, 5), 2.0)
-    depth = truth.copy()
-    depth[0] = 1.0
-    assert depth_abs_rel(depth, truth) == pytest.approx(0.5 / 4)
-    assert floater_share(depth, truth) == pytest.approx(1 / 4)
-    assert floater_share(truth * 0.91, truth) == 0.0 and floater_share(truth * 2, truth) == 0.0
+from tdgbench.scoring.metrics.depth_consistency import depth_consistency
 
 
 def plane_depth(camera: Camera, distance: float) -> np.ndarray:

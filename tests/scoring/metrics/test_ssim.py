@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from tdgbench.scoring.ssim import ssim
-from tests.scoring.test_psnr import images
+from tdgbench.scoring.metrics.ssim import ssim
+from tests.scoring.metrics.test_psnr import images
 
 SIZES = [(40, 50, 3), (33, 27, 1), (11, 60, 3)]
 SETTINGS = {

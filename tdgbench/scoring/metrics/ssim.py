@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from scipy.ndimage import correlate1d
 
+from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.scored_view import Border
 from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
-
-Border = Literal["zero", "valid"]
 
 
 def ssim(image: np.ndarray, target: np.ndarray, border: Border) -> float:
@@ -17,6 +15,10 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border) -> float:
 
     border `zero`: zeros outside the image, mean over all of it (3DGS). `valid`: only where the window fits
     (scikit-image with gaussian_weights, sigma 1.5, use_sample_covariance=False).
+
+    >>> image = np.linspace(0, 1, 400).reshape(20, 20, 1)
+    >>> round(ssim(image, image, "zero"), 6), round(ssim(image, 1 - image, "valid"), 3)
+    (1.0, -0.729)
     """
     if image.shape != target.shape:
         raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
@@ -37,3 +39,17 @@ def _blur(image: np.ndarray) -> np.ndarray:
     weights = window()
     rows = correlate1d(image, weights, axis=0, mode="constant")
     return correlate1d(rows, weights, axis=1, mode="constant")
+
+
+METRIC = ImageMetric(
+    name="ssim",
+    label="SSIM",
+    meaning="structural similarity",
+    order=20,
+    overall_digits=4,  # as the paper prints its overall average
+    higher_is_better=True,
+    limits=(-1.0, 1.0),
+    published=True,
+    on_training_views=True,
+    of_images=lambda pair: ssim(pair.image, pair.target, pair.convention.ssim_border),
+)

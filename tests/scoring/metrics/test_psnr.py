@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
-from tdgbench.scoring.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
 
 
 def images(size, seed=0):

@@ -1,0 +1,96 @@
+"""The report's tables of scores: the main table beside published numbers, further scores, and what each one means."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.report.published import beside
+from tdgbench.tables import methods
+from tdgbench.tables.build import ABLATION_KEYS, Tables
+from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, digits, measure
+from tdgbench.tables.names import OVERALL
+from tdgbench.tables.results import first_points, split_notes
+
+PLACE = ["dataset", "scene", "method"]
+
+
+def main_scores(tables: Tables) -> dict[str, Any]:
+    """Heads, measures, notes, and rows of cells: text, value to sort by, bold, difference from print, verdict."""
+    if tables.kind == "ablation":
+        return _ablation(tables)
+    found = _by_scene(tables, list(PUBLISHED), _published(tables, ["method", "dataset", "scene", "metric"]))
+    return {**found, "notes": split_notes(tables.main)}
+
+
+def further_scores(tables: Tables) -> dict[str, Any] | None:
+    """The other measures that a cell of the main table has, in the same form; None without any."""
+    if tables.kind == "ablation":
+        return None
+    known = set(tables.main.loc[tables.main["value"].notna(), "metric"])
+    metrics = [metric for metric in EXTRA if metric in known]
+    return {**_by_scene(tables, metrics, {}), "notes": []} if metrics else None
+
+
+def legend(tables: Tables) -> list[dict[str, str]]:
+    """Meaning, range and requirements of every measure that the tables hold."""
+    there = set(tables.main["metric"])
+    return [
+        {
+            "title": one.title,
+            "meaning": one.meaning,
+            "range": f"{one.limits[0]:g} to {'∞' if math.isinf(one.limits[1]) else f'{one.limits[1]:g}'}",
+            "needs": getattr(one, "needs", ""),
+        }
+        for name, one in MEASURES.items()
+        if name in there
+    ]
+
+
+def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
+    """Rows of the main table in its order, methods of a scene together."""
+    values = {(r.method, r.dataset, r.scene, r.metric): r for r in tables.main.itertuples()}
+    places = tables.main[PLACE].drop_duplicates()
+    scene = pd.Series(pd.factorize(places["dataset"] + "/" + places["scene"])[0], places.index)
+    rows = []
+    for dataset, scene_name, method in places.loc[scene.sort_values(kind="stable").index].itertuples(index=False):
+        keys = [(method, dataset, scene_name, metric) for metric in metrics]
+        cells = [_number(values[key], published.get(key)) for key in keys]
+        rows.append({"head": [dataset, scene_name, methods.label(method)], "cells": cells})
+    return {"heads": ["data set", "scene", "method"], "metrics": [measure(m).title for m in metrics], "rows": rows}
+
+
+def _ablation(tables: Tables) -> dict[str, Any]:
+    published, rows = _published(tables, ABLATION_KEYS), []
+    for (method, init), group in tables.main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
+        by_metric = {row.metric: row for row in group.itertuples()}
+        cells = [_number(by_metric[m], published.get((method, init, m))) for m in ABLATION]
+        rows.append({"head": [methods.label(str(method)), init], "cells": cells})
+    titles = [measure(m).title for m in ABLATION]
+    return {"heads": ["method", "first points"], "metrics": titles, "rows": rows, "notes": first_points(tables.main)}
+
+
+def _published(tables: Tables, keys: list[str]) -> dict[tuple[Any, ...], Any]:
+    """Rows of difference.csv by their keys."""
+    if tables.difference is None:
+        return {}
+    return {tuple(getattr(r, k) for k in keys): r for r in tables.difference.itertuples()}
+
+
+def _number(row: Any, published: Any) -> dict[str, Any]:
+    if np.isnan(row.value):
+        return {"text": "n/a", "sort": "", "bold": False, "title": row.reason, "note": "", "verdict": ""}
+    form = f".{digits(row.metric, row.scene)}f"
+    text = f"{row.value:{form}}"
+    std = getattr(row, "std", np.nan)
+    if not np.isnan(std):
+        text += f" ± {std:{form}}"
+    low, high = getattr(row, "low", np.nan), getattr(row, "high", np.nan)
+    interval = "" if np.isnan(low) else f"95 % interval over seeds and views: {low:.4g} to {high:.4g}"
+    note, details = beside(published, row.scene)
+    title = "; ".join(part for part in (details, interval) if part)
+    verdict = published.verdict if note else ""
+    return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}

@@ -1,0 +1,59 @@
+"""What a metric is: a description, and a function of one rendered test view. One file of `metrics/` each."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from tdgbench.scoring.measure import Measure
+from tdgbench.scoring.scored_view import ImagePair, Modality, ScoredView
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric(Measure, ABC):
+    """A score of a rendered view. A module of `metrics/` names its metric `METRIC`."""
+
+    order: int = 1000  # place among the columns of views.csv; equal orders stand by name
+    needs: str = ""  # what a scene or method must have to be scored
+
+    @abstractmethod
+    def score(self, shown: ScoredView) -> float:
+        """The value. Raises NotApplicableError, with the reason, where there is none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageMetric(Metric):
+    """A metric of a render and its ground truth as 8-bit pictures; stored pictures give the same value."""
+
+    of_images: Callable[[ImagePair], float]
+    modality: Modality = "thermal"
+    on_training_views: bool = False  # cheap enough to score every training view
+
+    def score(self, shown: ScoredView) -> float:
+        return self.of_images(shown.pair(self.modality))
+
+    def of_rgb_model(self, order: int) -> ImageMetric:
+        """The same metric of the method's RGB model."""
+        return replace(
+            self, name=f"rgb_{self.name}", part="RGB model", modality="rgb", order=order,
+            needs="a method with an RGB model, RGB test images", published=False, on_training_views=False,
+        )  # fmt: skip
+
+    def of_training_views(self) -> Measure:
+        """Description of the mean over the training views, which records keep apart."""
+        return Measure(
+            name=f"train_{self.name}", label=self.label, meaning=self.meaning, digits=self.digits,
+            overall_digits=self.overall_digits, unit=self.unit, higher_is_better=self.higher_is_better,
+            limits=self.limits, part="training views", latex=self.latex, ratio=self.ratio,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewMetric(Metric):
+    """A metric that reads more than 8-bit pictures: depth, temperatures, float renders, other views."""
+
+    of_view: Callable[[ScoredView], float]
+
+    def score(self, shown: ScoredView) -> float:
+        return self.of_view(shown)

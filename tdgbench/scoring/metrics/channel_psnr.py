@@ -1,0 +1,35 @@
+"""PSNR channel by channel, of float renders."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+
+
+def channel_psnr(image: np.ndarray, target: np.ndarray) -> float:
+    """Mean over channels of each channel's PSNR (dB) of images (H, W, C), clipped to [0, 1].
+
+    ThermalGaussian's and 3DGS's `training_report` gives this for float renders; their `metrics.py` pools channels. The
+    two agree for gray images and are some tenths to 1 dB apart for pseudo-colour.
+
+    >>> target = np.full((4, 4, 2), 0.5)
+    >>> round(channel_psnr(target + [0.1, 0.01], target), 6)  # mean of 20 and 40 dB
+    30.0
+    """
+    image, target = np.clip(image, 0, 1), np.clip(target, 0, 1)
+    return float(np.mean([psnr(image[..., c], target[..., c]) for c in range(image.shape[2])]))
+
+
+METRIC = ViewMetric(
+    name="channel_psnr",
+    label="PSNR by channel",
+    meaning="mean of the channels' PSNR, of renders that are not rounded to 8 bits",
+    order=40,
+    unit="dB",
+    digits=2,
+    higher_is_better=True,
+    limits=(0.0, MAX_PSNR),
+    of_view=lambda shown: channel_psnr(shown.rendered.image, shown.view.thermal),
+)

@@ -1,0 +1,52 @@
+"""Depth against the depth of another view, where the true depth is unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scenes import Camera
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
+
+MIN_OVERLAP = 0.05  # share of a view's pixels that must fall into the other view
+
+
+def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray, other_camera: Camera) -> float | None:
+    """Median relative difference of a view's depth (H, W), projected into another view, and that view's depth (H, W).
+
+    0: both views show one surface. The median ignores what only one of them shows. None where too few pixels of the
+    view fall into the other one.
+    """
+    rows, columns = np.nonzero(depth > 0)
+    z = depth[rows, columns].astype(np.float64)
+    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], axis=1)
+    local = pixels @ np.linalg.inv(camera.K).T * z[:, None]
+    world = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+    there, projected = other_camera.project(world)
+    x, y = (np.floor(np.nan_to_num(there[:, i], nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int) for i in (0, 1))
+    inside = (projected > 0) & (x >= 0) & (x < other_camera.width) & (y >= 0) & (y < other_camera.height)
+    found = other_depth[y[inside], x[inside]]
+    known = found > 0
+    if known.sum() < MIN_OVERLAP * depth.size:
+        return None
+    return float(np.median(np.abs(found[known] / projected[inside][known] - 1)))
+
+
+def _against_nearest(shown: ScoredView) -> float:
+    """Depth consistency with the nearest other test view."""
+    nearest = shown.nearest()
+    other = shown.renders[nearest.name]
+    found = depth_consistency(shown.rendered.depth, shown.view.camera, other.depth, nearest.camera)
+    if found is None:
+        raise NotApplicableError(f"view {shown.view.name} and its neighbour hardly overlap")
+    return found
+
+
+METRIC = ViewMetric(
+    name="depth_consistency",
+    label="depth inconsistency",
+    meaning="median relative difference of the depths of neighbouring test views",
+    order=110,
+    needs="two test views that overlap",
+    of_view=_against_nearest,
+)

@@ -1,0 +1,15 @@
+"""LPIPS; the network is in `scoring/lpips.py`."""
+
+from __future__ import annotations
+
+from tdgbench.scoring.metric import ImageMetric
+
+METRIC = ImageMetric(
+    name="lpips",
+    label="LPIPS",
+    meaning="learned perceptual distance",
+    order=30,
+    published=True,
+    needs="a backbone's weights",
+    of_images=lambda pair: pair.convention.lpips(pair.image, pair.target),
+)

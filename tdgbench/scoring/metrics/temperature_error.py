@@ -1,0 +1,29 @@
+"""Mean absolute temperature error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
+
+
+def mae_degC(shown: ScoredView) -> float:
+    """Mean absolute difference of the 8-bit pictures (H, W, 1) in °C, where gray values are linear in temperature."""
+    if shown.scene is None or shown.scene.temperature is None:
+        raise NotApplicableError("the scene has no temperature range (temperature.json)")
+    if shown.scene.channels != 1:
+        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
+    pair, span = shown.pair("thermal"), shown.scene.temperature.max - shown.scene.temperature.min
+    return float(np.abs(pair.image - pair.target).mean(dtype=np.float64) * span)
+
+
+METRIC = ViewMetric(
+    name="mae_degC",
+    label="temperature error",
+    meaning="mean absolute error of the temperatures",
+    order=80,
+    unit="°C",
+    needs="a temperature range, gray images",
+    of_view=mae_degC,
+)

@@ -1,0 +1,30 @@
+"""Every metric: the modules of `metrics/`, found by themselves."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from tdgbench.scoring import metrics
+from tdgbench.scoring.metric import ImageMetric, Metric
+
+
+def find_metrics() -> dict[str, Metric]:
+    """The `METRIC` of each module of `metrics/` by name, by `order`. Raises TypeError for a module without one.
+
+    >>> list(find_metrics())[:3]
+    ['psnr', 'ssim', 'lpips']
+    """
+    found = []
+    for module in pkgutil.iter_modules(metrics.__path__):
+        metric = getattr(importlib.import_module(f"{metrics.__name__}.{module.name}"), "METRIC", None)
+        if not isinstance(metric, Metric):
+            raise TypeError(f"{metrics.__name__}.{module.name} defines no METRIC")
+        found.append(metric)
+    return {metric.name: metric for metric in sorted(found, key=lambda metric: (metric.order, metric.name))}
+
+
+METRICS = find_metrics()
+TRAIN_METRICS = {
+    name: metric for name, metric in METRICS.items() if isinstance(metric, ImageMetric) and metric.on_training_views
+}

@@ -1,0 +1,107 @@
+"""What a metric reads: one rendered view, its ground truth, its scene, and the convention of the scores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from tdgbench.scenes import Scene, View
+
+Border = Literal["zero", "valid"]
+Modality = Literal["thermal", "rgb"]
+
+
+class NotApplicableError(Exception):
+    """A view has no such score; the message is the reason that records and tables give."""
+
+
+@dataclass(frozen=True)
+class RenderedImages:
+    """What a method shows of one view.
+
+    image: (H, W, C) float32, not clipped. depth: (H, W) expected z in scene units, 0 where nothing was rendered.
+    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    rgb: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How scores are computed. lpips: distance of two images (H, W, C) in [0, 1], or NotApplicableError."""
+
+    ssim_border: Border
+    lpips: Callable[[np.ndarray, np.ndarray], float]
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """A render and its ground truth, both (H, W, C) float32 in [0, 1] as 8-bit files store them."""
+
+    image: np.ndarray
+    target: np.ndarray
+    convention: Convention
+
+
+@dataclass(frozen=True)
+class ScoredView:
+    """One view with its render. scene, renders: all test views and their renders by name; None for a training view."""
+
+    view: View
+    rendered: RenderedImages
+    convention: Convention
+    scene: Scene | None = None
+    renders: Mapping[str, RenderedImages] = field(default_factory=dict)
+
+    def pair(self, modality: Modality) -> ImagePair:
+        """The pictures that a metric compares. Raises NotApplicableError without an RGB model or RGB image."""
+        return self._thermal if modality == "thermal" else self._rgb
+
+    @cached_property
+    def _thermal(self) -> ImagePair:
+        return ImagePair(as_saved(self.rendered.image), as_saved(self.view.thermal), self.convention)
+
+    @cached_property
+    def _rgb(self) -> ImagePair:
+        if self.rendered.rgb is None:
+            raise NotApplicableError("the method trains no RGB model")
+        if self.view.load_rgb is None:
+            raise NotApplicableError("a test view has no RGB image")
+        return ImagePair(as_saved(self.rendered.rgb), as_saved(self.view.rgb), self.convention)
+
+    def true_depth(self) -> np.ndarray:
+        """True z (H, W) float64. Raises NotApplicableError where it is unknown or of another size than the render."""
+        truth = self.view.true_depth
+        if truth is None:
+            raise NotApplicableError("the scene has no true depth")
+        if truth.shape != self.rendered.depth.shape:
+            raise NotApplicableError("the true depth has another size than the images")
+        return truth.astype(np.float64)
+
+    def nearest(self) -> View:
+        """The test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""
+        others = [] if self.scene is None else [view for view in self.scene.test if view.name != self.view.name]
+        if not others:
+            raise NotApplicableError("the scene has one test view")
+        center = self.view.camera.center
+        return min(others, key=lambda other: float(np.linalg.norm(other.camera.center - center)))
+
+
+def to_8bit(image: np.ndarray) -> np.ndarray:
+    """Values in [0, 1] as an 8-bit image stores them: uint8, rounded half up.
+
+    >>> to_8bit(np.array([-0.1, 0.5 / 255, 1.0])).tolist()
+    [0, 1, 255]
+    """
+    return np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+
+
+def as_saved(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, C) as its 8-bit file gives it back, float32 in [0, 1]."""
+    return to_8bit(image).astype(np.float32) / np.float32(255)

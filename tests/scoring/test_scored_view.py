@@ -1,0 +1,40 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tdgbench.scoring.scored_view import Convention, NotApplicableError, RenderedImages, ScoredView, as_saved, to_8bit
+
+CONVENTION = Convention("zero", lambda image, target: 0.0)
+
+
+def shown(scene, view, **fields):
+    images = RenderedImages(view.thermal, view.true_depth, view.rgb)
+    return ScoredView(view, replace(images, **fields), CONVENTION, scene, {view.name: images})
+
+
+def test_8_bit_rounds_half_up():
+    assert to_8bit(np.array([-0.1, 0.0, 0.5 / 255, 0.49 / 255, 1.0, 2.0])).tolist() == [0, 0, 1, 0, 255, 255]
+
+
+def test_pairs_are_what_files_hold(small_scene):
+    view = small_scene.test[0]
+    pair = shown(small_scene, view, image=view.thermal + 0.3).pair("thermal")
+    assert np.array_equal(pair.image, as_saved(view.thermal + 0.3)) and pair.image.max() == 1.0
+    assert np.array_equal(shown(small_scene, view).pair("rgb").target, as_saved(view.rgb))
+
+
+def test_reasons_why_there_is_nothing_to_compare(small_scene):
+    view = small_scene.test[0]
+    with pytest.raises(NotApplicableError, match="trains no RGB model"):
+        shown(small_scene, view, rgb=None).pair("rgb")
+    with pytest.raises(NotApplicableError, match="another size"):
+        shown(small_scene, view, depth=np.ones((2, 2))).true_depth()
+    with pytest.raises(NotApplicableError, match="one test view"):
+        ScoredView(view, shown(small_scene, view).rendered, CONVENTION).nearest()
+
+
+def test_the_nearest_camera(small_scene):
+    view, *others = small_scene.test
+    distances = {other.name: np.linalg.norm(other.camera.center - view.camera.center) for other in others}
+    assert shown(small_scene, view).nearest().name == min(distances, key=distances.get)

@@ -1,0 +1,26 @@
+from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, TRAINING, gain, measure
+from tdgbench.tables.published import published_ablation, published_main
+
+
+def test_the_paper_s_columns():
+    assert list(PUBLISHED) == list(dict.fromkeys(published_main()["metric"])) == ["psnr", "ssim", "lpips", "hours"]
+    assert list(ABLATION[:2]) == list(dict.fromkeys(published_ablation()["metric"]))
+    assert [measure(name).title for name in PUBLISHED] == ["PSNR, dB ↑", "SSIM ↑", "LPIPS ↓", "time, h ↓"]
+
+
+def test_the_order_of_rows_on_disk():
+    assert (*PUBLISHED, *EXTRA) == (
+        "psnr", "ssim", "lpips", "hours", "channel_psnr", "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC",
+        "depth_abs_rel", "floaters", "depth_consistency", "train_psnr", "train_ssim",
+    )  # fmt: skip
+    assert set(ABLATION) | set(TRAINING) <= set(MEASURES)
+
+
+def test_headings():
+    hours = measure("hours")
+    assert (hours.column, hours.latex_column, hours.change) == ("time↓", r"Time [h] $\downarrow$", "time ×")
+    assert measure("psnr").change == "PSNR, dB" and measure("ssim").latex_column == r"SSIM $\uparrow$"
+
+
+def test_a_gain_is_positive_where_it_is_better():
+    assert gain("psnr", 21.0, 20.0) == 1.0 == gain("hours", 1.0, 2.0)
