@@ -13,6 +13,8 @@ from tdgbench.splats.cpu.rows import permute_rows
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.gaussians import Gaussians
 
+MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
+QUATS = slice(QUATS_AT, QUATS_AT + 4)
 GROWTH = 3.0  # of the capacity, when it is used up; memory that was never written costs nothing
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
@@ -71,9 +73,9 @@ class TrainingState:
     def split(self, rows: Tensor) -> Gaussians:
         """Rows (n, columns) as Gaussians; they share memory and gradients."""
         return Gaussians(
-            means=rows[:, MEANS_AT:SCALES_AT],
-            log_scales=rows[:, SCALES_AT:QUATS_AT],
-            quats=rows[:, QUATS_AT:OPACITY_AT],
+            means=rows[:, MEANS],
+            log_scales=rows[:, SCALES],
+            quats=rows[:, QUATS],
             opacity_logits=rows[:, OPACITY_AT],
             sh=rows[:, COLORS_AT : self.columns].unflatten(1, (self.bases, self.channels)),
         )
@@ -87,14 +89,13 @@ class TrainingState:
 
     def column_of(self, name: str) -> slice:
         """Columns of a parameter."""
-        ends = {
-            "means": (MEANS_AT, SCALES_AT),
-            "log_scales": (SCALES_AT, QUATS_AT),
-            "quats": (QUATS_AT, OPACITY_AT),
-            "opacity_logits": (OPACITY_AT, COLORS_AT),
-            "sh": (COLORS_AT, self.columns),
+        return {
+            "means": MEANS,
+            "log_scales": SCALES,
+            "quats": QUATS,
+            "opacity_logits": slice(OPACITY_AT, OPACITY_AT + 1),
+            "sh": slice(COLORS_AT, self.columns),
         }[name]
-        return slice(*ends)
 
     def exchange(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
@@ -128,7 +129,7 @@ class TrainingState:
 
         All rows must be current.
         """
-        order = _z_order(self.values[:, MEANS_AT:SCALES_AT])
+        order = _z_order(self.values[:, MEANS])
         for array in (self._values, self._bounds, self._first, self._second):
             if array.device.type == "cpu" and array.dtype == torch.float32:
                 permute_rows(array.numpy(), order.numpy())
@@ -215,4 +216,4 @@ _SPREAD = (
 
 def _bounds_of(rows: Tensor) -> Tensor:
     """Bounds (n, 4) of rows (n, columns), see `TrainingState.bounds`."""
-    return torch.cat([rows[:, MEANS_AT:SCALES_AT], rows[:, SCALES_AT:QUATS_AT].amax(dim=1, keepdim=True)], dim=1)
+    return torch.cat([rows[:, MEANS], rows[:, SCALES].amax(dim=1, keepdim=True)], dim=1)

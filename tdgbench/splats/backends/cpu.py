@@ -66,7 +66,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, grad_image, grad_depth, grad_transmittance, _grad_radii):
-        source, settings, done, probe, color_shape = ctx.saved
+        source, settings, done, _probe, color_shape = ctx.saved
         grads = (None if g is None else g.numpy() for g in (grad_image, grad_depth, grad_transmittance))
         rows = backward(source, settings, done, *grads)
         per_color = int(np.prod(color_shape[1:]))
