@@ -2,14 +2,14 @@ import time
 
 from tdgbench.experiments.measure.training_step import StepProfile
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import update_rows
+from tdgbench.splats.cpu.adam import step_rows
 from tdgbench.splats.optimizer import Adam
 
 
 def test_a_part_within_another_counts_for_itself_only_and_functions_are_restored(monkeypatch):
     def step(self):
         time.sleep(0.02)
-        pool.run(update_rows, [])
+        pool.run(step_rows, [])
 
     def run(function, arguments):
         time.sleep(0.1)
