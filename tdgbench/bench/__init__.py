@@ -1,1 +1,1 @@
-"""Cells: what to run, what is already there, what failed, on which machine."""
+"""Cells: keys, locks, runs, files, records and failures."""

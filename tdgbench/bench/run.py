@@ -83,8 +83,8 @@ class CellRun(SetupObserver):
         with self.stage("load"):
             self.skips = instantiate(cfg.skip)
             dataset: Dataset = instantiate(loader_of(cfg, self.skips))
-            what = dataset.describe(cfg.scene)
-            record.scene, record.dataset, record.group = what.scene, what.dataset, what.group
+            place = dataset.describe(cfg.scene)
+            record.scene, record.dataset, record.group = place.scene, place.dataset, place.group
             self.progress.rename(record.title)
             self.scene = dataset.load(cfg.scene)
             self.method = instantiate(cfg.method.method)
