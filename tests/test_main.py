@@ -15,6 +15,7 @@ from tests.conftest import ROOT, SMALL
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 SWEEPS = ("demo", "table1", "table2", "readings")
+CELLS = {"table1": 28, "table2": 112, "readings": 168}
 JOBS = {  # experiments other than sweeps, and overrides that make them small
     "stress": ("job.cases=opacity",),
     "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
@@ -51,6 +52,7 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
         assert "<svg" in (tmp_path / "results" / "demo" / "report.html").read_text()
     else:  # the paper's data is missing: one error for all scenes, n/a everywhere, exit status 1
         assert run.returncode == 1 and run.stderr.count("14 scenes are not in") == 1
+        assert "0 cells run" in run.stdout and f"{CELLS[experiment]} without data" in run.stdout
         assert "Dimsum, DailyStuff" in run.stderr and "Zenodo" in run.stderr and "[train|test]" in run.stderr
         assert (main["value"] == "n/a").all() and (tables / "difference.csv").exists()
 

@@ -9,20 +9,18 @@ from rich.console import Console
 from rich.markup import escape
 
 from tdgbench.bench.cell import Outcome
-from tdgbench.experiments.sweep.job import read_outcomes
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show
 
 
-def finish(cfg: DictConfig, jobs: Path) -> None:
+def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     """Write tables and pictures of all cells on disk; print a summary and one line per failure.
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
     console = Console()
-    outcomes = read_outcomes(jobs)
     problem = None
     try:
         _write_all(Path(cfg.results) / cfg.name, console)

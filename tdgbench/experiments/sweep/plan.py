@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -13,7 +15,14 @@ from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
 from tdgbench.scenes import SceneError
 
 
-def plan_sweep(cfg: DictConfig) -> None:
+class CellCount(NamedTuple):
+    """Number of cells of a sweep."""
+
+    total: int
+    without_data: int  # their scene is not on disk
+
+
+def plan_sweep(cfg: DictConfig) -> CellCount:
     """Write the plan of a sweep; print one error for all missing scenes. Raises SystemExit(1) for an unknown scene."""
     console = Console(stderr=True)
     dataset = instantiate(cfg.dataset.loader)
@@ -33,6 +42,8 @@ def plan_sweep(cfg: DictConfig) -> None:
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH],
     ).write(Path(cfg.results) / cfg.name)
+    per_scene = math.prod(len(values) for key, values in options.items() if key != "scene")
+    return CellCount(per_scene * len(scenes), per_scene * len(missing))
 
 
 def _print_error(console: Console, message: str) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from tdgbench.bench.cell import Outcome
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.finish import finish
-from tdgbench.experiments.sweep.job import run_job
+from tdgbench.experiments.sweep.job import read_outcomes, run_job
 from tdgbench.experiments.sweep.plan import plan_sweep
 
 
@@ -16,10 +17,12 @@ class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
 
     def start(self, cfg: DictConfig) -> None:
-        plan_sweep(cfg)
+        cells = plan_sweep(cfg)
+        if cells.without_data == cells.total:  # no job has anything to do
+            finish(cfg, [Outcome("missing", "")] * cells.total)
 
     def run(self, cfg: DictConfig) -> None:
         run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
-        finish(cfg, jobs)
+        finish(cfg, read_outcomes(jobs))
