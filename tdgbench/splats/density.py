@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.columns import MEANS_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.columns import MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.statistics import observe_gradients, observe_seen
 from tdgbench.splats.gradients import Gradients
@@ -171,8 +171,8 @@ class DensityControl:
         many = self.state.split(children)
         scales = many.scales
         offsets = torch.randn(len(children), 3, generator=generator).to(scales) * scales
-        children[:, MEANS_AT:SCALES_AT] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
-        children[:, SCALES_AT:QUATS_AT] -= math.log(self.rules.split_shrink * n)  # no exp: it may underflow
+        children[:, MEANS_AT:QUATS_AT] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
+        children[:, SCALES_AT:OPACITY_AT] -= math.log(self.rules.split_shrink * n)  # no exp: it may underflow
         return children
 
 

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from tdgbench.splats.backends.cpu import pack_camera, render_rows
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.passes import Settings, Source
+from tdgbench.splats.cpu.raster.source import source_of_rows
+from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.rasterization import EPS2D, FAR_PLANE, NEAR_PLANE, choose_backend, render_view
@@ -69,15 +69,8 @@ def _dense(grad, view) -> Gradients:
 
 def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, iteration, collect, blending,
                    skip_unseen):  # fmt: skip
-    values = state.values.numpy().reshape(-1)
-    stride = state.values.shape[1]
-    columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
-    layout = np.array([n for column in columns for n in (stride, column)], np.int64)
-    bounds = state.bounds.numpy().reshape(-1)
     slack, growth = optimizer.slack(iteration) if skip_unseen else (EVERYWHERE, 0.0)
-    source = Source(
-        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), slack, growth, optimizer.catch_up
-    )
+    source = source_of_rows(state.values.numpy(), state.bounds.numpy(), slack, growth, optimizer.catch_up)
     settings = Settings(
         camera=pack_camera(viewmat, K, width, height, NEAR_PLANE, FAR_PLANE, EPS2D),
         width=width,
@@ -89,11 +82,11 @@ def _past_autograd(state, optimizer, viewmat, K, width, height, degree, depth, i
     )
 
     def deliver(rows, done) -> None:
-        index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
-        seen, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
-        owner = (rows.lease, done.lease)
-        work = done.count_pairs(), int(done.reached.sum())
-        collect(Gradients(rows.pieces, index, values, image, done.projected.seen, seen, radii, *work, owner))
+        index, values, image = (torch.from_numpy(a) for a in rows.arrays)
+        seen, radii = torch.from_numpy(done.projected.gaussian_ids), torch.from_numpy(done.projected.radii)
+        owner = (rows.workspace, done.workspace)
+        work = done.count_pairs(), int(done.visits.counts.sum())
+        collect(Gradients(rows.spans, index, values, image, done.projected_spans, seen, radii, *work, owner))
 
     image, depth_map, transmittance = render_rows(source, settings, deliver)
     return image, depth_map if depth else None, transmittance

@@ -21,7 +21,7 @@ ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # all have one ro
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, log_scales, quats, opacity_logits, then sh; each row whole cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, then sh; each row whole cache lines.
 
     `first` and `second` are Adam's moments in the same layout. Room grows ahead of need, so that Gaussians come and go
     without copying the others.
@@ -69,9 +69,9 @@ class TrainingState:
     def split(self, rows: Tensor) -> Gaussians:
         """Rows (n, columns) seen as the five tensors of Gaussians; they share memory and gradients."""
         return Gaussians(
-            means=rows[:, MEANS_AT:SCALES_AT],
-            log_scales=rows[:, SCALES_AT:QUATS_AT],
-            quats=rows[:, QUATS_AT:OPACITY_AT],
+            means=rows[:, MEANS_AT:QUATS_AT],
+            log_scales=rows[:, SCALES_AT:OPACITY_AT],
+            quats=rows[:, QUATS_AT:SCALES_AT],
             opacity_logits=rows[:, OPACITY_AT],
             sh=rows[:, COLORS_AT : self.columns].unflatten(1, (self.bases, self.channels)),
         )
@@ -86,9 +86,9 @@ class TrainingState:
     def column_of(self, name: str) -> slice:
         """Where a parameter stands in a row."""
         ends = {
-            "means": (MEANS_AT, SCALES_AT),
-            "log_scales": (SCALES_AT, QUATS_AT),
-            "quats": (QUATS_AT, OPACITY_AT),
+            "means": (MEANS_AT, QUATS_AT),
+            "log_scales": (SCALES_AT, OPACITY_AT),
+            "quats": (QUATS_AT, SCALES_AT),
             "opacity_logits": (OPACITY_AT, COLORS_AT),
             "sh": (COLORS_AT, self.columns),
         }[name]
@@ -125,7 +125,7 @@ class TrainingState:
 
         All rows must be current.
         """
-        order = _z_order(self.values[:, MEANS_AT:SCALES_AT])
+        order = _z_order(self.values[:, MEANS_AT:QUATS_AT])
         for own in (self._values, self._bounds, self._first, self._second):
             if own.device.type == "cpu" and own.dtype == torch.float32:
                 permute_rows(own.numpy(), order.numpy())
@@ -210,4 +210,4 @@ _SPREAD = (
 
 
 def _bounds_of(rows: Tensor) -> Tensor:
-    return torch.cat([rows[:, MEANS_AT:SCALES_AT], rows[:, SCALES_AT:QUATS_AT].amax(dim=1, keepdim=True)], dim=1)
+    return torch.cat([rows[:, MEANS_AT:QUATS_AT], rows[:, SCALES_AT:OPACITY_AT].amax(dim=1, keepdim=True)], dim=1)

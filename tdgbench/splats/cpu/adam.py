@@ -14,7 +14,7 @@ from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, store
 from tdgbench.splats.cpu.simd.reductions import any_positive
-from tdgbench.splats.cpu.simd.registers import LANES, divide, is_finite, maximum, select, splat, square_root
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, maximum, select, square_root
 
 F, U = np.float32, np.uint64
 AHEAD = 6  # rows for which memory is asked before they are worked on
@@ -61,7 +61,7 @@ def touched_rows(first, count, index, gradients, stride, parameters, first_momen
     powers[k] = β^k; step_sizes = rate / (1 − β1^t) and per_bias2 = 1 / √(1 − β2^t) for each column; clocks (N, 2): when
     the moments and the parameters of a row were last brought up to date. Returns whether all gradients are finite.
     """
-    zero, one = splat(F(0)), splat(F(1))
+    zero, one = broadcast(F(0)), broadcast(F(1))
     bad = zero
     columns = gradients.shape[1]
     flat = gradients.reshape(-1)
