@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
+from tdgbench.splats.columns import MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.training import model as model_module
@@ -24,6 +25,10 @@ EXTENT = 3.0
 RULES = ("start=10", "every=16", "opacity_reset_every=40")  # as the original was told
 AS_RELEASED = ("round_recovery=0", "reset_recovery=0")
 COLUMNS = 23
+# Our columns in the order of the recorded rows: means, log scales, quaternions, opacities, harmonics.
+THEIRS = [
+    *range(MEANS_AT, QUATS_AT), *range(SCALES_AT, OPACITY_AT), *range(QUATS_AT, SCALES_AT), *range(OPACITY_AT, COLUMNS),
+]  # fmt: skip
 LIMIT = 1e-5
 CAMERA = Camera(np.eye(3), np.eye(4), WIDTH, HEIGHT)
 ORDINARY, DENSIFIES, RESETS, BOTH = 70, 64, 40, 80  # what is due at an iteration that may be the last
@@ -50,11 +55,11 @@ def pulled_render(state, optimizer, *_, iteration, collect, **__):
     """Stands in for `render_state`: rows that are seen are brought up to date, looked at and pulled."""
     seen = seen_at(state.values[:, :COLUMNS], iteration).nonzero().squeeze(1).int()
     optimizer.catch_up([(0, len(seen))], seen.numpy())
-    given = pull(state.values[seen, :COLUMNS], iteration)
+    given = pull(state.values[seen][:, THEIRS], iteration)
     rows = torch.zeros(len(seen), state.values.shape[1])
-    rows[:, :COLUMNS] = given.rows
+    rows[:, THEIRS] = given.rows
     per_px = given.image / torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])
-    image = torch.cat([per_px, torch.zeros_like(per_px), given.radii[:, None].float()], dim=1)
+    image = torch.cat([per_px, given.radii[:, None].float()], dim=1)
     whole = [(0, len(seen))]
     gradients = Gradients(whole, seen, rows, image, whole, seen, given.radii.int())
     anchor = torch.zeros((), requires_grad=True)
@@ -113,7 +118,7 @@ def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def rows_of(model: SplatModel) -> np.ndarray:
     model.optimizer.settle()
-    return model.state.values[:, :COLUMNS].numpy().copy()
+    return model.state.values[:, THEIRS].numpy()
 
 
 def test_every_iteration(theirs, same_draws):

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
+from tdgbench.splats.columns import OPACITY_AT, SCALES_AT
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import BETA1, BETA2, EPS, MAX_COAST, MAX_SPEED, SETTLE_EVERY, Adam, LearningRates
@@ -125,7 +126,7 @@ def test_nothing_coasts_farther_than_the_slack():
         optimizer.step(step_gradients(state, step, 0.0), step)
     optimizer.catch_up([(0, 60)], np.arange(60, dtype=np.int32))
     moved = (state.values - before).abs()
-    assert 0 < moved[:, :3].max() < slack and 0 < moved[:, 3:6].max() < growth
+    assert 0 < moved[:, :3].max() < slack and 0 < moved[:, SCALES_AT:OPACITY_AT].max() < growth
     assert torch.equal(state.bounds, bounds)
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from tdgbench.splats.columns import OPACITY_AT, SCALES_AT
 from tdgbench.splats.state import ORDER_AGAIN, TrainingState
 from tests.splats.test_ply import model
 
@@ -50,7 +51,7 @@ def test_exchange(removed, added):
     for row, first, second, bounds in zip(state.values, state.first, state.second, state.bounds, strict=True):
         old = (before == row).all(dim=1).nonzero().flatten().tolist()
         assert first[0] == (old[0] if old else 0) and second[0] == 2 * first[0]
-        assert torch.equal(bounds[:3], row[:3]) and bounds[3] == row[3:6].max()
+        assert torch.equal(bounds[:3], row[:3]) and bounds[3] == row[SCALES_AT:OPACITY_AT].max()
 
 
 def test_clocks_start_where_the_optimiser_is():
