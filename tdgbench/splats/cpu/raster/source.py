@@ -68,10 +68,10 @@ def source_of_rows(
 
     bounds (N, 4): mean and largest log scale, each as it was when culling was last told.
     """
-    flat, stride = values.reshape(-1), values.shape[1]
-    columns = (Columns(flat, stride, first) for first in (MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT))
-    flat = bounds.reshape(-1)
-    tested = Bounds(Columns(flat, 4, 0), Columns(flat, 4, 3), 1, True, np.float32(tolerance), np.float32(growth))
+    flat, stride, flat_bounds = values.reshape(-1), values.shape[1], bounds.reshape(-1)
+    columns = [Columns(flat, stride, first) for first in (MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT)]
+    means, scales = Columns(flat_bounds, 4, 0), Columns(flat_bounds, 4, 3)
+    tested = Bounds(means, scales, 1, True, np.float32(tolerance), np.float32(growth))
     return Source(len(values), Parameters(*columns, True), tested, update)
 
 
