@@ -46,7 +46,7 @@ class Scratch(NamedTuple):
 def projection_backward(first, count, parameters, channels, camera, splats, slots, rows):
     """Gradients of splats [first, first + count), for those that have any; returns how many rows that is.
 
-    Arguments are of the types that have their names; rows: GradientArrays, written from `first` on, zeros behind colours.
+    Arguments are of the types that have their names; rows: GradientArrays, written from `first` on, with zeros at the end.
     """
     scratch = Scratch(
         aligned_floats(MAX_SLOT * LANES),
