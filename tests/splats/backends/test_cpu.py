@@ -4,7 +4,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends.cpu import MAX_SIDE, pack_camera
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_packed_camera():

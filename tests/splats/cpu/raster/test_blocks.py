@@ -9,6 +9,7 @@ from tdgbench.splats.cpu.raster import blocks, records
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats
 from tdgbench.splats.cpu.simd.registers import LANES
+from tests.splats.cpu.raster.bits import members
 
 F = np.float32
 SIZE = 3 * LANES
@@ -26,10 +27,6 @@ def tile_of(columns, rows, grid):
 @kernel()
 def reached(record, left, top, least, grid):
     return blocks.within_reach(grid, blocks.form_of(record, 0, left, top), least)
-
-
-def members(number: int) -> set[int]:
-    return {block for block in range(blocks.BLOCKS) if number >> block & 1}
 
 
 def pixels_of_blocks():

@@ -8,7 +8,7 @@ from tdgbench.splats import rasterization
 from tdgbench.splats.backends.cpu import pack_camera
 from tdgbench.splats.cpu.raster.culling import find_candidates
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 REACH = np.float32(math.sqrt(2 * math.log(255)))
 

@@ -10,8 +10,8 @@ from tdgbench.splats.cpu.raster import blocks, passes
 from tdgbench.splats.cpu.raster.limits import pack_limits
 from tdgbench.splats.cpu.raster.passes import _pack
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.cpu.raster.test_blocks import members
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.bits import members
 
 LIMITS = pack_limits(AS_3DGS)
 

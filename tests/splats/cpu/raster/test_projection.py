@@ -18,7 +18,7 @@ from tdgbench.splats.cpu.raster.projection import (
 )
 from tdgbench.splats.cpu.simd.memory import gather_3, put_column
 from tdgbench.splats.cpu.simd.registers import LANES, divide
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 COUNT = 25 * LANES
 

@@ -3,8 +3,8 @@ import torch
 
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.raster.records import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.cpu.raster.test_tiles import lists
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.lists import lists
 
 
 def test_records_hold_the_projection():

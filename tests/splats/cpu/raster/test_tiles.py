@@ -3,13 +3,10 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends import cpu
-from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster import passes
-from tdgbench.splats.cpu.raster.limits import pack_limits
 from tdgbench.splats.cpu.raster.tiles import ALONE_BELOW, TILE, sort_by_key
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.lists import lists
 
 
 @pytest.mark.parametrize("count", [0, 1, 5000, ALONE_BELOW + 1001])
@@ -29,15 +26,6 @@ def test_sort_is_stable_and_right(count, threads):
     given = np.concatenate([values[a:b] for a, b in pieces])
     assert np.array_equal(order, given[np.argsort(depths[given], kind="stable")])
     assert np.array_equal(sorted_keys, depths.view(np.uint32)[order])
-
-
-def lists(parameters, camera, width, height):
-    means, quats, scales, opacities, colors = parameters
-    settings = passes.Settings(
-        camera=cpu.pack_camera(camera[0][0], camera[1][0], width, height, 0.2, 1e10, 0.3), width=width, height=height,
-        degree=-1, depth_channel=False, background=np.zeros(1, np.float32), limits=pack_limits(AS_3DGS),
-    )  # fmt: skip
-    return passes.forward(cpu._arrays_of((means, scales, quats, opacities, colors[:, None])), settings)
 
 
 def test_every_touched_tile_is_listed_from_near_to_far():
