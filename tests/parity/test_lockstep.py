@@ -18,9 +18,9 @@ from tdgbench.training import model as model_module
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
 from tdgbench.training.model import SplatModel
-from tests.conftest import config
-from tests.parity.conftest import original
+from tests.helpers.configs import config
 from tests.parity.drive import HEIGHT, WIDTH, pull, seen_at
+from tests.parity.originals import original
 
 EXTENT = 3.0
 RULES = ("start=10", "every=16", "opacity_reset_every=40")  # as the original was told

@@ -3,7 +3,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends.cpu import MAX_SIDE
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_two_renders_before_one_backward():

@@ -4,7 +4,7 @@ import sys
 
 from tdgbench.splats.cpu import jit, pool
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 # What is compiled ahead must be what training calls, type by type, or it was compiled in vain.
 SAME_TYPES = """
@@ -15,7 +15,7 @@ from tdgbench.splats.cpu.raster.blend import make_blend
 from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
 from tdgbench.splats.cpu.raster.projection_backward import projection_backward
 from tdgbench.training.warmup import compile_kernels
-from tests.conftest import config
+from tests.helpers.configs import config
 
 compile_last_kernels([1])
 kernels = [projection_backward]

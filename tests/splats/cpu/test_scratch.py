@@ -4,7 +4,7 @@ import torch
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import scratch
 from tdgbench.splats.cpu.scratch import Workspace
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_buffers_are_used_again_and_grow():

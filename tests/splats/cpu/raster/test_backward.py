@@ -5,8 +5,8 @@ from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.raster.backward import backward
 from tdgbench.splats.cpu.raster.forward import forward
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.cpu.raster.test_forward import settings_for, source_of
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.forward_passes import settings_for, source_of
 
 
 def test_only_gaussians_that_a_pixel_depends_on_get_rows():

@@ -9,6 +9,7 @@ from tdgbench.splats.cpu.raster import blocks, splat
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats
 from tdgbench.splats.cpu.simd.registers import LANES
+from tests.splats.cpu.raster.bits import members
 
 F = np.float32
 SIZE = 3 * LANES
@@ -28,10 +29,6 @@ def tile_of(columns, rows, centres):
 @kernel()
 def active(splats, tile, least, centres):
     return blocks.active_blocks(centres, blocks.form_of(splats, 0, tile), least)
-
-
-def members(number: int) -> set[int]:
-    return {block for block in range(blocks.BLOCKS) if number >> block & 1}
 
 
 def pixels_of_blocks():

@@ -1,7 +1,7 @@
 import numpy as np
 
 from tdgbench.splats.cpu.raster.camera import pack_camera
-from tests.conftest import turned_camera
+from tests.helpers.gaussians import turned_camera
 
 
 def test_packed_camera():

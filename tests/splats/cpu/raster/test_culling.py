@@ -9,7 +9,7 @@ from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.culling import _pack, cull
 from tdgbench.splats.cpu.raster.source import Bounds, Columns
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 CUTOFF = np.float32(math.sqrt(2 * math.log(255)))
 

@@ -9,7 +9,7 @@ from tdgbench.splats.cpu.raster.projection import deviations, footprint, opacity
 from tdgbench.splats.cpu.raster.source import Columns, source_of_arrays
 from tdgbench.splats.cpu.simd.memory import put_column
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 COUNT = 25 * LANES
 

@@ -3,8 +3,8 @@ import torch
 
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.raster.splat import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.cpu.raster.test_forward import rendered
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.forward_passes import rendered
 
 
 def test_splats_hold_the_projection():

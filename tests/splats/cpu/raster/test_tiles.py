@@ -3,8 +3,8 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu.raster.tiles import TILE
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.cpu.raster.test_forward import rendered
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.forward_passes import rendered
 
 
 def test_every_touched_tile_is_listed_from_near_to_far():

@@ -5,7 +5,7 @@ from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd import memory, reductions
 from tdgbench.splats.cpu.simd import registers as simd
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.splats.cpu.simd.test_registers import aligned
+from tests.splats.cpu.simd.arrays import aligned
 
 F = np.float32
 

@@ -3,18 +3,12 @@
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd import memory
 from tdgbench.splats.cpu.simd import registers as simd
 from tdgbench.splats.cpu.simd.registers import LANES
+from tests.splats.cpu.simd.arrays import aligned
 
 F = np.float32
-
-
-def aligned(values) -> np.ndarray:
-    out = empty_aligned((len(values),), F)
-    out[:] = values
-    return out
 
 
 @kernel()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from tdgbench.bench.paths import cell_folder_of
-
 from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.published import published_ablation, published_main
+
+
+def record(**extra) -> Record:
+    return Record("tdg", "synthetic", "orbit", "colmap", 0, "demo", extra.pop("variant", ""), **extra)
 
 
 def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group="day", init="colmap", seed=0, **extra):
