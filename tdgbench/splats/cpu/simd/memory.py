@@ -16,7 +16,7 @@ _INDEX = ir.IntType(32)
 _LONG = ir.IntType(64)
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=True)
 def aligned_floats(count):
     """`count` zeros that begin on a 64-byte boundary."""
     raw = np.zeros(count + 16, np.float32)
