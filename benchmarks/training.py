@@ -57,7 +57,7 @@ class Parts:
     def wrap_kernels(self) -> None:
         """Time the pool's work under the names of its kernels."""
         names = {
-            "find_candidates": "project", "project_and_list": "project",
+            "cull": "project", "project_and_list": "project",
             "count_digits": "bin", "move_by_digit": "bin", "count_pairs": "bin", "fill_lists": "bin",
             "blend": "blend", "blend_backward": "blend backward", "projection_backward": "projection backward",
             "coast_candidates": "Adam", "touched_rows": "Adam", "settle_rows": "Adam",

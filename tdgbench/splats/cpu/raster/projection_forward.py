@@ -138,7 +138,7 @@ def project_and_list(
     group, basis = aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
-    tiles, means = pair_tiles.tiles, parameters.means.values  # not in the loop: a reference costs an atomic operation
+    tiles, means = pair_tiles.tiles, parameters.means.values  # a reference in the loop costs an atomic operation
     for k in range(first, first + count, LANES):
         mean, has_nan = project_group(group, candidates, k, parameters, camera, limits, has_nan)
         write_colors(group, parameters.colors, candidates, k, channels, mean, camera, basis)
