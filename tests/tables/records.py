@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from tdgbench.bench.paths import cell_folder_of
-
 from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.published import published_ablation, published_main
