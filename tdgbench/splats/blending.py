@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Blending:
-    """The first three change what is seen, the others only how it is come by.
+    """Constants of blending (the first three fields), and shortcuts that do not change the image.
 
-    max_alpha: the cap of alpha. min_alpha: what is fainter is skipped. min_transmittance: a pixel stops before the
-    Gaussian that would let through less. tight: tiles are listed by the ellipse in which alpha ≥ min_alpha, else by
-    the square around it, whatever the opacity, as 3DGS does. end_early: a tile ends once all its pixels have stopped.
+    max_alpha: cap of alpha. min_alpha: smaller alphas are skipped. min_transmittance: a pixel stops before the Gaussian
+    that would reduce its transmittance below this. tight: tiles are listed by the ellipse in which alpha ≥ min_alpha;
+    otherwise by the 3 σ square, whatever the opacity, as in 3DGS. end_early: a tile ends once all its pixels have
+    stopped.
     """
 
     max_alpha: float = 0.99
@@ -27,7 +28,7 @@ class Blending:
             raise ValueError(f"min_transmittance is {self.min_transmittance}; it must be in [0, 1)")
 
     def moved(self, factor: float) -> Blending:
-        """Both thresholds moved by a factor: pixels that differ then are those a rounding error could flip."""
+        """Both thresholds moved by a factor: pixels that then differ are sensitive to rounding."""
         return replace(self, min_alpha=self.min_alpha * factor, min_transmittance=self.min_transmittance / factor)
 
 

@@ -1,4 +1,4 @@
-"""Where the parameters of a Gaussian stand in a row of numbers: the layout that training and its gradients share."""
+"""Columns of a Gaussian's parameters in a row, a layout that training states and gradients share."""
 
 from __future__ import annotations
 

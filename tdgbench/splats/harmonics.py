@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 3, in 3DGS's sign convention (its PLY files mean the same here)."""
+"""Real spherical harmonics up to degree 3, in 3DGS's sign convention (PLY files are interchangeable)."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def colors_from_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
 
 
 def sh_from_color(color: Tensor) -> Tensor:
-    """The degree-0 coefficient that shows a colour in [0, 1]."""
+    """Degree-0 coefficient of a colour in [0, 1]."""
     return (color - 0.5) / C0
 
 
 def color_from_sh(dc: Tensor) -> Tensor:
-    """The colour that a degree-0 coefficient shows."""
+    """Colour of a degree-0 coefficient."""
     return dc * C0 + 0.5

@@ -49,7 +49,7 @@ def _arrays_of(tensors) -> Source:
 class Rasterize(torch.autograd.Function):
     """image (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
-    `probe` (N, 2) is given the image means; its gradient is d loss / d image mean, in pixels.
+    `probe` (N, 2) receives the image means; its gradient is d loss / d image mean, in pixels.
     """
 
     @staticmethod
@@ -76,7 +76,7 @@ class Rasterize(torch.autograd.Function):
 
 
 class _RenderRows(torch.autograd.Function):
-    """Like `Rasterize`, for Gaussians whose gradients do not go through torch: they are handed to `deliver`."""
+    """Like `Rasterize`, for Gaussians whose gradients do not go through torch: they are passed to `deliver`."""
 
     @staticmethod
     def forward(ctx, trigger, source, settings, deliver):

@@ -1,8 +1,7 @@
-"""Compile on a second core, ahead of need.
+"""Compile the last kernels of a training step in a second process, while the first step compiles the others.
 
-Numba compiles one kernel at a time in a process. So while the first step of a training compiles its way through the
-kernels, a process of its own calls those that come late with nothing to do, and leaves its machine code in the cache.
-Which of the two comes first to a kernel matters to nobody: what is not there yet is compiled.
+Numba compiles one kernel at a time in a process. The second process calls its kernels on empty arrays and writes their
+machine code to the cache. The order does not matter: each process compiles the kernels that the cache lacks.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @contextmanager
 def compiled_alongside(channels: set[int]) -> Iterator[None]:
-    """Have a second process compile for the block, where there is a core for it and it was not done before."""
+    """Context in which a second process compiles, if there is a second core and the cache is not complete."""
     done = jit.CACHE_DIR / f"compiled-{'-'.join(map(str, sorted(channels)))}"
     if done.exists() or pool.available_cores() < 2:
         yield
@@ -37,7 +36,7 @@ def compiled_alongside(channels: set[int]) -> Iterator[None]:
     helper = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield
-        helper.wait()  # it would disturb the training's clock
+        helper.wait()  # so that it does not slow the training down, which is timed
         done.touch()
     finally:
         helper.kill()
@@ -45,14 +44,14 @@ def compiled_alongside(channels: set[int]) -> Iterator[None]:
 
 
 def compile_late_kernels(channels: list[int]) -> None:
-    """Those that a training comes to last, first."""
+    """Compile the kernels that a training step calls last. channels: of the images, 1 or 3."""
     for colors in sorted(channels, reverse=True):
         for depth in (True, False):
             blend_nothing(colors, depth)
 
 
 def blend_nothing(colors: int, depth: bool) -> None:
-    """Both passes of the blend for so many channels, and the backward projection, without pixels and Gaussians."""
+    """Call both passes of the blend for `colors` channels, and the backward projection, on empty arrays."""
     nothing = np.empty(0, np.float32)
     settings = Settings(
         camera=np.zeros(CAMERA_SIZE, np.float32), width=0, height=0, degree=0, depth_channel=depth,

@@ -1,4 +1,4 @@
-"""Moving rows of a matrix about where they are, without a second matrix."""
+"""Permute the rows of a matrix in place."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Working memory that is used again: fresh pages cost a fault each, some milliseconds per render.
+"""Workspace: uninitialised arrays that later renders reuse. Page faults of new memory cost milliseconds per render.
 
-A lease is a set of arrays taken together; they go back when the lease is garbage collected, so an autograd graph may
-hold them as long as it lives.
+A lease is a set of arrays taken together. They return to the pool when the lease is garbage collected, so an autograd
+graph can hold them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections import defaultdict
 
 import numpy as np
 
-KEEP = 3  # buffers of one role that wait for their next use
+KEEP = 3  # unused buffers of one role
 HEADROOM = 1.25
 ALIGNMENT = 64
 
@@ -18,7 +18,7 @@ _free: dict[str, list[np.ndarray]] = defaultdict(list)
 
 
 def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
-    """An uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them."""
+    """An uninitialised array that starts on a cache line; NumPy requests huge pages where the system has them."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     return _aligned_part(np.empty(size + ALIGNMENT, np.uint8), size).view(dtype).reshape(shape)
 
@@ -29,7 +29,7 @@ def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
 
 
 def release() -> None:
-    """Give back what waits for its next use."""
+    """Free all unused buffers."""
     _free.clear()
 
 
@@ -40,7 +40,7 @@ class Lease:
         self._taken: list[tuple[str, np.ndarray]] = []
 
     def take(self, role: str, shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
-        """An array of that shape; what is in it is left over from before."""
+        """An uninitialised array of a shape."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         waiting = _free[role]
         buffer = waiting.pop() if waiting else None
