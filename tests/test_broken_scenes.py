@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 
 from tdgbench.bench.record import read_all
-from tests.command import command
-from tests.conftest import SMALL
+from tests.helpers.command import command
+from tests.helpers.configs import SMALL
 
 OPTIONS = [o for o in SMALL if not o.startswith("dataset.loader")]
 

@@ -12,7 +12,7 @@ import yaml
 
 from tdgbench import __version__
 from tdgbench.tools import TOOLS
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 COMMANDS = ROOT / "docs" / "commands.md"

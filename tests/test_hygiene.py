@@ -1,12 +1,15 @@
 """Lint, format, types, import layers, a YAML file per plug-in, no unsafe calls."""
 
+import ast
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT, config
+from tests.helpers.configs import config
+from tests.helpers.paths import ROOT
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,34 @@ def test_no_unsafe_calls():
         for bad in ("eval(", "exec(", "pickle.load", "weights_only=False", "allow_pickle=True"):
             hits = [line for line in text.splitlines() if bad in line and f".{bad}" not in line]
             assert not hits, f"{path}: {hits}"
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Dotted names that a file imports, functions of a module included, also in code that it holds as a string."""
+    found, pending = set(), [ast.parse(path.read_text())]
+    while pending:
+        for node in ast.walk(pending.pop()):
+            if isinstance(node, ast.ImportFrom):
+                found |= {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "import" in node.value:
+                with contextlib.suppress(SyntaxError):
+                    pending.append(ast.parse(node.value))
+    return found
+
+
+def test_no_test_module_is_imported():
+    """What several test modules need is a fixture of a conftest.py or a helper module."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        names = {part for name in imported_modules(path) if name.startswith("tests.") for part in name.split(".")}
+        modules = {name for name in names if name.startswith("test_") or name == "conftest"}
+        assert not modules, f"{path.relative_to(ROOT)} imports {sorted(modules)}"
+
+
+def test_conftest_files_hold_fixtures_only():
+    for path in (ROOT / "tests").rglob("conftest.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.FunctionDef):
+                decorators = [ast.unparse(decorator) for decorator in node.decorator_list]
+                assert any(d.startswith("pytest.fixture") for d in decorators), f"{path}: {node.name} is no fixture"

@@ -10,8 +10,9 @@ import pytest
 from tdgbench import __version__
 from tdgbench.bench.record import read_all
 from tdgbench.verify import verify
-from tests.command import QUICK, command, tdgbench
-from tests.conftest import ROOT, SMALL
+from tests.helpers.command import command, tdgbench
+from tests.helpers.configs import QUICK, SMALL
+from tests.helpers.paths import ROOT
 
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 SWEEPS = ("demo", "table1", "table2", "readings")

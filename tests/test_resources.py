@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from tdgbench.resources import PACKAGE, conf_folder, paper_tables_folder
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 WHERE = "from tdgbench import resources as r; print(r.conf_folder(), r.paper_tables_folder(), sep='\\n')"
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from tdgbench.bench.environment import code_version
-from tests.command import QUICK
-from tests.conftest import ROOT
+from tests.helpers.configs import QUICK
+from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow
 

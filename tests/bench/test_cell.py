@@ -13,7 +13,7 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.splats.ply import load_ply
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 @pytest.fixture

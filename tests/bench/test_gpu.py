@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tdgbench.bench.gpu import describe_gpu, exclusive_gpu, visible_gpus
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 HOLD = """
 import sys, time

@@ -6,7 +6,7 @@ from hydra.utils import instantiate
 
 from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube
 from tdgbench.scenes import SceneError
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def test_colmap(small_scene):

@@ -1,7 +1,7 @@
 from methods.splat import Splat
 from tdgbench.bench.key import cell_key, relevant_config, why_differs
 from tdgbench.bench.record import Record
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def record(*overrides, method="splat", data="d", code="c"):

@@ -11,7 +11,8 @@ import pytest
 
 from tdgbench.bench.record import read_all
 from tdgbench.splats.cpu import pool
-from tests.command import QUICK, command
+from tests.helpers.command import command
+from tests.helpers.configs import QUICK
 
 CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
 

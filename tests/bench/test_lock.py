@@ -4,7 +4,7 @@ import sys
 import time
 
 from tdgbench.bench.lock import cell_lock
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 HOLD = """
 import sys, time

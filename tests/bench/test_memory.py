@@ -6,7 +6,7 @@ import pytest
 
 from tdgbench.bench import memory
 from tdgbench.bench.memory import PeakMemory
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 MEGABYTES = 200
 SCRIPT = f"""

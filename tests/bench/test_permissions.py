@@ -12,7 +12,7 @@ from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.tables.build import build_tables
 from tdgbench.training.checkpoint import Checkpoint
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 class PulledPlugError(BaseException):

@@ -3,12 +3,9 @@ from dataclasses import fields
 
 import pytest
 
-from tdgbench.bench.record import FILE, Failure, Record, SkipRecord, read_all, read_record, schema_problems
+from tdgbench.bench.record import FILE, Failure, SkipRecord, read_all, read_record, schema_problems
 from tdgbench.training.skips import Skip
-
-
-def record(**extra) -> Record:
-    return Record("tdg", "synthetic", "orbit", "colmap", 0, "demo", extra.pop("variant", ""), **extra)
+from tests.helpers.records import record
 
 
 def test_round_trip(tmp_path):

@@ -4,7 +4,7 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.renders import render_images, render_model, render_views, write_renders
-from tests.conftest import ready_to_train
+from tests.helpers.training import ready_to_train
 
 
 def test_renders_of_a_method_are_those_of_its_model(small_gray_scene):

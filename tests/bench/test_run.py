@@ -7,7 +7,7 @@ from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.training import checkpoint as checkpoints
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 ITERATIONS = 40
 

@@ -4,7 +4,8 @@ import pytest
 from hydra.utils import instantiate
 
 from tdgbench.bench.scores import score_training_views, score_views, write_views
-from tests.conftest import config, ready_to_train
+from tests.helpers.configs import config
+from tests.helpers.training import ready_to_train
 
 
 def test_scores_of_test_and_training_views(small_gray_scene, tmp_path):

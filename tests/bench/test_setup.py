@@ -5,7 +5,7 @@ from hydra.utils import instantiate
 from tdgbench.bench.setup import SetupObserver, loader_of, set_up
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def test_gray_scenes_have_three_channels_without_the_skip(data_root):

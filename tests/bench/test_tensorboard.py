@@ -8,7 +8,7 @@ from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.training.loop import LogLine
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def events(folder):

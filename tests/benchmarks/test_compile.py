@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 from benchmarks import compile as benchmark
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 
 def test_prints_the_seconds_of_a_process():

@@ -3,7 +3,7 @@ import sys
 
 import pandas as pd
 
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 
 def test_runs_small(tmp_path):

@@ -4,7 +4,8 @@ import sys
 import pandas as pd
 import pytest
 
-from tests.conftest import ROOT, SMALL
+from tests.helpers.configs import SMALL
+from tests.helpers.paths import ROOT
 
 
 @pytest.mark.parametrize("method", ["tdg", "msmg"])

@@ -8,8 +8,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.experiments.experiment import Experiment, experiment_of
-from tests.command import command
-from tests.conftest import config
+from tests.helpers.command import command
+from tests.helpers.configs import config
 
 CODE = """
     from pathlib import Path

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from tests.training.test_loop import trained
+from tests.helpers.training import trained
 
 
 def test_crossed_weights(small_scene):

@@ -1,7 +1,7 @@
 import pytest
 
 from tdgbench.training.losses import photometric
-from tests.training.test_loop import trained
+from tests.helpers.training import trained
 
 
 def test_is_the_photometric_loss_alone(small_scene):

@@ -8,8 +8,8 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.view import Render
 from tdgbench.training.losses import ssim_map
 from tdgbench.training.skips import Skips
-from tests.conftest import digest, random_gaussians
-from tests.training.test_loop import trained
+from tests.helpers.gaussians import random_gaussians
+from tests.helpers.training import digest, trained
 
 
 def depth_loss(rendered, prior):

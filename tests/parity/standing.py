@@ -8,7 +8,7 @@ import torch
 
 from tdgbench.scenes import Camera, View
 from tdgbench.splats.view import Render
-from tests.parity.conftest import original
+from tests.parity.originals import original
 
 IMAGES = {"rgb": "color", "thermal": "flat"}  # of the losses' fixture
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tdgbench.training.losses import l1, photometric, smoothness, ssim, thermal
-from tests.parity.conftest import original, relative
+from tests.parity.originals import original, relative
 
 LIMIT = 1e-5
 STORED = 2e-7  # the fixtures' float32

@@ -8,8 +8,8 @@ from tdgbench.scoring.lpips import LPIPS
 from tdgbench.scoring.metrics.channel_psnr import channel_psnr
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.metrics.ssim import ssim
-from tests.conftest import SHARED
-from tests.parity.conftest import original
+from tests.helpers.paths import SHARED
+from tests.parity.originals import original
 
 IMAGES = ("gray", "color", "flat")
 

@@ -11,8 +11,8 @@ from tdgbench.scenes import Camera, Scene, View
 from tdgbench.splats.harmonics import basis, colors_from_sh, num_bases, sh_from_color
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.optimizer import BETA1, BETA2, EPS
-from tests.conftest import config
-from tests.parity.conftest import original, relative
+from tests.helpers.configs import config
+from tests.parity.originals import original, relative
 
 
 @pytest.fixture(scope="module")

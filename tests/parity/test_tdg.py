@@ -13,8 +13,9 @@ from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.priors.files import FilePrior
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.splats import Gaussians
-from tests.conftest import config, ready_to_train
-from tests.parity.conftest import original, relative
+from tests.helpers.configs import config
+from tests.helpers.training import ready_to_train
+from tests.parity.originals import original, relative
 from tests.parity.standing import Still, standing_view
 
 LIMIT = 1e-5

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tdgbench.priors import PriorError
-from tests.conftest import small_dataset
-from tests.priors.conftest import correlation, make
+from tests.helpers.scenes import small_dataset
+from tests.priors.estimators import correlation, make
 
 
 @pytest.mark.parametrize("name", ["orbit", "facade"])

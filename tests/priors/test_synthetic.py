@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.priors import PriorError
 from tdgbench.scenes import Scene
-from tests.priors.conftest import correlation, make
+from tests.priors.estimators import correlation, make
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("depth", 1), ("disparity", -1), ("metric", 1)])

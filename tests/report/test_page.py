@@ -14,7 +14,7 @@ import pytest
 from tdgbench.bench.plan import Plan
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
-from tests.tables.records import published_as_records, write_ablation
+from tests.helpers.records import published_as_records, write_ablation
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 PROBE = """

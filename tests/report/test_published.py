@@ -9,7 +9,7 @@ import pytest
 from tdgbench.report.published import beside, published_section
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.measures import measure
-from tests.tables.records import write
+from tests.helpers.records import write
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import pandas as pd
 
 from tdgbench.report.scores import further_scores, legend, main_scores
 from tdgbench.tables.build import build_tables
-from tests.conftest import ROOT
-from tests.tables.records import write
+from tests.helpers.paths import ROOT
+from tests.helpers.records import write
 
 METRIC = """
 from tdgbench.scoring.metric import ImageMetric
@@ -45,7 +45,7 @@ from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 cfg = config(*SMALL, "method=splat", "scene=turntable", "budget=demo", "budget.iterations=3", f"data.root={root}/data",
              f"results={root}/results")

@@ -3,7 +3,7 @@ from PIL import Image
 
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.report.strip import draw_strip
-from tests.bench.test_record import record
+from tests.helpers.records import record
 
 
 def test_draws_what_is_done(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tests.conftest import small_dataset
+from tests.helpers.scenes import small_dataset
 
 
 def load(folder, **options):

@@ -4,7 +4,7 @@ import torch
 
 from tdgbench.scoring import backbones
 from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
-from tests.scoring.test_lpips import random_state
+from tests.scoring.weights import random_state
 
 
 def test_trunks_have_torchvision_s_sizes():

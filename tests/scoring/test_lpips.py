@@ -7,11 +7,7 @@ import torch
 
 from tdgbench.scoring.backbones import SPECS, make_trunk
 from tdgbench.scoring.lpips import LPIPS, _package_model, _PlainLPIPS
-
-
-def random_state(net: str) -> dict[str, torch.Tensor]:
-    torch.manual_seed(0)
-    return make_trunk(net).state_dict()
+from tests.scoring.weights import random_state
 
 
 def test_documented_values(squeeze_weights):

@@ -4,7 +4,7 @@ from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
 from tdgbench.scoring.metrics.psnr import psnr
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def scorer(*overrides):

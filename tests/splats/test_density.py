@@ -9,8 +9,8 @@ from tdgbench.splats.density import DensityControl, DensityRules
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
-from tests.conftest import config
-from tests.splats.test_optimizer import RATES
+from tests.helpers.configs import config
+from tests.helpers.gaussians import RATES
 
 EXTENT = 10.0
 

@@ -1,7 +1,7 @@
 import torch
 
 from tdgbench.splats.gaussians import Gaussians
-from tests.splats.test_ply import model
+from tests.helpers.gaussians import model
 
 
 def test_activations_and_sizes():

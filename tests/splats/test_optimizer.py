@@ -7,14 +7,10 @@ import torch
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients
-from tdgbench.splats.optimizer import BETA1, BETA2, EPS, FLUSH_EVERY, MAX_DEFERRED, MAX_SPEED, Adam, LearningRates
+from tdgbench.splats.optimizer import BETA1, BETA2, EPS, FLUSH_EVERY, MAX_DEFERRED, MAX_SPEED, Adam
 from tdgbench.splats.state import TrainingState
-from tests.splats.test_ply import model
+from tests.helpers.gaussians import RATES, model
 
-RATES = LearningRates(
-    position_initial=1e-2, position_final=1e-4, position_steps=50, sh_dc=2.5e-3, sh_rest=1e-4, opacity=0.05,
-    log_scale=5e-3, quaternion=1e-3,
-)  # fmt: skip
 EXTENT = 2.0
 
 

@@ -3,20 +3,9 @@ import pytest
 import torch
 from plyfile import PlyData
 
-from tdgbench.splats import Gaussians, ply
+from tdgbench.splats import ply
 from tdgbench.splats.ply import load_ply, save_ply
-
-
-def model(channels: int, degree: int, count: int = 7) -> Gaussians:
-    g = torch.Generator().manual_seed(channels)
-    shapes = {
-        "means": (3,),
-        "log_scales": (3,),
-        "quats": (4,),
-        "opacity_logits": (),
-        "sh": ((degree + 1) ** 2, channels),
-    }
-    return Gaussians(**{name: torch.randn(count, *shape, generator=g) for name, shape in shapes.items()})
+from tests.helpers.gaussians import model
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -16,7 +16,8 @@ from tdgbench.splats import rasterization
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
-from tests.conftest import ROOT, random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.helpers.paths import ROOT
 
 FAST_BACKENDS = [
     pytest.param(

@@ -8,8 +8,7 @@ from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole
-from tests.conftest import random_gaussians, turned_camera
-from tests.splats.test_optimizer import RATES
+from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
 
 
 def cloud(channels: int, degree: int, dtype=torch.float32) -> Gaussians:

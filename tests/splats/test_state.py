@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from tdgbench.splats.state import REORDER_AT, TrainingState
-from tests.splats.test_ply import model
+from tests.helpers.gaussians import model
 
 
 def state_of(count: int, channels: int = 1, degree: int = 1) -> TrainingState:

@@ -10,7 +10,7 @@ from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
 from tdgbench.tables.names import KEYS
 from tdgbench.tables.published import published_main
-from tests.tables.records import published_as_records, write, write_ablation
+from tests.helpers.records import published_as_records, write, write_ablation
 
 
 def test_the_published_numbers_give_the_published_table(tmp_path):

@@ -8,7 +8,7 @@ from tdgbench.report.page import write_report
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
-from tests.tables.records import write
+from tests.helpers.records import write
 
 MINE = "defaults: [tdg, _self_]\nname: mine\nlabel: Mine & Co\norder: 0\ncompared_with: msmg\n"
 

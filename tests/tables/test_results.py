@@ -2,7 +2,7 @@ import numpy as np
 
 from tdgbench.bench.record import Failure
 from tdgbench.tables.build import build_tables
-from tests.tables.records import write
+from tests.helpers.records import write
 
 
 def test_missing_scenes_are_rows_and_averages_say_so(tmp_path):

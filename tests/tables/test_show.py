@@ -4,7 +4,7 @@ from rich.console import Console
 
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show
-from tests.tables.records import write
+from tests.helpers.records import write
 
 
 def test_prints_numbers_reasons_and_differences(tmp_path):

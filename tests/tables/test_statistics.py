@@ -12,7 +12,7 @@ from tdgbench.tables.names import KEYS
 from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
-from tests.tables.records import published_as_records, write
+from tests.helpers.records import published_as_records, write
 
 
 def with_views(folder, psnr):

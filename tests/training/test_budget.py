@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 from hydra.utils import instantiate
 
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def budget(*overrides):

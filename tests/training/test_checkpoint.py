@@ -7,7 +7,7 @@ import torch
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import ready_to_train
+from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
 RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)

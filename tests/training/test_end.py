@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import config, digest, ready_to_train
+from tests.helpers.configs import config
+from tests.helpers.training import digest, ready_to_train
 
 OFTEN = (
     "budget.density.start=20", "budget.density.every=10", "budget.density.opacity_reset_every=60",

@@ -9,17 +9,9 @@ from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
-from tests.conftest import digest, ready_to_train
+from tests.helpers.training import digest, trained
 
 METHODS = ["tdg", "msmg", "splat"]
-
-
-def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides):
-    """A method trained for a while, with its log."""
-    often = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
-    extra = [f"{k}={v}" for k, v in overrides.items()]
-    method, _ = ready_to_train(scene, method_name, iterations, *often, *extra, seed=seed, skips=skips)
-    return method, train(method, iterations)
 
 
 @pytest.mark.parametrize("name", METHODS)

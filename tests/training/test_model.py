@@ -5,7 +5,7 @@ from hydra.utils import instantiate
 
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.model import SplatModel
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def make(scene, channels=1):

@@ -3,7 +3,7 @@ from hydra.utils import instantiate
 from tdgbench.splats.cpu.raster.blend import make_blend
 from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
 from tdgbench.training.warmup import compile_kernels
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def test_compiles_what_a_gray_scene_needs():

@@ -2,7 +2,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.experiments.error_time.run import ErrorTime
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def test_tables_and_pictures(tmp_path, data_root, capsys):

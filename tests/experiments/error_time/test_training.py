@@ -15,7 +15,7 @@ from tdgbench.experiments.error_time.training import (
     sample_curve,
     seconds_to,
 )
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def curve(label, seconds, psnr, iterations=None):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.measure.kills import compare, contents, run_killed
-from tests.command import QUICK, command
+from tests.helpers.command import command
+from tests.helpers.configs import QUICK
 
 SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=700", "checkpoint=0")
 

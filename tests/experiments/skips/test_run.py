@@ -2,7 +2,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.experiments.skips.run import SkipAblation
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def overrides(tmp_path, data_root):

@@ -4,7 +4,7 @@ from rich.console import Console
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.skips.variants import NAMES, run_variants, variants
-from tests.conftest import SMALL, config
+from tests.helpers.configs import SMALL, config
 
 
 def test_variants():

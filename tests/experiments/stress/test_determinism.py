@@ -4,7 +4,7 @@ import torch
 from tdgbench.experiments.stress.determinism import repeated, spread
 from tdgbench.experiments.stress.outcome import UnexpectedError
 from tdgbench.experiments.stress.small import SmallTraining
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def test_the_spread_is_measured_where_sums_have_no_order(data_root, tmp_path):

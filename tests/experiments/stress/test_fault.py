@@ -4,7 +4,7 @@ import pytest
 from tdgbench.experiments.stress.fault import Fault, FaultyMethod, NanInGradient, NanInParameter, NanInTarget
 from tdgbench.experiments.stress.small import SmallTraining
 from tdgbench.training.errors import NonFiniteError
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from tdgbench.experiments.stress import appearance
 from tdgbench.experiments.stress.case import Case, Holds
 from tdgbench.experiments.stress.outcome import UnexpectedError
 from tdgbench.experiments.stress.run import Stress
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def surprise(_backend):

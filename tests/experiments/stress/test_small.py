@@ -1,5 +1,5 @@
 from tdgbench.experiments.stress.small import SmallTraining
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def test_options_of_the_budget(data_root, tmp_path):

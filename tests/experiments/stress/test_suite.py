@@ -8,7 +8,7 @@ import pytest
 
 from tdgbench.experiments.stress.case import judge
 from tdgbench.experiments.stress.suite import all_cases, backends, run_suite
-from tests.conftest import config
+from tests.helpers.configs import config
 
 EXPECTED = config("+experiment=stress", "data.root=unused")
 NAMES = [f"{case.family}: {case.name}" for case in all_cases(EXPECTED, Path("unused"))]

@@ -2,7 +2,8 @@
 
 import shutil
 
-from tests.command import QUICK, command
+from tests.helpers.command import command
+from tests.helpers.configs import QUICK
 
 
 def test_a_failure_is_one_line_at_the_end_and_the_other_results_are_complete(tmp_path, small_scene, small_gray_scene):

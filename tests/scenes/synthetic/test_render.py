@@ -3,7 +3,7 @@ import numpy as np
 from tdgbench.scenes import Camera
 from tdgbench.scenes.synthetic.render import cast, look_at
 from tdgbench.scenes.synthetic.worlds import WORLDS
-from tests.conftest import small_dataset
+from tests.helpers.scenes import small_dataset
 
 
 def test_temperatures_are_in_the_image(data_root):

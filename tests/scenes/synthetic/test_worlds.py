@@ -1,5 +1,5 @@
 from tdgbench.scenes.synthetic.worlds import WORLDS
-from tests.conftest import small_dataset
+from tests.helpers.scenes import small_dataset
 
 
 def test_scenes_cover_the_paper_s_groups(data_root):

@@ -6,7 +6,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.scenes.synthetic.worlds import WORLDS
-from tests.conftest import small_dataset
+from tests.helpers.scenes import small_dataset
 
 
 @pytest.mark.parametrize("name", WORLDS)

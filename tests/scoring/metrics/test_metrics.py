@@ -5,7 +5,7 @@ import pytest
 from hydra.utils import instantiate
 
 from tdgbench.scoring import METRICS, RenderedImages
-from tests.conftest import config
+from tests.helpers.configs import config
 
 COLUMNS = ["psnr", "ssim", "lpips", "channel_psnr", "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "depth_abs_rel",
            "floaters", "depth_consistency"]  # fmt: skip

@@ -5,12 +5,7 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
-
-
-def images(size, seed=0):
-    rng = np.random.default_rng(seed)
-    a = rng.random(size)
-    return a.astype(np.float32), np.clip(a + rng.normal(0, 0.1, size), 0, 1).astype(np.float32)
+from tests.scoring.images import images
 
 
 @pytest.mark.parametrize("size", [(40, 50, 3), (33, 27, 1), (1, 1, 1)])

@@ -5,7 +5,7 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from tdgbench.scoring.metrics.ssim import ssim
-from tests.scoring.metrics.test_psnr import images
+from tests.scoring.images import images
 
 SIZES = [(40, 50, 3), (33, 27, 1), (11, 60, 3)]
 SETTINGS = {

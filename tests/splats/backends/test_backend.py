@@ -11,7 +11,10 @@ from tdgbench.splats.backends import backend_names, choose_backend, fast_backend
 from tdgbench.splats.backends.backend import Backend
 from tdgbench.training.loop import train
 from tdgbench.training.warmup import compile_kernels
-from tests.conftest import ROOT, config, random_gaussians, ready_to_train, turned_camera
+from tests.helpers.configs import config
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.helpers.paths import ROOT
+from tests.helpers.training import ready_to_train
 
 SOURCE = """
 from contextlib import contextmanager

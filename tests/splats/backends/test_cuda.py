@@ -13,7 +13,7 @@ import torch
 from tdgbench.splats.backends import choose_backend, cuda, reference
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=0.01,

@@ -5,7 +5,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import reference
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_rotations_are_rotations():

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from tdgbench.splats.cpu import cache
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 
 def modules_imported_by(path: Path) -> set[Path]:

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from tdgbench.splats.cpu import jit
-from tests.conftest import ROOT
+from tests.helpers.paths import ROOT
 
 
 def test_lanes_can_be_forced(monkeypatch):
@@ -21,7 +21,7 @@ RENDER = """
 import gc
 from numba.core.dispatcher import Dispatcher
 from tdgbench.splats import rasterization
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 total = 0.0
 for channels, mode in ((1, "RGB"), (3, "RGB+D")):

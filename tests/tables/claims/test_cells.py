@@ -6,7 +6,7 @@ import pytest
 
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, Evidence, check_claim, load_claims
 from tdgbench.tables.published import published_ablation, published_main
-from tests.tables.claims.conftest import cell
+from tests.tables.claims.small_cells import cell
 
 CLAIMS = {claim["id"]: claim for claim in load_claims()}
 OF_METHODS = [name for name, claim in CLAIMS.items() if claim["check"] == "better"]

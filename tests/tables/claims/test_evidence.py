@@ -6,7 +6,7 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Failure, Record
 from tdgbench.tables.claims.evidence import Evidence, evidence_of
 from tdgbench.tables.published import published_main
-from tests.tables.claims.conftest import write_log
+from tests.tables.claims.small_cells import write_log
 
 
 def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic", iterations=1000, **fields):

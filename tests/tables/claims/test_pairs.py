@@ -6,7 +6,7 @@ from scipy import stats
 
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
 from tdgbench.tables.claims.pairs import Interval, Side, all_of, counted, interval, judge, make_pairs
-from tests.tables.claims.conftest import cell
+from tests.tables.claims.small_cells import cell
 
 TDG, SMOOTH = Side("tdg", "colmap"), Side("splat_smooth", "colmap")
 

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.tables.claims.quantities import QUANTITIES
-from tests.tables.claims.conftest import cell
+from tests.tables.claims.small_cells import cell
 
 CLAIM = {"level": 0.95, "window": 0.05}
 

@@ -2,8 +2,8 @@ from hydra.utils import instantiate
 
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
-from tests.conftest import config
-from tests.training.test_loop import trained
+from tests.helpers.configs import config
+from tests.helpers.training import trained
 
 
 def account(scene, name="splat", **options):

@@ -7,7 +7,7 @@ from hydra.utils import instantiate
 from tdgbench.training import skips as package
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
-from tests.conftest import config
+from tests.helpers.configs import config
 
 NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated", "plateau"]
 MADE_UP = """

@@ -6,7 +6,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import reference
-from tests.conftest import random_gaussians, turned_camera
+from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def blend_by_hand(means2d, conics, opacities, colors, order, width, height):

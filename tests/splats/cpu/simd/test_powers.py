@@ -3,7 +3,7 @@ import numpy as np
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd import memory, powers
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.splats.cpu.simd.test_registers import aligned
+from tests.splats.cpu.simd.arrays import aligned
 
 F = np.float32
 

@@ -1,7 +1,7 @@
 import numpy as np
 from hydra.utils import instantiate
 
-from tests.conftest import config
+from tests.helpers.configs import config
 
 
 def make(name: str, **overrides):

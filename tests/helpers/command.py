@@ -7,9 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.conftest import ROOT, SMALL
-
-QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
+from tests.helpers.paths import ROOT
 
 
 def command(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

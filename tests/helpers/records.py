@@ -8,6 +8,10 @@ from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.published import published_ablation, published_main
 
 
+def record(**extra) -> Record:
+    return Record("tdg", "synthetic", "orbit", "colmap", 0, "demo", extra.pop("variant", ""), **extra)
+
+
 def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group="day", init="colmap", seed=0, **extra):
     record = Record(method, dataset, scene, init, seed, experiment.name, extra.pop("variant", ""), group=group)
     record.scores = {"psnr": 20.0, "ssim": 0.8, "lpips": 0.2, **extra.pop("scores", {})}
