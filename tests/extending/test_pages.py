@@ -26,14 +26,15 @@ from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
 from tdgbench.training.skips import Skips
-from tests.conftest import ROOT, SMALL, config, random_gaussians
-from tests.extending.page import PAGES, Page
+from tests.helpers.configs import QUICK, SMALL, config
+from tests.helpers.gaussians import random_gaussians
+from tests.helpers.page import PAGES, Page
+from tests.helpers.paths import ROOT
 
 TESTED = {
     "method", "prior", "dataset", "experiment", "density-rule", "metric", "skip", "backend", "table-column",
     "render-channel",
 }  # fmt: skip
-QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
 
 
 @pytest.fixture
