@@ -1,4 +1,4 @@
-"""Run `tdgbench` in a process of its own, as a user does."""
+"""Run `tdgbench` in a separate process, as a user does."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
     try:
         return [function(*arguments[0]), *(future.result() for future in futures)]
     except BaseException:
-        wait(futures)  # they work on the caller's arrays
+        wait(futures)  # they use the caller's arrays
         raise
 
 
