@@ -23,7 +23,7 @@ ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, log_scales, quats, opacity_logits, then sh; a row fills cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, then sh; a row fills cache lines.
 
     `first` and `second` are Adam's moments in the same layout. The arrays have spare capacity, so that Gaussians can be
     added and removed without copying the others.

@@ -12,6 +12,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Render
 from tdgbench.training import model as model_module
 from tdgbench.training.loop import TrainingLog, train
@@ -47,14 +48,22 @@ class _Pulled(torch.autograd.Function):
         return None, None
 
 
+def original_order(state: TrainingState) -> list[int]:
+    """Columns of our rows in the order of the original's: means, log_scales, quats, opacity_logits, sh."""
+    columns = [c for name in Gaussians.names() for c in range(*state.column_of(name).indices(COLUMNS))]
+    assert sorted(columns) == list(range(COLUMNS))
+    return columns
+
+
 def pulled_render(state, optimizer, camera, options, collect, backend):
     """Stands in for `render_state`: the visible rows are updated, and get given gradients."""
     iteration = optimizer.rendering
-    seen = seen_at(state.values[:, :COLUMNS], iteration).nonzero().squeeze(1).int()
+    columns = original_order(state)
+    seen = seen_at(state.values[:, columns], iteration).nonzero().squeeze(1).int()
     optimizer.update_rows([(0, len(seen))], seen.numpy())
-    given = pull(state.values[seen, :COLUMNS], iteration)
+    given = pull(state.values[seen][:, columns], iteration)
     rows = torch.zeros(len(seen), state.values.shape[1])
-    rows[:, :COLUMNS] = given.rows
+    rows[:, columns] = given.rows
     per_px = given.image / torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])
     image = torch.cat([per_px, given.radii[:, None].float()], dim=1)
     whole = [(0, len(seen))]
@@ -116,7 +125,7 @@ def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def rows_of(model: SplatModel) -> np.ndarray:
     model.optimizer.flush()
-    return model.state.values[:, :COLUMNS].numpy().copy()
+    return model.state.values[:, original_order(model.state)].numpy().copy()
 
 
 def test_every_iteration(theirs, same_draws):

@@ -45,8 +45,8 @@ def median_ms(seconds: list[float]) -> float:
 @kernel()
 def _fma_chains(steps, out):
     """Run sixteen independent chains, which hide the latency of two FMA units."""
-    x = simd.splat(np.float32(0.999999))
-    c = simd.splat(np.float32(1e-7))
+    x = simd.broadcast(np.float32(0.999999))
+    c = simd.broadcast(np.float32(1e-7))
     a0, a1, a2, a3, a4, a5, a6, a7 = c, c, c, c, c, c, c, c
     b0, b1, b2, b3, b4, b5, b6, b7 = c, c, c, c, c, c, c, c
     for _ in range(steps):

@@ -6,90 +6,74 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.precompile import compiled_alongside
+from tdgbench.splats.cpu.raster.backward import backward
+from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.dense import dense_gradients, dense_projected
+from tdgbench.splats.cpu.raster.forward import forward
 from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.passes import ForwardPass, GradientRows, Settings, Source, backward, forward
-from tdgbench.splats.cpu.raster.projection import CAMERA_SIZE
+from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
+from tdgbench.splats.cpu.raster.types import ForwardPass, GradientRows, Settings
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam, Tolerance
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
-MAX_SIDE = 32_767
+MAX_SIDE = 32_767  # px
 EVERYWHERE = Tolerance(mean=1e30, log_scale=0.0)  # culls nothing
 
 
-def pack_camera(viewmat, K, width, height, near_plane, far_plane, eps2d) -> np.ndarray:
-    """The camera as the float32 array that the kernels read."""
-    view = np.asarray(viewmat, np.float64)
-    K = np.asarray(K, np.float64)
-    packed = np.zeros(CAMERA_SIZE, np.float32)
-    packed[0:12] = view[:3].reshape(-1)
-    packed[12:16] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    centre = np.linalg.solve(view[:3, :3], -view[:3, 3])
-    packed[16:19] = centre
-    packed[24:27] = centre - packed[16:19]
-    packed[19:24] = near_plane, far_plane, eps2d, width, height
-    return packed
+def _arrays(tensors) -> list[np.ndarray | None]:
+    return [None if tensor is None else tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
-def _arrays_of(tensors) -> Source:
-    """A source that reads tensors (N, …) as they are."""
-    arrays = tuple(t.detach().contiguous().numpy().reshape(-1) for t in tensors)
-    strides = [t[0].numel() if len(t) else 1 for t in tensors]
-    layout = np.array([n for stride in strides for n in (stride, 0)], np.int64)
-    return Source(len(tensors[0]), arrays, layout, False, (arrays[1], 3, 0, 3), (arrays[0], 3, 0))
+def _tensors(arrays) -> list[Tensor]:
+    return [torch.from_numpy(array) for array in arrays]
 
 
 class Rasterize(torch.autograd.Function):
-    """image (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
+    """color (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
-    `probe` (N, 2) is given the image means; its gradient is d loss / d image mean, in pixels.
+    `probe` (N, 2) receives the image means; its gradient is d loss / d image mean, per px.
     """
 
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
-        source = _arrays_of((means, scales, quats, opacities, colors))
+        source = source_of_arrays(_arrays((means, quats, scales, opacities, colors)))
         done = forward(source, settings)
-        radii, means2d = (torch.from_numpy(a) for a in dense_projected(done.projected, source.count))
-        probe.data = means2d
-        ctx.saved = (source, settings, done, probe, colors.shape)
+        radii, probe.data = _tensors(dense_projected(done.projected, done.projected_spans, source.count))
+        ctx.saved = (source, settings, done, colors.shape)
         ctx.set_materialize_grads(False)
-        outputs = (*(torch.from_numpy(a) for a in (done.image, done.depth, done.transmittance)), radii)
         ctx.mark_non_differentiable(radii)
-        return outputs
+        return (*_tensors(done.images), radii)
 
     @staticmethod
-    def backward(ctx, grad_image, grad_depth, grad_transmittance, _grad_radii):
-        source, settings, done, _probe, color_shape = ctx.saved
-        grads = (None if g is None else g.numpy() for g in (grad_image, grad_depth, grad_transmittance))
-        rows = backward(source, settings, done, *grads)
-        per_color = int(np.prod(color_shape[1:]))
-        dense = (torch.from_numpy(a) for a in dense_gradients(rows, source.count, per_color))
-        means, scales, quats, opacities, colors, means2d = dense
+    def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
+        source, settings, done, color_shape = ctx.saved
+        rows = backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance)))
+        dense = dense_gradients(rows, source.count, int(np.prod(color_shape[1:])))
+        means, quats, scales, opacities, colors, means2d = _tensors(dense)
         return means, quats, scales, opacities, colors.view(color_shape), means2d, None
 
 
 class _RenderRows(torch.autograd.Function):
-    """Like `Rasterize`, for Gaussians whose gradients do not go through torch: they are handed to `deliver`."""
+    """`Rasterize` for Gaussians whose gradients do not pass through torch: `deliver` gets them."""
 
     @staticmethod
     def forward(ctx, trigger, source, settings, deliver):
         done = forward(source, settings)
         ctx.saved = (source, settings, done, deliver)
         ctx.set_materialize_grads(False)
-        return tuple(torch.from_numpy(a) for a in (done.image, done.depth, done.transmittance))
+        return tuple(_tensors(done.images))
 
     @staticmethod
     def backward(ctx, *grads):
         source, settings, done, deliver = ctx.saved
-        rows = backward(source, settings, done, *(None if g is None else g.numpy() for g in grads))
-        deliver(rows, done)
+        deliver(backward(source, settings, done, *_arrays(grads)), done)
         return None, None, None, None
 
 
@@ -117,7 +101,8 @@ class CpuBackend(Backend):
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
-        source = _rows_of(state, optimizer, options.tolerance or EVERYWHERE)
+        tolerance = options.tolerance or EVERYWHERE
+        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.update_rows)
         view = RenderOptions(options.depth, blending=options.blending)
         settings = _settings(camera, state.channels, options.sh_degree, view)
 
@@ -156,25 +141,13 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
     )
 
 
-def _rows_of(state: TrainingState, optimizer: Adam, tolerance: Tolerance) -> Source:
-    """A source that reads the rows of a state in training, and updates those that culling lets through."""
-    values = state.values.numpy().reshape(-1)
-    stride = state.values.shape[1]
-    columns = (MEANS_AT, SCALES_AT, QUATS_AT, OPACITY_AT, COLORS_AT)
-    layout = np.array([n for column in columns for n in (stride, column)], np.int64)
-    bounds = state.bounds.numpy().reshape(-1)
-    return Source(
-        len(state), (values,) * 5, layout, True, (bounds, 4, 3, 1), (bounds, 4, 0), *tolerance, optimizer.update_rows
-    )
-
-
 def _gradients(rows: GradientRows, done: ForwardPass) -> Gradients:
     """The rows of a backward pass as tensors, without copying."""
-    index, values, image = (torch.from_numpy(a) for a in (rows.index, rows.values, rows.image))
-    projected, radii = torch.from_numpy(done.projected.index), torch.from_numpy(done.projected.radii)
+    index, values, image = _tensors(rows.arrays)
+    projected, radii = _tensors((done.projected.gaussian_ids, done.projected.radii))
     return Gradients(
-        rows.pieces, index, values, image, done.projected.seen, projected, radii,
-        pairs=done.count_pairs(), blended=int(done.reached.sum()), lease=(rows.lease, done.lease),
+        rows.spans, index, values, image, done.projected_spans, projected, radii,
+        pairs=done.count_pairs(), blended=int(done.visits.counts.sum()), lease=(rows.workspace, done.workspace),
     )  # fmt: skip
 
 

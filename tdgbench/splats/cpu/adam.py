@@ -17,7 +17,7 @@ from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, store
 from tdgbench.splats.cpu.simd.reductions import any_positive
-from tdgbench.splats.cpu.simd.registers import LANES, divide, is_finite, maximum, select, splat, square_root
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, maximum, select, square_root
 
 F, U = np.float32, np.uint64
 PREFETCH_DISTANCE = 6  # rows
@@ -100,7 +100,7 @@ def step_rows(first, count, index, gradients, rows, deferred, decay, update):
     index: int32 (capacity,). gradients: float32 (capacity, rows.columns), d loss / d parameter; the columns beyond are
     zero. Returns whether all gradients are finite.
     """
-    zero, one = splat(F(0)), splat(F(1))
+    zero, one = broadcast(F(0)), broadcast(F(1))
     bad = zero
     now = deferred.now + 1
     flat = gradients.reshape(-1)

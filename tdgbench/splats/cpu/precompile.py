@@ -1,8 +1,7 @@
-"""Compile on a second core, ahead of need.
+"""Compile kernels in a second process while the first step of a training compiles others.
 
-Numba compiles one kernel at a time in a process. So while the first step of a training compiles its way through the
-kernels, a process of its own calls those that come late with nothing to do, and leaves its machine code in the cache.
-Which of the two comes first to a kernel matters to nobody: what is not there yet is compiled.
+Numba compiles one kernel at a time in a process. The second process calls the kernels that a training reaches last,
+with nothing to do, and leaves their machine code in the cache. Whichever process reaches a kernel first compiles it.
 """
 
 from __future__ import annotations
@@ -16,19 +15,26 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import jit, pool
+from tdgbench.splats.cpu.raster.backward import backward
+from tdgbench.splats.cpu.raster.blend import blend_tiles
+from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.passes import ForwardPass, Projected, Settings, Source, backward, blend
-from tdgbench.splats.cpu.raster.projection import CAMERA_SIZE
-from tdgbench.splats.cpu.raster.records import RECORD
-from tdgbench.splats.cpu.scratch import Lease
+from tdgbench.splats.cpu.raster.source import source_of_rows
+from tdgbench.splats.cpu.raster.splat import FLOATS
+from tdgbench.splats.cpu.raster.types import ForwardPass, Projected, Settings, Splats, TileLists
+from tdgbench.splats.cpu.scratch import Workspace
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 @contextmanager
 def compiled_alongside(channels: set[int]) -> Iterator[None]:
-    """Have a second process compile for the block, where there is a core for it and it was not done before."""
+    """Compile in a second process during the block, if there is a core for it and the cache lacks the kernels.
+
+    channels: numbers of colour channels that the training renders.
+    """
     done = jit.CACHE_DIR / f"compiled-{'-'.join(map(str, sorted(channels)))}"
     if done.exists() or pool.available_cores() < 2:
         yield
@@ -44,34 +50,27 @@ def compiled_alongside(channels: set[int]) -> Iterator[None]:
         helper.wait()
 
 
-def compile_late_kernels(channels: list[int]) -> None:
-    """Those that a training comes to last, first."""
+def compile_last_kernels(channels: list[int]) -> None:
+    """Compile the kernels that a training reaches last, the last ones first."""
     for colors in sorted(channels, reverse=True):
         for depth in (True, False):
             blend_nothing(colors, depth)
 
 
 def blend_nothing(colors: int, depth: bool) -> None:
-    """Both passes of the blend for so many channels, and the backward projection, without pixels and Gaussians."""
-    nothing = np.empty(0, np.float32)
-    settings = Settings(
-        camera=np.zeros(CAMERA_SIZE, np.float32), width=0, height=0, degree=0, depth_channel=depth,
-        background=np.zeros(colors, np.float32), limits=pack_limits(AS_3DGS),
-    )  # fmt: skip
-    source = Source(
-        count=0, arrays=(nothing,) * 5, layout=np.zeros(10, np.int64), raw=True, sizes=(nothing, 0, 0, 0),
-        centres=(nothing, 0, 0),
-    )  # fmt: skip
-    records, indices, starts = np.empty((0, RECORD), np.float32), np.empty(0, np.int32), np.zeros(1, np.int64)
-    lit = np.empty(0, np.uint32)
-    image, depth_map, transmittance, reached = blend(settings, records, starts, indices, lit)
-    done = ForwardPass(
-        image, depth_map, transmittance, Projected([], indices, indices, np.empty((0, 2), np.float32)), records,
-        owners=indices, pairs=np.empty((0, 2), np.int32), kept=[(0, 0)], pair_room=0, tile_start=starts,
-        gaussian_of=indices, slot_of=indices, reached=reached, lit=lit, lease=Lease(),
-    )  # fmt: skip
+    """Run both passes of the blend and the backward projection without pixels and Gaussians."""
+    camera = pack_camera(np.eye(4), np.eye(3), 0, 0, 1.0, 1.0, 0.0)
+    settings = Settings(camera, 0, 0, 0, depth, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
+    rows = np.empty((0, padded(COLORS_AT + colors)), np.float32)
+    source = source_of_rows(rows, np.empty((0, 4), np.float32), 0.0, 0.0, None)
+    ids, pairs = np.empty(0, np.int32), np.empty((0, 2), np.int32)
+    splats = Splats(np.empty((0, FLOATS), np.float32), ids, pairs)
+    tiles = TileLists(np.zeros(1, np.int64), ids, ids)
+    images, visits = blend_tiles(settings, splats, tiles, np.empty(0, np.uint32))
+    projected = Projected(ids, ids, np.empty((0, 2), np.float32))
+    done = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
     backward(source, settings, done, None, None, None)
 
 
 if __name__ == "__main__":
-    compile_late_kernels([int(count) for count in sys.argv[1:]])
+    compile_last_kernels([int(count) for count in sys.argv[1:]])

@@ -1,7 +1,7 @@
-"""Working memory that is used again: fresh pages cost a fault each, some milliseconds per render.
+"""Scratch memory that is reused: fresh pages cost a fault each, some milliseconds per render.
 
-A lease is a set of arrays taken together; they go back when the lease is garbage collected, so an autograd graph may
-hold them as long as it lives.
+A workspace holds arrays that are taken together. They become free when it is garbage collected, so an autograd graph
+may hold them for as long as it lives.
 """
 
 from __future__ import annotations
@@ -10,15 +10,19 @@ from collections import defaultdict
 
 import numpy as np
 
-KEEP = 3  # buffers of one role that wait for their next use
+MAX_FREE = 3  # free buffers of one role that are kept
 HEADROOM = 1.25
-ALIGNMENT = 64
+ALIGNMENT = 64  # bytes
 
 _free: dict[str, list[np.ndarray]] = defaultdict(list)
 
 
 def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
-    """An uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them."""
+    """Uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them.
+
+    >>> empty_aligned((3, 5), np.float32).ctypes.data % ALIGNMENT
+    0
+    """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     return _aligned_part(np.empty(size + ALIGNMENT, np.uint8), size).view(dtype).reshape(shape)
 
@@ -29,18 +33,18 @@ def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
 
 
 def release() -> None:
-    """Give back what waits for its next use."""
+    """Free the memory of all free buffers."""
     _free.clear()
 
 
-class Lease:
+class Workspace:
     """Arrays by role, uninitialised, 64-byte aligned."""
 
     def __init__(self) -> None:
         self._taken: list[tuple[str, np.ndarray]] = []
 
     def take(self, role: str, shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
-        """An array of that shape; what is in it is left over from before."""
+        """Array of a shape, with arbitrary contents."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         waiting = _free[role]
         buffer = waiting.pop() if waiting else None
@@ -51,5 +55,5 @@ class Lease:
 
     def __del__(self) -> None:
         for role, buffer in self._taken:
-            if len(_free[role]) < KEEP:
+            if len(_free[role]) < MAX_FREE:
                 _free[role].append(buffer)

@@ -1,22 +1,9 @@
-import numpy as np
 import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends.cpu import MAX_SIDE, pack_camera
+from tdgbench.splats.backends.cpu import MAX_SIDE
 from tests.helpers.gaussians import random_gaussians, turned_camera
-
-
-def test_packed_camera():
-    (view,), (K,) = turned_camera(40, 30)
-    packed = pack_camera(view, K, 40, 30, 0.2, 100.0, 0.3)
-    assert np.allclose(packed[:12].reshape(3, 4), view[:3].numpy())
-    assert np.allclose(packed[12:16], [36, 36.8, 22, 12])
-    centre = np.append(packed[16:19], 1)
-    assert np.allclose(view.numpy() @ centre, [0, 0, 0, 1], atol=1e-6)
-    assert np.allclose(packed[19:24], [0.2, 100, 0.3, 40, 30])
-    rest = packed[16:19].astype(np.float64) + packed[24:27]
-    assert np.abs(view.double().numpy() @ np.append(rest, 1) - [0, 0, 0, 1]).max() < 1e-13
 
 
 def test_two_renders_before_one_backward():
@@ -37,7 +24,7 @@ def test_two_renders_before_one_backward():
 
 
 def test_more_pairs_than_expected():
-    """Room for the tile lists grows when a few Gaussians cover everything."""
+    """The capacity for pairs grows when a few Gaussians cover everything."""
     parameters = random_gaussians(60, 3, None, 1)
     parameters[2][:] = 5.0
     small = [p[:60] for p in parameters]

@@ -10,14 +10,14 @@ from tests.helpers.paths import ROOT
 SAME_TYPES = """
 import torch
 from hydra.utils import instantiate
-from tdgbench.splats.cpu.precompile import compile_late_kernels
+from tdgbench.splats.cpu.precompile import compile_last_kernels
 from tdgbench.splats.cpu.raster.blend import make_blend
 from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
 from tdgbench.splats.cpu.raster.projection_backward import projection_backward
 from tdgbench.training.warmup import compile_kernels
 from tests.helpers.configs import config
 
-compile_late_kernels([1])
+compile_last_kernels([1])
 kernels = [projection_backward]
 for depth in (False, True):
     kernels += [make_blend(1, depth), make_blend_backward(1, depth)]

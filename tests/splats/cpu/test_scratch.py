@@ -3,29 +3,29 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import scratch
-from tdgbench.splats.cpu.scratch import Lease
+from tdgbench.splats.cpu.scratch import Workspace
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_buffers_are_used_again_and_grow():
-    lease = Lease()
-    first = lease.take("test", (10, 3), np.float32)
+    workspace = Workspace()
+    first = workspace.take("test", (10, 3), np.float32)
     assert first.shape == (10, 3) and first.ctypes.data % 64 == 0
-    other = lease.take("test", 10, np.int64)
+    other = workspace.take("test", 10, np.int64)
     assert not np.shares_memory(first, other)
     address = other.ctypes.data
-    del first, other, lease
-    lease = Lease()
-    assert lease.take("test", 5, np.uint8).ctypes.data == address
-    assert lease.take("test", 100_000, np.float32).shape == (100_000,)
+    del first, other, workspace
+    workspace = Workspace()
+    assert workspace.take("test", 5, np.uint8).ctypes.data == address
+    assert workspace.take("test", 100_000, np.float32).shape == (100_000,)
 
 
 def test_only_a_few_wait():
-    leases = [Lease() for _ in range(10)]
-    for lease in leases:
-        lease.take("many", 10, np.float32)
-    del lease, leases
-    assert len(scratch._free["many"]) == scratch.KEEP
+    workspaces = [Workspace() for _ in range(10)]
+    for workspace in workspaces:
+        workspace.take("many", 10, np.float32)
+    del workspace, workspaces
+    assert len(scratch._free["many"]) == scratch.MAX_FREE
 
 
 def test_a_graph_keeps_its_own():

@@ -4,7 +4,7 @@
 
 alpha is capped at max_alpha (0.99) and skipped below min_alpha (1/255); a pixel stops before the Gaussian that would
 take T below min_transmittance (1e-4).
-There is no branch for stopped pixels: their T is kept with its sign bit set, which makes every further weight zero.
+Stopped pixels need no branch: the sign bit of their T is set, which makes every further weight zero.
 """
 
 from __future__ import annotations
@@ -13,143 +13,179 @@ import functools
 
 import numpy as np
 
+from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blocks import (
     ALL,
     BLOCKS,
+    LOCAL,
     NONE,
-    OWN,
+    TABLES,
     T,
+    active_blocks,
+    channels_of,
     form_of,
     log2_alpha_in,
     lowest,
     pixel_of,
-    within_reach,
+    tile_at,
     write_centres,
     write_transmittance,
 )
-from tdgbench.splats.cpu.raster.limits import END_EARLY, LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE
-from tdgbench.splats.cpu.raster.records import CHANNELS
 from tdgbench.splats.cpu.raster.tiles import TILE
+from tdgbench.splats.cpu.raster.types import Images, Settings, Splats, TileLists, Visits
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
 from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import any_bit, any_positive
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
+    broadcast,
     greater_equal,
     maximum,
     minimum,
     negative_abs,
     select,
-    splat,
 )
 
 F, U = np.float32, np.uint64
-ZERO, ONE = F(0), F(1)
-TOGETHER = 16  # Gaussians whose blocks are found before they are blended; then stopped blocks are looked for
-LOOK_AHEAD = 16
+ZERO = F(0)
+BATCH = 16  # Gaussians whose active blocks are found before they are blended; then stopped blocks are looked for
+PREFETCH_DISTANCE = 16  # pairs
+
+
+def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blocks: np.ndarray):
+    """Blend all tiles; fills active_blocks (pairs,), uint32. Returns Images and Visits."""
+    size = (settings.height, settings.width)
+    images = Images(
+        np.empty((*size, len(settings.background)), np.float32),
+        np.empty(size if settings.depth_channel else (0, 0), np.float32),
+        np.empty(size, np.float32),
+    )
+    visits = Visits(np.empty(len(tiles.starts) - 1, np.int32), active_blocks)
+    arguments = (
+        np.zeros(1, np.int64), splats.values, tiles, settings.background, settings.limits, TABLES, images, visits,
+    )  # fmt: skip
+    pool.run(make_blend(len(settings.background), settings.depth_channel), [arguments] * pool.get_threads())
+    return images, visits
+
+
+@functools.cache
+def make_blend(colors: int, depth: bool):
+    """Forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
+    channels = colors + depth
+    size = (3 + channels) * LANES  # floats of a block: x, y, T, then the channels
+
+    @kernel(variant=f"{colors}_depth" if depth else f"{colors}")
+    def blend(counter, splats, tiles, background, limits, tables, images, visits):
+        """Blend the tiles that counter (1,) hands out, until none remains.
+
+        splats (n, 16); tiles: TileLists; background (colours,); limits: Limits; tables: Tables; images: Images and
+        visits: Visits, both written.
+        """
+        height, width = images.transmittance.shape
+        tiles_x = (width + TILE - 1) // TILE
+        n_tiles = tiles.starts.shape[0] - 1
+        pixels = aligned_floats(BLOCKS * size)
+        write_centres(pixels, size, tables.centres)
+        while True:
+            index = take_next(counter)
+            if index >= n_tiles:
+                break
+            tile = tile_at(index, tiles_x, tiles.starts)
+            write_transmittance(pixels, size, width - tile.left, height - tile.top)
+            for block in range(U(BLOCKS)):
+                for c in range(U(channels)):
+                    store(pixels, block * U(size) + LOCAL + U(LANES) * c, broadcast(ZERO))
+            alive = ALL
+            done = tile.end
+            for first in range(tile.begin, tile.end, BATCH):
+                last = min(first + BATCH, tile.end)
+                find_active(first, last, splats, tiles.splat_ids, tile, limits, tables, alive, visits.active_blocks)
+                for k in range(U(first), U(last)):
+                    i = U(tiles.splat_ids[k])
+                    visits.active_blocks[k] = blend_splat(
+                        pixels, size, channels, form_of(splats, i, tile), channels_of(splats, i),
+                        U(visits.active_blocks[k]), limits, tables.powers,
+                    )  # fmt: skip
+                if limits.end_early:
+                    alive = still_alive(alive, pixels, size)
+                    if alive == NONE:
+                        done = last
+                        break
+            visits.counts[index] = done - tile.begin
+            write_pixels(pixels, size, colors, depth, tile, background, images)
+
+    return blend
+
+
+@kernel(inline=True)
+def find_active(first, last, splats, splat_ids, tile, limits, tables, alive, found):
+    """found[first:last] = of the blocks `alive`, those in which a pair may have weight."""
+    for k in range(U(first), U(last)):
+        i = U(splat_ids[k])
+        prefetch_row(splats, U(splat_ids[min(k + U(PREFETCH_DISTANCE), U(tile.end - 1))]))
+        found[k] = active_blocks(tables.centres, form_of(splats, i, tile), limits.log2_min_alpha) & alive
+
+
+@kernel(inline=True)
+def blend_splat(pixels, size, channels, form, colors, blocks, limits, powers):
+    """Blend one splat into `blocks`; returns those in which it has weight. colors: four registers."""
+    zero = broadcast(ZERO)
+    weighted = NONE
+    while blocks != NONE:
+        block = lowest(blocks)
+        blocks &= blocks - U(1)
+        o = block * U(size)
+        log2_alpha = log2_alpha_in(pixels, o, form)
+        alpha = minimum(exp2_in_memory(log2_alpha, powers), limits.max_alpha)
+        t = load(pixels, o + T)
+        t_alive = maximum(t, zero)
+        weight = select(greater_equal(log2_alpha, limits.log2_min_alpha), alpha * t_alive, zero)
+        weighted |= U(any_bit(weight)) << block
+        t_next = t_alive - weight
+        goes_on = greater_equal(t_next, limits.min_transmittance)
+        store(pixels, o + T, select(goes_on, t_next, negative_abs(t)))
+        add_light(pixels, o + LOCAL, channels, select(goes_on, weight, zero), colors)
+    return weighted
+
+
+@kernel(inline=True)
+def add_light(pixels, o, channels, weight, colors):
+    """Add weight times the splat's channels to those that begin at o."""
+    o1, o2, o3 = o + U(LANES), o + U(2 * LANES), o + U(3 * LANES)
+    store(pixels, o, load(pixels, o) + weight * colors[0])
+    if channels > 1:
+        store(pixels, o1, load(pixels, o1) + weight * colors[1])
+    if channels > 2:
+        store(pixels, o2, load(pixels, o2) + weight * colors[2])
+    if channels > 3:
+        store(pixels, o3, load(pixels, o3) + weight * colors[3])
 
 
 @kernel(inline=True)
 def still_alive(alive, pixels, size):
     """Those of the blocks `alive` in which some pixel still lets light through."""
-    left = alive
-    while left != NONE:
-        block = lowest(left)
-        left &= left - U(1)
+    remaining = alive
+    while remaining != NONE:
+        block = lowest(remaining)
+        remaining &= remaining - U(1)
         if not any_positive(load(pixels, block * U(size) + T)):
             alive &= ~(U(1) << block)
     return alive
 
 
-@functools.cache
-def make_blend(colors: int, depth: bool):
-    """The forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
-    channels = colors + depth
-    size = (3 + channels) * LANES  # of a block: x, y, T, then the channels
-
-    @kernel(variant=f"{colors}_depth" if depth else f"{colors}")
-    def blend(counter, width, height, records, tile_start, gaussian_of, background, limits, powers, grid,
-              image, depth_map, transmittance, reached, lit):  # fmt: skip
-        """Blend tiles until none is left.
-
-        reached[tile]: how many of its Gaussians were looked at; lit: in which blocks each of those has any weight.
-        """
-        tiles_x = (width + TILE - 1) // TILE
-        n_tiles = tile_start.shape[0] - 1
-        max_alpha, log2_min_alpha = limits[MAX_ALPHA], limits[LOG2_MIN_ALPHA]
-        min_transmittance, end_early = limits[MIN_TRANSMITTANCE], limits[END_EARLY] > ZERO
-        pixels = aligned_floats(BLOCKS * size)
-        write_centres(pixels, size, grid)
-        zero = splat(ZERO)
-        while True:
-            tile = take_next(counter)
-            if tile >= n_tiles:
-                break
-            left = (tile % tiles_x) * TILE
-            top = (tile // tiles_x) * TILE
-            write_transmittance(pixels, size, width - left, height - top)
-            for block in range(U(BLOCKS)):
-                for c in range(U(channels)):
-                    store(pixels, block * U(size) + OWN + U(LANES) * c, zero)
-            alive = ALL
-            begin, end = tile_start[tile], tile_start[tile + 1]
-            done = end
-            for first in range(begin, end, TOGETHER):
-                last = min(first + TOGETHER, end)
-                for k in range(U(first), U(last)):
-                    i = U(gaussian_of[k])
-                    ahead = min(k + U(LOOK_AHEAD), U(end - 1))
-                    prefetch_row(records, U(gaussian_of[ahead]))
-                    lit[k] = within_reach(grid, form_of(records, i, left, top), log2_min_alpha) & alive
-                for k in range(U(first), U(last)):
-                    blocks = U(lit[k])
-                    i = U(gaussian_of[k])
-                    form = form_of(records, i, left, top)
-                    c0 = splat(records[i, CHANNELS])
-                    c1 = splat(records[i, CHANNELS + 1])
-                    c2 = splat(records[i, CHANNELS + 2])
-                    c3 = splat(records[i, CHANNELS + 3])
-                    own = NONE
-                    while blocks != NONE:
-                        block = lowest(blocks)
-                        blocks &= blocks - U(1)
-                        o = block * U(size)
-                        log2_alpha = log2_alpha_in(pixels, o, form)
-                        alpha = minimum(exp2_in_memory(log2_alpha, powers), max_alpha)
-                        t = load(pixels, o + T)
-                        t_alive = maximum(t, zero)
-                        weight = select(greater_equal(log2_alpha, log2_min_alpha), alpha * t_alive, zero)
-                        own |= U(any_bit(weight)) << block
-                        t_next = t_alive - weight
-                        goes_on = greater_equal(t_next, min_transmittance)
-                        store(pixels, o + T, select(goes_on, t_next, negative_abs(t)))
-                        weight = select(goes_on, weight, zero)
-                        o0, o1, o2, o3 = o + OWN, o + OWN + U(LANES), o + OWN + U(2 * LANES), o + OWN + U(3 * LANES)
-                        store(pixels, o0, load(pixels, o0) + weight * c0)
-                        if channels > 1:
-                            store(pixels, o1, load(pixels, o1) + weight * c1)
-                        if channels > 2:
-                            store(pixels, o2, load(pixels, o2) + weight * c2)
-                        if channels > 3:
-                            store(pixels, o3, load(pixels, o3) + weight * c3)
-                    lit[k] = own
-                if end_early:
-                    alive = still_alive(alive, pixels, size)
-                    if alive == NONE:
-                        done = last
-                        break
-            reached[tile] = done - begin
-            for block in range(U(BLOCKS)):
-                for lane in range(U(LANES)):
-                    y, x = pixel_of(block, lane, left, top)
-                    if y < U(height) and x < U(width):
-                        o = block * U(size) + lane
-                        t_left = abs(pixels[o + T])
-                        transmittance[y, x] = t_left
-                        for c in range(U(colors)):
-                            image[y, x, c] = pixels[o + OWN + U(LANES) * c] + t_left * background[c]
-                        if depth:
-                            depth_map[y, x] = pixels[o + OWN + U(LANES * colors)]
-
-    return blend
+@kernel(inline=True)
+def write_pixels(pixels, size, colors, depth, tile, background, images):
+    """Write a finished tile to the images, over the background."""
+    height, width = images.transmittance.shape
+    for block in range(U(BLOCKS)):
+        for lane in range(U(LANES)):
+            y, x = pixel_of(block, lane, tile)
+            if y < U(height) and x < U(width):
+                o = block * U(size) + lane
+                t = abs(pixels[o + T])
+                images.transmittance[y, x] = t
+                for c in range(U(colors)):
+                    images.color[y, x, c] = pixels[o + LOCAL + U(LANES) * c] + t * background[c]
+                if depth:
+                    images.depth[y, x] = pixels[o + LOCAL + U(LANES * colors)]

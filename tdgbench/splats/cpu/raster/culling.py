@@ -1,79 +1,85 @@
-"""Which Gaussians a camera may see: a test that is never wrong about the others, on four numbers a Gaussian.
+"""Culling: a test on four numbers a Gaussian that never rules out one that a camera sees.
 
-A Gaussian lies within `slack` of where it is thought to be, and no axis is longer than thought by more than a factor:
-the optimiser moves what it has not seen for a while only when it is looked at again (`tdgbench.splats.optimizer`).
-The image covariance's largest eigenvalue is at most |J|² σ² + eps2d, alpha ≥ min_alpha ends at `reach` of its roots.
+The optimiser defers steps of Gaussians without gradient, so a Gaussian lies within `tolerance` of its bounds' mean, and
+its axes are longer than the bounds' by no more than a factor. The image covariance's largest eigenvalue is at most
+|J|² σ² + eps2d, and alpha falls below min_alpha at `cutoff` of its roots.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.projection import camera_point, exponential, ray_limits
-from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, gather_3, store
+from tdgbench.splats.cpu.raster.projection import camera_point, column, exponential, ray_limits, three_columns
+from tdgbench.splats.cpu.raster.source import Source, Span
+from tdgbench.splats.cpu.raster.types import Settings
+from tdgbench.splats.cpu.scratch import Workspace
+from tdgbench.splats.cpu.simd.memory import aligned_floats, store
 from tdgbench.splats.cpu.simd.reductions import any_positive
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
+    broadcast,
     divide,
     greater,
     less_equal,
     maximum,
     select,
-    splat,
     square_root,
 )
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
-MARGIN = F(1.02)  # of the reach, against rounding
+MARGIN = F(1.02)  # × the cutoff, against rounding
 GRID = F(18)  # px: the last tile may stick out of the image by 15
 
 
-@kernel()
-def find_candidates(start, stop, means, mean_stride, mean_column, sizes, size_stride, size_column, size_count, raw,
-                    slack, growth, camera, reach_limit, candidates):  # fmt: skip
-    """candidates[start : start + n] = those of Gaussians [start, stop) that may be seen, ascending; returns n.
+def find_candidates(source: Source, settings: Settings, workspace: Workspace) -> tuple[np.ndarray, list[Span]]:
+    """Ascending candidates, int32, and spans of them for the threads, of equal length, on register bounds."""
+    threads = pool.get_threads()
+    groups = -(-source.count // LANES)
+    pieces = [(a * LANES, min(b * LANES, source.count)) for a, b in pool.chunks(groups, min(threads, max(groups, 1)))]
+    candidates = workspace.take("candidates", max(groups, 1) * LANES, np.int32)
+    shared = (source.bounds, settings.camera, settings.limits.cutoff, candidates)
+    found = pool.run(cull, [(*piece, *shared) for piece in pieces])
+    return candidates, _pack(candidates, [(a, n) for (a, _), n in zip(pieces, found)], threads)
 
-    Behind them the last one is repeated to fill a register. sizes: 1 or 3 deviations each (`raw`: their logarithms,
-    to which `growth` is added). start is a multiple of LANES.
+
+def _pack(candidates: np.ndarray, found: list[Span], threads: int) -> list[Span]:
+    """Close the gaps between the spans found, in place; cut the whole into equal spans on register bounds."""
+    total = 0
+    for first, count in found:
+        if first != total:
+            candidates[total : total + count] = candidates[first : first + count]
+        total += count
+    groups = -(-total // LANES)
+    candidates[total : groups * LANES] = candidates[total - 1] if total else 0
+    cuts = pool.chunks(groups, min(threads, max(groups, 1)))
+    return [(a * LANES, min(b * LANES, total) - a * LANES) for a, b in cuts]
+
+
+@kernel()
+def cull(start, stop, bounds, camera, cutoff, candidates):
+    """candidates[start : start + n] = Gaussians of [start, stop) that may be visible, ascending; returns n.
+
+    Behind them the last one is repeated to fill a register. start is a multiple of LANES. bounds: Bounds;
+    camera: Camera; cutoff in σ; candidates (capacity,) int32.
     """
     rows = np.empty(LANES, np.int32)
     flags = aligned_floats(LANES)
     left, right, top, bottom = ray_limits(camera)
     steepest = max(abs(left), abs(right)) ** 2, max(abs(top), abs(bottom)) ** 2
-    jacobian = camera[12] * camera[12] * (ONE + steepest[0]) + camera[13] * camera[13] * (ONE + steepest[1])
-    blur = camera[21] + camera[21] + F(0.4)
-    near, far = camera[19], camera[20]
-    one, zero = splat(ONE), splat(ZERO)
+    jacobian = camera.fx * camera.fx * (ONE + steepest[0]) + camera.fy * camera.fy * (ONE + steepest[1])
+    blur = camera.eps2d + camera.eps2d + F(0.4)
     found = start
     for base in range(start, stop, LANES):
         for lane in range(LANES):
             rows[lane] = min(base + lane, stop - 1)
-        x, y, z = camera_point(gather_3(means, rows, 0, mean_stride, mean_column), camera)
-        size = gather(sizes, rows, 0, size_stride, size_column)
-        if size_count == 3:
-            size = maximum(size, gather(sizes, rows, 0, size_stride, size_column + 1))
-            size = maximum(size, gather(sizes, rows, 0, size_stride, size_column + 2))
-        if raw:
-            size = exponential(size + growth)
-        nearest, farthest = maximum(z - slack, splat(near)), z + slack
-        per_near, per_far = divide(ONE, nearest), divide(ONE, maximum(farthest, splat(near)))
-        stretch = size * per_near
-        reach = MARGIN * reach_limit * square_root(stretch * stretch * jacobian + blur) + GRID
-        right_most, left_most = x + slack, x - slack
-        bottom_most, top_most = y + slack, y - slack
-        u_right = right_most * select(greater(right_most, zero), per_near, per_far) * camera[12] + camera[14] + reach
-        u_left = left_most * select(greater(left_most, zero), per_far, per_near) * camera[12] + camera[14] - reach
-        v_bottom = bottom_most * select(greater(bottom_most, zero), per_near, per_far) * camera[13] + camera[15] + reach
-        v_top = top_most * select(greater(top_most, zero), per_far, per_near) * camera[13] + camera[15] - reach
-        hidden = select(less_equal(farthest, splat(near)), one, zero)
-        hidden = select(greater(z - slack, splat(far)), one, hidden)
-        hidden = select(less_equal(u_right, zero), one, hidden)
-        hidden = select(greater(u_left, splat(camera[22])), one, hidden)
-        hidden = select(less_equal(v_bottom, zero), one, hidden)
-        hidden = select(greater(v_top, splat(camera[23])), one, hidden)
-        visible = ONE - hidden
+        x, y, z = camera_point(three_columns(bounds.means, rows, 0, 0), camera)
+        near = maximum(z - bounds.tolerance, broadcast(camera.near))
+        stretch = largest_deviation(bounds, rows) * divide(ONE, near)
+        radius = MARGIN * cutoff * square_root(stretch * stretch * jacobian + blur) + GRID
+        visible = ONE - hidden(x, y, z, radius, bounds.tolerance, camera)
         if any_positive(visible):
             store(flags, 0, visible)
             for lane in range(min(LANES, stop - base)):
@@ -85,3 +91,36 @@ def find_candidates(start, stop, means, mean_stride, mean_column, sizes, size_st
         for k in range(found, start + (count + LANES - 1) // LANES * LANES):
             candidates[U(k)] = candidates[U(found - 1)]
     return count
+
+
+@kernel(inline=True)
+def largest_deviation(bounds, rows):
+    """Bound of the standard deviations of LANES Gaussians, world units; rows (LANES,) int32."""
+    size = column(bounds.scales, rows, 0, 0)
+    if bounds.axes == 3:
+        size = maximum(size, column(bounds.scales, rows, 0, 1))
+        size = maximum(size, column(bounds.scales, rows, 0, 2))
+    if bounds.raw:
+        size = exponential(size + bounds.growth)
+    return size
+
+
+@kernel(inline=True)
+def hidden(x, y, z, radius, tolerance, camera):
+    """1 in lanes whose Gaussian cannot be visible, else 0; x, y, z in camera coordinates, radius in px."""
+    one, zero = broadcast(ONE), broadcast(ZERO)
+    farthest = z + tolerance
+    per_near = divide(ONE, maximum(z - tolerance, broadcast(camera.near)))
+    per_far = divide(ONE, maximum(farthest, broadcast(camera.near)))
+    right_most, left_most = x + tolerance, x - tolerance
+    bottom_most, top_most = y + tolerance, y - tolerance
+    u_right = right_most * select(greater(right_most, zero), per_near, per_far) * camera.fx + camera.cx + radius
+    u_left = left_most * select(greater(left_most, zero), per_far, per_near) * camera.fx + camera.cx - radius
+    v_bottom = bottom_most * select(greater(bottom_most, zero), per_near, per_far) * camera.fy + camera.cy + radius
+    v_top = top_most * select(greater(top_most, zero), per_far, per_near) * camera.fy + camera.cy - radius
+    out = select(less_equal(farthest, broadcast(camera.near)), one, zero)
+    out = select(greater(z - tolerance, broadcast(camera.far)), one, out)
+    out = select(less_equal(u_right, zero), one, out)
+    out = select(greater(u_left, broadcast(camera.width)), one, out)
+    out = select(less_equal(v_bottom, zero), one, out)
+    return select(greater(v_top, broadcast(camera.height)), one, out)

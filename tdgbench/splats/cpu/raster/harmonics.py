@@ -8,7 +8,7 @@ from tdgbench.splats import harmonics
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.projection import from_camera
 from tdgbench.splats.cpu.simd.memory import load, store
-from tdgbench.splats.cpu.simd.registers import LANES, divide, splat, square_root
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, square_root
 
 F = np.float32
 C0, C1 = F(harmonics.C0), F(harmonics.C1)
@@ -28,7 +28,7 @@ def view_direction(mean, camera):
 @kernel(inline=True)
 def write_basis(x, y, z, degree, b):
     """Register k of b = basis function k at the unit directions (x, y, z), for k < (degree + 1)²."""
-    store(b, 0, splat(C0))
+    store(b, 0, broadcast(C0))
     if degree >= 1:
         store(b, LANES, y * -C1)
         store(b, 2 * LANES, C1 * z)

@@ -1,19 +1,20 @@
 """Projection of 3-D Gaussians to 2-D ones (EWA splatting; Zwicker et al. 2001, as used by 3DGS), LANES at a time.
 
-The camera is one float32 array: [0:12] the rows of world-to-camera [R | t] (t is not read), [12:16] fx fy cx cy,
-[16:19] camera centre, [19] near, [20] far, [21] eps2d, [22] width, [23] height, [24:27] what float32 leaves of the
-centre. Pixel centres lie at whole numbers + 1/2.
+Helpers of the kernels: numbers are registers unless named scalars, vectors are tuples of them. `rows` (n,) int32 and
+`k` name the LANES Gaussians rows[k], rows[k + 1], …; `camera` is a `Camera`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd.memory import gather, gather_3
 from tdgbench.splats.cpu.simd.registers import (
+    broadcast,
     divide,
     exp2,
     greater,
@@ -24,13 +25,11 @@ from tdgbench.splats.cpu.simd.registers import (
     minimum,
     round_up,
     select,
-    splat,
     square_root,
 )
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-CAMERA_SIZE = 27
 LOG2_E = F(math.log2(math.e))
 LARGEST_EXPONENT = F(126)
 SHORTEST = F(1e-12)  # quaternions are divided by no less, as torch does
@@ -44,18 +43,30 @@ def exponential(x):
 
 
 @kernel(inline=True)
-def deviations(scales, rows, k, stride, column, raw):
-    """Standard deviations along the three axes; `raw` stores their natural logarithms."""
-    s0, s1, s2 = gather_3(scales, rows, k, stride, column)
+def column(parameter, rows, k, offset):
+    """Column `offset` of a parameter (Columns)."""
+    return gather(parameter.values, rows, k, parameter.stride, parameter.first + offset)
+
+
+@kernel(inline=True)
+def three_columns(parameter, rows, k, offset):
+    """Columns offset, offset + 1, offset + 2 of a parameter (Columns)."""
+    return gather_3(parameter.values, rows, k, parameter.stride, parameter.first + offset)
+
+
+@kernel(inline=True)
+def deviations(scales, rows, k, raw):
+    """Standard deviations along the three axes, world units; `raw`: scales holds their natural logarithms."""
+    s0, s1, s2 = three_columns(scales, rows, k, 0)
     if raw:
         s0, s1, s2 = exponential(s0), exponential(s1), exponential(s2)
     return s0, s1, s2
 
 
 @kernel(inline=True)
-def opacity_and_log2(opacities, rows, k, stride, column, raw):
-    """Opacity and its log2; `raw` stores the logit: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
-    opacity = gather(opacities, rows, k, stride, column)
+def opacity_and_log2(opacities, rows, k, raw):
+    """Opacity and its log2; `raw`: opacities holds the logit x: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
+    opacity = column(opacities, rows, k, 0)
     if raw:
         inverse = exponential(ZERO - opacity) + ONE
         opacity = divide(ONE, inverse)
@@ -69,43 +80,48 @@ def opacity_and_log2(opacities, rows, k, stride, column, raw):
 def from_camera(mean, camera):
     """World vectors from the camera to the mean. Far from the origin R m + t would cancel; this keeps its digits."""
     mx, my, mz = mean
-    return (mx - camera[16]) - camera[24], (my - camera[17]) - camera[25], (mz - camera[18]) - camera[26]
+    cx, cy, cz = camera.centre
+    rx, ry, rz = camera.centre_rest
+    return (mx - cx) - rx, (my - cy) - ry, (mz - cz) - rz
 
 
 @kernel(inline=True)
 def camera_point(mean, camera):
     """The mean in camera coordinates."""
     mx, my, mz = from_camera(mean, camera)
-    x = mx * camera[0] + my * camera[1] + mz * camera[2]
-    y = mx * camera[4] + my * camera[5] + mz * camera[6]
-    z = mx * camera[8] + my * camera[9] + mz * camera[10]
+    x = mx * camera.x_axis[0] + my * camera.x_axis[1] + mz * camera.x_axis[2]
+    y = mx * camera.y_axis[0] + my * camera.y_axis[1] + mz * camera.y_axis[2]
+    z = mx * camera.z_axis[0] + my * camera.z_axis[1] + mz * camera.z_axis[2]
     return x, y, z
 
 
 @kernel(inline=True)
-def rotation(quats, rows, k, stride, column):
+def rotation(quats, rows, k):
     """Rows of the rotation matrix of a quaternion (wxyz), its normalised parts, and 1 / |quaternion|."""
-    w = gather(quats, rows, k, stride, column)
-    x, y, z = gather_3(quats, rows, k, stride, column + 1)
+    w = column(quats, rows, k, 0)
+    x, y, z = three_columns(quats, rows, k, 1)
     length = square_root(w * w + x * x + y * y + z * z)
-    n = divide(ONE, select(greater(splat(SHORTEST), length), splat(SHORTEST), length))
+    n = divide(ONE, select(greater(broadcast(SHORTEST), length), broadcast(SHORTEST), length))
     w, x, y, z = w * n, x * n, y * n, z * n
     r0 = (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y))
     r1 = (TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x))
     r2 = (TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y))
-    return r0, r1, r2, (w, x, y, z), n
+    return (r0, r1, r2), (w, x, y, z), n
 
 
 @kernel(inline=True)
 def ray_limits(camera):
-    """Where viewing rays are clamped: 1.3 × the field of view, where the linearisation would explode (3DGS)."""
-    fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
-    margin_x, margin_y = F(0.15) * camera[22] / fx, F(0.15) * camera[23] / fy
+    """Left, right, top, bottom (scalars) tan at which rays are clamped: 1.3 × the field of view (3DGS).
+
+    Beyond, the linearisation would explode.
+    """
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    margin_x, margin_y = F(0.15) * camera.width / fx, F(0.15) * camera.height / fy
     return (
         -cx / fx - margin_x,
-        (camera[22] - cx) / fx + margin_x,
+        (camera.width - cx) / fx + margin_x,
         -cy / fy - margin_y,
-        (camera[23] - cy) / fy + margin_y,
+        (camera.height - cy) / fy + margin_y,
     )
 
 
@@ -118,24 +134,25 @@ def clamped_ray(x, y, rz, camera):
 
 @kernel(inline=True)
 def jacobian_rows(tx, ty, rz, camera):
-    """Rows of J·R: how u and v move with the mean in world coordinates."""
-    sx, sy = rz * camera[12], rz * camera[13]
+    """Rows of J·R: px by which u and v move per world unit of the mean; tx, ty: clamped ray, rz = 1 / z."""
+    sx, sy = rz * camera.fx, rz * camera.fy
     ja = (
-        sx * (camera[0] - tx * camera[8]),
-        sx * (camera[1] - tx * camera[9]),
-        sx * (camera[2] - tx * camera[10]),
+        sx * (camera.x_axis[0] - tx * camera.z_axis[0]),
+        sx * (camera.x_axis[1] - tx * camera.z_axis[1]),
+        sx * (camera.x_axis[2] - tx * camera.z_axis[2]),
     )
     jb = (
-        sy * (camera[4] - ty * camera[8]),
-        sy * (camera[5] - ty * camera[9]),
-        sy * (camera[6] - ty * camera[10]),
+        sy * (camera.y_axis[0] - ty * camera.z_axis[0]),
+        sy * (camera.y_axis[1] - ty * camera.z_axis[1]),
+        sy * (camera.y_axis[2] - ty * camera.z_axis[2]),
     )
     return ja, jb
 
 
 @kernel(inline=True)
-def along_axes(j, r0, r1, r2):
-    """j · (columns of the rotation): a Jacobian row seen along the Gaussian's axes."""
+def along_axes(j, rotation):
+    """j · (columns of the rotation): a Jacobian row in the Gaussian's axes."""
+    r0, r1, r2 = rotation
     return (
         j[0] * r0[0] + j[1] * r1[0] + j[2] * r2[0],
         j[0] * r0[1] + j[1] * r1[1] + j[2] * r2[1],
@@ -159,37 +176,93 @@ def covariance_2d(p, q, eps2d):
     return pp + eps2d, b, qq + eps2d, det
 
 
+class Footprint(NamedTuple):
+    """Projection of a Gaussian, and the steps that its gradient needs; registers and tuples of them."""
+
+    mean: tuple  # world
+    scales: tuple  # standard deviations, world units
+    axes: tuple  # rows of the rotation matrix
+    quat: tuple  # wxyz, normalised
+    per_length: float  # 1 / |quaternion|
+    point: tuple  # x, y, z in camera coordinates
+    rz: float  # 1 / z
+    ray: tuple  # tx, ty: tan of the viewing ray, clamped
+    ja: tuple  # rows of J·R, px per world unit
+    jb: tuple
+    p_unit: tuple  # the same along the Gaussian's axes
+    q_unit: tuple
+    p: tuple  # times the deviations, px
+    q: tuple
+    covariance: tuple  # a, b, c of [[a, b], [b, c]], px²
+    det: float  # its determinant, px⁴
+
+
+@kernel(inline=True)
+def footprint(parameters, rows, k, camera):
+    """Footprint of the Gaussians rows[k …]; parameters: Parameters.
+
+    The mean is loaded last: LLVM orders the terms of a sum by their loads, and so chooses which products are fused.
+    """
+    axes, quat, per_length = rotation(parameters.quats, rows, k)
+    s0, s1, s2 = deviations(parameters.scales, rows, k, parameters.raw)
+    mean = three_columns(parameters.means, rows, k, 0)
+    x, y, z = camera_point(mean, camera)
+    rz = divide(ONE, z)
+    tx, ty = clamped_ray(x, y, rz, camera)
+    ja, jb = jacobian_rows(tx, ty, rz, camera)
+    p_unit, q_unit = along_axes(ja, axes), along_axes(jb, axes)
+    p = (p_unit[0] * s0, p_unit[1] * s1, p_unit[2] * s2)
+    q = (q_unit[0] * s0, q_unit[1] * s1, q_unit[2] * s2)
+    a, b, c, det = covariance_2d(p, q, camera.eps2d)
+    return Footprint(
+        mean,
+        (s0, s1, s2),
+        axes,
+        quat,
+        per_length,
+        (x, y, z),
+        rz,
+        (tx, ty),
+        ja,
+        jb,
+        p_unit,
+        q_unit,
+        p,
+        q,
+        (a, b, c),
+        det,
+    )
+
+
 @kernel()
 def exact_image_point(mean_x, mean_y, mean_z, camera):
     """u and v of one mean (scalars) in double precision: in single, 3e-5 px are lost at 600, which alpha shows."""
-    mx = np.float64(mean_x) - np.float64(camera[16]) - np.float64(camera[24])
-    my = np.float64(mean_y) - np.float64(camera[17]) - np.float64(camera[25])
-    mz = np.float64(mean_z) - np.float64(camera[18]) - np.float64(camera[26])
-    x = np.float64(camera[0]) * mx + np.float64(camera[1]) * my + np.float64(camera[2]) * mz
-    y = np.float64(camera[4]) * mx + np.float64(camera[5]) * my + np.float64(camera[6]) * mz
-    z = np.float64(camera[8]) * mx + np.float64(camera[9]) * my + np.float64(camera[10]) * mz
+    D = np.float64
+    mx = D(mean_x) - D(camera.centre[0]) - D(camera.centre_rest[0])
+    my = D(mean_y) - D(camera.centre[1]) - D(camera.centre_rest[1])
+    mz = D(mean_z) - D(camera.centre[2]) - D(camera.centre_rest[2])
+    x = D(camera.x_axis[0]) * mx + D(camera.x_axis[1]) * my + D(camera.x_axis[2]) * mz
+    y = D(camera.y_axis[0]) * mx + D(camera.y_axis[1]) * my + D(camera.y_axis[2]) * mz
+    z = D(camera.z_axis[0]) * mx + D(camera.z_axis[1]) * my + D(camera.z_axis[2]) * mz
     rz = 1.0 / z
-    return (
-        np.float64(camera[12]) * x * rz + np.float64(camera[14]),
-        np.float64(camera[13]) * y * rz + np.float64(camera[15]),
-    )
+    return D(camera.fx) * x * rz + D(camera.cx), D(camera.fy) * y * rz + D(camera.cy)
 
 
 @kernel(inline=True)
 def screen_radius(a, c, det, u, v, camera):
     """3DGS's radius (px): 3 σ of the longer axis, rounded up; 0 if its square misses the grid of 16×16 tiles.
 
-    Density control counts a Gaussian as seen when this is above zero, whatever its opacity.
+    Density control counts a Gaussian as visible when this is above zero, whatever its opacity.
     """
     mid = HALF * (a + c)
-    longest = square_root(mid + square_root(maximum(mid * mid - det, splat(F(0.1)))))
+    longest = square_root(mid + square_root(maximum(mid * mid - det, broadcast(F(0.1)))))
     radius = round_up(F(3) * longest)
-    width = splat(F(16) * math.ceil(camera[22] / F(16)))
-    height = splat(F(16) * math.ceil(camera[23] / F(16)))
+    width = broadcast(F(16) * math.ceil(camera.width / F(16)))
+    height = broadcast(F(16) * math.ceil(camera.height / F(16)))
     x, y = u - HALF, v - HALF  # 3DGS counts pixel centres as whole numbers
-    zero, one = splat(ZERO), splat(ONE)
+    zero, one = broadcast(ZERO), broadcast(ONE)
     radius = select(greater(one, x + radius), zero, radius)
     radius = select(greater(one, y + radius), zero, radius)
     radius = select(greater_equal(x - radius, width), zero, radius)
     radius = select(greater_equal(y - radius, height), zero, radius)
-    return minimum(radius, splat(FAR_AWAY))
+    return minimum(radius, broadcast(FAR_AWAY))

@@ -196,7 +196,7 @@ def absolute(typing_context, x):
 
 
 @intrinsic
-def splat(typing_context, x):
+def broadcast(typing_context, x):
     """All lanes equal to a float32."""
     return vec(types.float32), lambda context, builder, signature, args: _broadcast(builder, args[0])
 

@@ -1,11 +1,11 @@
-"""The blocks of a tile: they cover it once, and a Gaussian's are those that it reaches."""
+"""The blocks of a tile: they cover it once, and a Gaussian's active ones are those in which it has weight."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster import blocks, records
+from tdgbench.splats.cpu.raster import blocks, splat
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -14,24 +14,26 @@ from tests.splats.cpu.raster.bits import members
 F = np.float32
 SIZE = 3 * LANES
 LOG2_MIN = F(np.log2(1 / 255))
+CENTRES = blocks.TABLES.centres
+CORNER = blocks.Tile(0, 0, 0, 1)
 
 
 @kernel()
-def tile_of(columns, rows, grid):
+def tile_of(columns, rows, centres):
     pixels = aligned_floats(blocks.BLOCKS * SIZE)
-    blocks.write_centres(pixels, SIZE, grid)
+    blocks.write_centres(pixels, SIZE, centres)
     blocks.write_transmittance(pixels, SIZE, columns, rows)
     return pixels
 
 
 @kernel()
-def reached(record, left, top, least, grid):
-    return blocks.within_reach(grid, blocks.form_of(record, 0, left, top), least)
+def active(splats, tile, least, centres):
+    return blocks.active_blocks(centres, blocks.form_of(splats, 0, tile), least)
 
 
 def pixels_of_blocks():
     """(blocks, 3, LANES): x, y and T of a tile of which 11 columns and 5 rows are inside the image."""
-    return tile_of(11, 5, blocks.GRID)[: blocks.BLOCKS * SIZE].reshape(blocks.BLOCKS, 3, LANES)
+    return tile_of(11, 5, CENTRES)[: blocks.BLOCKS * SIZE].reshape(blocks.BLOCKS, 3, LANES)
 
 
 def test_every_pixel_is_in_one_block():
@@ -60,18 +62,18 @@ def test_the_lowest_block():
 
 
 def found_and_needed(u, v, deviations, angle, opacity):
-    """The blocks that `within_reach` finds, and those in which some pixel has weight, in double precision."""
+    """The blocks that `active_blocks` finds, and those in which some pixel has weight, in double precision."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     form = np.linalg.inv(turn @ np.diag(np.square(deviations)) @ turn.T) * -0.5 * np.log2(np.e)
-    record = np.zeros((1, records.RECORD), F)
-    record[0, [records.U_, records.V_]] = u, v
-    record[0, [records.A_, records.B_, records.C_]] = form[0, 0], 2 * form[0, 1], form[1, 1]
-    record[0, records.LOG2_OPACITY] = np.log2(opacity)
+    one = np.zeros((1, splat.FLOATS), F)
+    one[0, [splat.U_, splat.V_]] = u, v
+    one[0, [splat.A_, splat.B_, splat.C_]] = form[0, 0], 2 * form[0, 1], form[1, 1]
+    one[0, splat.LOG2_OPACITY] = np.log2(opacity)
     x, y, _ = pixels_of_blocks().transpose(1, 0, 2).astype(np.float64)
     offset = np.stack([x - u, y - v], axis=-1)
     log2_alpha = np.log2(opacity) + np.einsum("...i,ij,...j", offset, form, offset)
     needed = np.flatnonzero((log2_alpha > LOG2_MIN + 1e-3).any(axis=1))
-    return members(int(reached(record, 0, 0, LOG2_MIN, blocks.GRID))), set(needed.tolist())
+    return members(int(active(one, CORNER, LOG2_MIN, CENTRES))), set(needed.tolist())
 
 
 @settings(deadline=None, max_examples=300)
@@ -98,6 +100,5 @@ def test_few_blocks_are_found_without_need():
     assert 1 <= sum(map(len, found)) / sum(map(len, needed)) < 1.06
 
 
-def test_a_gaussian_without_number_reaches_nothing():
-    record = np.full((1, records.RECORD), np.nan, F)
-    assert reached(record, 0, 0, LOG2_MIN, blocks.GRID) == 0
+def test_a_nan_gaussian_has_no_active_block():
+    assert active(np.full((1, splat.FLOATS), np.nan, F), CORNER, LOG2_MIN, CENTRES) == 0

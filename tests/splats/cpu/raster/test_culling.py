@@ -5,22 +5,22 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends.cpu import pack_camera
-from tdgbench.splats.cpu.raster.culling import find_candidates
+from tdgbench.splats.cpu.raster.camera import pack_camera
+from tdgbench.splats.cpu.raster.culling import _pack, cull
+from tdgbench.splats.cpu.raster.source import Bounds, Columns
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
-REACH = np.float32(math.sqrt(2 * math.log(255)))
+CUTOFF = np.float32(math.sqrt(2 * math.log(255)))
 
 
-def candidates_of(means, sizes, camera, slack=0.0, growth=0.0, raw=False) -> np.ndarray:
+def candidates_of(means, scales, camera, tolerance=0.0, growth=0.0, raw=False) -> np.ndarray:
     """The candidates of one piece that holds all."""
     count = len(means)
     out = np.full(-(-count // LANES) * LANES, -1, np.int32)
-    flat = (means.numpy().reshape(-1), sizes.numpy().reshape(-1))
-    found = find_candidates(
-        0, count, flat[0], 3, 0, flat[1], 3, 0, 3, raw, np.float32(slack), np.float32(growth), camera, REACH, out
-    )
+    columns = (Columns(tensor.numpy().reshape(-1), 3, 0) for tensor in (means, scales))
+    bounds = Bounds(*columns, 3, raw, np.float32(tolerance), np.float32(growth))
+    found = cull(0, count, bounds, camera, CUTOFF, out)
     assert (np.diff(out[:found]) > 0).all()
     filled = -(-found // LANES) * LANES
     assert (out[found:filled] == out[found - 1]).all() if found else True
@@ -28,7 +28,7 @@ def candidates_of(means, sizes, camera, slack=0.0, growth=0.0, raw=False) -> np.
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_that_is_seen_is_left_out(seed):
+def test_every_visible_gaussian_is_a_candidate(seed):
     width, height = 50, 30
     parameters, (views, Ks) = random_gaussians(400, seed, None, 1), turned_camera(width, height)
     means, scales = parameters[0], parameters[2]
@@ -42,7 +42,7 @@ def test_nothing_that_is_seen_is_left_out(seed):
     assert len(found) < 400
 
 
-def test_slack_and_growth_cover_what_may_have_moved():
+def test_tolerance_and_growth_cover_what_may_have_moved():
     width, height = 50, 30
     parameters, (views, Ks) = random_gaussians(400, 7, None, 1), turned_camera(width, height)
     means, scales = parameters[0] * 3, parameters[2]
@@ -54,12 +54,28 @@ def test_slack_and_growth_cover_what_may_have_moved():
     exact = set(candidates_of(moved, grown, camera).tolist())
     log_sizes = scales.log()
     allowed = candidates_of(means, log_sizes, camera, 0.3, np.log(1.5) + 1e-5, raw=True)
-    assert exact - set(candidates_of(means, scales, camera).tolist())  # without slack some would be missed
-    seen = rasterization(moved, parameters[1], grown, *parameters[3:], views, Ks, width, height)[2]["radii"][0]
-    assert set(torch.nonzero(seen).squeeze(1).tolist()) <= set(allowed.tolist())
+    assert exact - set(candidates_of(means, scales, camera).tolist())  # without a tolerance some would be missed
+    radii = rasterization(moved, parameters[1], grown, *parameters[3:], views, Ks, width, height)[2]["radii"][0]
+    assert set(torch.nonzero(radii).squeeze(1).tolist()) <= set(allowed.tolist())
 
 
 def test_nothing_in_sight():
     means, scales = torch.full((3, 3), -5.0), torch.full((3, 3), 0.1)
     (view,), (K,) = turned_camera(20, 20)
     assert len(candidates_of(means, scales, pack_camera(view, K, 20, 20, 0.2, 1e10, 0.3))) == 0
+
+
+def test_gaps_between_pieces_are_closed():
+    candidates = np.full(8 * LANES, -1, np.int32)
+    candidates[:5] = np.arange(5)
+    candidates[4 * LANES : 5 * LANES + 3] = np.arange(100, 100 + LANES + 3)
+    spans = _pack(candidates, [(0, 5), (4 * LANES, LANES + 3)], 3)
+    total = LANES + 8
+    assert np.array_equal(candidates[:total], [*range(5), *range(100, 100 + LANES + 3)])
+    assert (candidates[total : 2 * LANES] == candidates[total - 1]).all()
+    assert sum(n for _, n in spans) == total and all(first % LANES == 0 for first, _ in spans)
+    assert [first for first, _ in spans] == np.cumsum([0, *[n for _, n in spans[:-1]]]).tolist()
+
+
+def test_no_candidates():
+    assert _pack(np.zeros(LANES, np.int32), [(0, 0)], 2) == [(0, 0)]

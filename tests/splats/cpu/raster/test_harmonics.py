@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
-from tdgbench.splats.cpu.raster.projection import CAMERA_SIZE
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load, store
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -59,12 +59,14 @@ def directions_from(means, camera, out):
 
 
 def test_view_direction():
-    means, out, camera = zeros(3), zeros(4), np.zeros(CAMERA_SIZE, F)
+    means, out, view = zeros(3), zeros(4), np.eye(4)
+    view[:3, 3] = -1, 2, -3
+    camera = pack_camera(view, np.eye(3), 8, 8, 0.2, 1e10, 0.3)
     points = np.random.default_rng(0).normal(size=(LANES, 3)).astype(F)
     means[:] = points.T.reshape(-1)
-    camera[16:19] = 1, -2, 3
     directions_from(means, camera, out)
-    away = points - camera[16:19]
+    assert camera.centre == (1, -2, 3)
+    away = points - np.array(camera.centre)
     distance = np.linalg.norm(away, axis=1)
     assert np.allclose(out.reshape(4, LANES)[:3].T, away / distance[:, None], atol=1e-6)
     assert np.allclose(out.reshape(4, LANES)[3], 1 / distance, rtol=1e-6)

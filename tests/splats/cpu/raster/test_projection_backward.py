@@ -28,12 +28,12 @@ def test_axes_of_an_inverse_covariance():
         det = np.float32(1 / np.linalg.det(axes @ axes.T + eps * np.eye(2)))
         for j in range(3):
             y = whitened(
-                np.float32(unit[0, j]), np.float32(unit[1, j]), p, q, (j + 1) % 3, (j + 2) % 3, np.float32(eps), det
+                (np.float32(unit[0, j]), np.float32(unit[1, j])), p, q, (j + 1) % 3, (j + 2) % 3, np.float32(eps), det
             )
             assert np.allclose(y, M @ unit[:, j], rtol=1e-4)  # also along a needle
             moments = tuple(np.float32(x) for x in g)
-            entries = (np.float32(M[0, 0]), np.float32(M[0, 1]), np.float32(M[1, 1]))
-            by_u, by_v, by_s = axis_gradient(y, np.float32(scale[j]), moments, *entries)
+            conic = (np.float32(M[0, 0]), np.float32(-M[0, 1]), np.float32(M[1, 1]))
+            by_u, by_v, by_s = axis_gradient(y, np.float32(scale[j]), moments, conic)
             assert np.allclose(by_s, s.grad[j].item(), rtol=1e-3)
             assert np.allclose([by_u * scale[j], by_v * scale[j]], w.grad[:, j].numpy(), rtol=2e-3, atol=1e-6)
 
@@ -45,7 +45,7 @@ def test_quaternion_through_its_normalisation():
     (reference.rotation_matrices(raw)[0] * torch.from_numpy(g)).sum().backward()
     n = 1 / np.linalg.norm(raw.detach().numpy())
     unit = (raw.detach().numpy()[0] * n).astype(np.float32)
-    rows = [tuple(row) for row in g.astype(np.float32)]
-    got = quaternion_gradient(*unit, np.float32(n), *rows)
+    rows = tuple(tuple(row) for row in g.astype(np.float32))
+    got = quaternion_gradient(tuple(unit), np.float32(n), rows)
     assert np.allclose(got, raw.grad.numpy()[0], rtol=1e-4, atol=1e-5)
     assert abs(np.dot(got, unit)) < 1e-4  # the length of a quaternion does not matter

@@ -2,42 +2,42 @@ import numpy as np
 import torch
 
 from tdgbench.splats.backends import reference
-from tdgbench.splats.cpu.raster.records import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
+from tdgbench.splats.cpu.raster.splat import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
 from tests.helpers.gaussians import random_gaussians, turned_camera
-from tests.splats.cpu.raster.lists import lists
+from tests.splats.cpu.raster.forward_passes import rendered
 
 
-def test_records_hold_the_projection():
+def test_splats_hold_the_projection():
     width, height = 60, 44
     parameters, camera = random_gaussians(300, 6, None, 1), turned_camera(width, height)
     parameters[3][:20] = 0.001  # too faint to be drawn
-    done = lists(parameters, camera, width, height)
-    rows = np.concatenate([np.arange(a, a + n) for a, n in done.kept])
-    records, owners = done.records[rows], done.owners[rows]
-    assert (np.diff(owners) > 0).all() and not (owners < 20).any()
+    done = rendered(parameters, camera, width, height)
+    rows = np.concatenate([np.arange(a, a + n) for a, n in done.splat_spans])
+    splats, ids = done.splats.values[rows], done.splats.gaussian_ids[rows]
+    assert (np.diff(ids) > 0).all() and not (ids < 20).any()
     doubles = [p.double() for p in parameters]
     view, K = camera[0][0].double(), camera[1][0].double()
     means2d, _, covariance, _ = reference.project(*doubles[:3], view, K, width, height, 0.3)
-    boxes = records[:, FIRST_X : LAST_Y + 1]
-    found = records[:, [U_, V_]].astype(np.float64) + boxes[:, [0, 2]]
-    assert np.allclose(found, means2d[owners].numpy(), atol=1e-5)  # single precision would be 3e-5 px at 600 px
-    assert np.allclose(records[:, OPACITY], parameters[3][owners].numpy(), rtol=1e-6)
-    assert np.allclose(records[:, CHANNELS], parameters[4][owners, 0].numpy(), rtol=1e-6)
+    boxes = splats[:, FIRST_X : LAST_Y + 1]
+    found = splats[:, [U_, V_]].astype(np.float64) + boxes[:, [0, 2]]
+    assert np.allclose(found, means2d[ids].numpy(), atol=1e-5)  # single precision would be 3e-5 px at 600 px
+    assert np.allclose(splats[:, OPACITY], parameters[3][ids].numpy(), rtol=1e-6)
+    assert np.allclose(splats[:, CHANNELS], parameters[4][ids, 0].numpy(), rtol=1e-6)
     radii = reference._screen_radii(means2d, covariance, width, height)
-    assert np.array_equal(records[:, RADIUS], radii[owners].numpy())
+    assert np.array_equal(splats[:, RADIUS], radii[ids].numpy())
     assert (boxes == np.round(boxes)).all() and boxes.min() >= 0
     assert boxes[:, :2].max() < width and boxes[:, 2:].max() < height
-    cut = 2 * np.log(255 * records[:, OPACITY])
-    reach = np.sqrt(cut * covariance[owners, 0, 0].numpy())
-    left = np.clip(np.ceil(found[:, 0] - reach - 0.5), 0, None)
+    cut = 2 * np.log(255 * splats[:, OPACITY])
+    half_width = np.sqrt(cut * covariance[ids, 0, 0].numpy())
+    left = np.clip(np.ceil(found[:, 0] - half_width - 0.5), 0, None)
     assert (np.abs(boxes[:, 0] - left) <= 1).all()
 
 
-def test_what_is_projected_but_faint_is_still_seen():
+def test_a_faint_gaussian_is_projected_but_not_drawn():
     parameters, camera = random_gaussians(50, 2, None, 1), turned_camera(40, 30)
     parameters[3][:] = 0.001
-    done = lists(parameters, camera, 40, 30)
-    assert sum(n for _, n in done.kept) == 0 and done.count_pairs() == 0
-    seen = np.concatenate([done.projected.radii[a : a + n] for a, n in done.projected.seen])
-    assert (seen > 0).sum() > 10
-    assert torch.equal(torch.from_numpy(done.transmittance), torch.ones(30, 40))
+    done = rendered(parameters, camera, 40, 30)
+    assert sum(n for _, n in done.splat_spans) == 0 and done.count_pairs() == 0
+    radii = np.concatenate([done.projected.radii[a : a + n] for a, n in done.projected_spans])
+    assert (radii > 0).sum() > 10
+    assert torch.equal(torch.from_numpy(done.images.transmittance), torch.ones(30, 40))

@@ -16,7 +16,7 @@ def sums(values, one, four, eight):
     one[0] = reductions.lane_sum(v)
     k = F(2)
     memory.store(four, 0, reductions.lane_sums_of_4(v, v * k, v - k, v * v))
-    memory.store(eight, 0, reductions.lane_sums_of_8(v, v * k, v - k, v * v, k * k * v, v, v + v, simd.splat(k)))
+    memory.store(eight, 0, reductions.lane_sums_of_8(v, v * k, v - k, v * v, k * k * v, v, v + v, simd.broadcast(k)))
 
 
 def test_sums_over_lanes():
@@ -34,7 +34,7 @@ def questions(values, out):
     v = memory.load(values, 0)
     out[0] = reductions.any_positive(v)
     out[1] = reductions.any_bit(v)
-    out[2] = reductions.lane_bits(simd.greater(v, simd.splat(F(0))))
+    out[2] = reductions.lane_bits(simd.greater(v, simd.broadcast(F(0))))
 
 
 def asked(values) -> list[int]:

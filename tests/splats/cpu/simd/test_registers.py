@@ -24,7 +24,7 @@ def arithmetic(a, b, s, out):
     memory.store(out, 7 * LANES, simd.negative_abs(x))
     memory.store(out, 8 * LANES, simd.absolute(x))
     memory.store(out, 9 * LANES, simd.reciprocal(y))
-    memory.store(out, 10 * LANES, simd.lane_index() + simd.splat(s))
+    memory.store(out, 10 * LANES, simd.lane_index() + simd.broadcast(s))
     memory.store(out, 11 * LANES, simd.divide(x, y))
     memory.store(out, 12 * LANES, simd.square_root(simd.absolute(x)))
     memory.store(out, 13 * LANES, simd.round_up(x * s))
@@ -50,7 +50,7 @@ def test_lane_by_lane():
 
 @kernel()
 def zeros_sign(out):
-    memory.store(out, 0, simd.negative_abs(simd.splat(F(0.0))))
+    memory.store(out, 0, simd.negative_abs(simd.broadcast(F(0.0))))
 
 
 def test_the_sign_of_zero_is_set():

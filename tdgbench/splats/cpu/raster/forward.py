@@ -1,0 +1,40 @@
+"""The forward pass over one camera: cull, project, list by tile, blend.
+
+Gaussians are cut into one span per thread. Orders and sums do not depend on the spans, so neither do results.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.splats.cpu.raster.blend import blend_tiles
+from tdgbench.splats.cpu.raster.culling import find_candidates
+from tdgbench.splats.cpu.raster.projection_forward import project
+from tdgbench.splats.cpu.raster.sorting import sort_by_key
+from tdgbench.splats.cpu.raster.source import Source
+from tdgbench.splats.cpu.raster.tiles import TILE, list_by_tile
+from tdgbench.splats.cpu.raster.types import ForwardPass, Settings, TileLists
+from tdgbench.splats.cpu.scratch import Workspace
+
+
+def forward(source: Source, settings: Settings) -> ForwardPass:
+    """Render one camera."""
+    workspace, passing = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
+    candidates, spans = find_candidates(source, settings, passing)
+    if source.update is not None:
+        source.update(spans, candidates)
+    seen = project(source, settings, candidates, spans, workspace, passing)
+    keys, splat_ids = seen.order
+    spare = [(passing.take("keys", len(keys), np.uint32), passing.take("order", len(keys), np.int32)) for _ in "12"]
+    _, by_depth = sort_by_key([(first, first + n) for first, n in seen.splat_spans], keys, splat_ids, spare)
+    n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
+    tiles = TileLists(*list_by_tile(by_depth, seen.splats.pairs, seen.pair_tiles, n_tiles, workspace.take))
+    active_blocks = workspace.take("active blocks", len(tiles.splat_ids), np.uint32)
+    images, visits = blend_tiles(settings, seen.splats, tiles, active_blocks)
+    if seen.has_nan:  # the Gaussian could have been anywhere
+        for image in images:
+            image[:] = np.nan
+    return ForwardPass(
+        images, seen.projected, seen.projected_spans, seen.splats, seen.splat_spans, tiles, visits,
+        len(seen.pair_tiles), workspace,
+    )  # fmt: skip

@@ -1,0 +1,66 @@
+import numpy as np
+import torch
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.raster import blocks
+from tdgbench.splats.cpu.raster.forward import forward
+from tdgbench.splats.cpu.raster.source import Source
+from tests.helpers.gaussians import random_gaussians, turned_camera
+from tests.splats.cpu.raster.bits import members
+from tests.splats.cpu.raster.forward_passes import settings_for, source_of
+
+
+def test_only_candidates_are_updated():
+    """The hook gets the Gaussians that the camera may see, before they are read."""
+    parameters = random_gaussians(500, 3, None, 1)
+    parameters[0][::2, 2] = -5  # behind the camera
+    (view,), (K,) = turned_camera(40, 30)
+    asked = []
+    base = source_of(parameters)
+    source = Source(
+        base.count, base.parameters, base.bounds,
+        update=lambda spans, candidates: asked.extend(candidates[a : a + n].copy() for a, n in spans),
+    )  # fmt: skip
+    done = forward(source, settings_for((view, K), 40, 30, 1))
+    updated = np.concatenate(asked)
+    assert (updated % 2 == 1).all() and (np.diff(updated) > 0).all()
+    drawn = np.concatenate([done.splats.gaussian_ids[a : a + n] for a, n in done.splat_spans])
+    assert len(drawn) > 0 and set(drawn.tolist()) <= set(updated.tolist())
+
+
+def test_the_forward_pass_finds_the_blocks_in_which_a_gaussian_has_weight():
+    """One small Gaussian before forty opaque layers; each pixel stops at a transmittance of 1e-4."""
+    layers = 40
+    means = torch.zeros(1 + layers, 3)
+    means[:, 2] = torch.linspace(1, 3, 1 + layers)
+    means[0, :2] = torch.tensor([-0.1, 0.2])
+    scales = torch.full((1 + layers, 3), 50.0)
+    scales[0] = 0.02
+    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(1 + layers, 1)
+    opacities = torch.full((1 + layers,), 0.9)
+    opacities[0] = 0.5
+    K = torch.tensor([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
+    parameters = (means, quats, scales, opacities, torch.ones(1 + layers, 1))
+    settings = settings_for((torch.eye(4), K), 16, 16, 1)
+    first = forward(source_of([p[:1] for p in parameters]), settings)
+    rows, columns = np.nonzero(first.images.transmittance < 1)
+    touched = set((rows // blocks.HEIGHT * blocks.ACROSS + columns // blocks.WIDTH).tolist())
+    done = forward(source_of(parameters), settings)
+    visited = done.visits.counts[0]
+    active = [members(int(number)) for number in done.visits.active_blocks[:visited]]
+    assert done.splats.gaussian_ids[done.tiles.splat_ids[0]] == 0 and active[0] == touched and 1 <= len(touched) <= 4
+    assert all(len(some) == blocks.BLOCKS for some in active[1:4]) and not any(active[6:])
+    assert 6 < visited < 1 + layers
+
+
+def test_the_same_on_any_number_of_threads():
+    parameters, (views, Ks) = random_gaussians(2000, 5, 2, 3), turned_camera(70, 50)
+    settings, found = settings_for((views[0], Ks[0]), 70, 50, 3, 2, True), []
+    try:
+        for threads in (1, 2, 5):
+            pool.set_threads(threads)
+            done = forward(source_of(parameters), settings)
+            found.append([image.tobytes() for image in done.images])
+    finally:
+        pool.set_threads(None)
+    assert found[0] == found[1] == found[2]
