@@ -31,14 +31,20 @@ def _address(context, builder, array_type, array, index):
     return builder.bitcast(builder.gep(data, [index]), FLOATS.as_pointer())
 
 
-@intrinsic
-def load(typing_context, array, index):
-    """LANES floats from a 1-D float32 array, at an offset aligned to the register."""
+def _loading(alignment: int, documentation: str):
+    @intrinsic
+    def operation(typing_context, array, index):
+        def generate(context, builder, signature, args):
+            return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=alignment)
 
-    def generate(context, builder, signature, args):
-        return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=4 * LANES)
+        return vec(array, index), generate
 
-    return vec(array, index), generate
+    operation.__doc__ = documentation
+    return operation
+
+
+load = _loading(4 * LANES, "LANES floats from a 1-D float32 array, at an offset aligned to the register.")
+load_anywhere = _loading(4, "LANES floats from a 1-D float32 array, at any offset.")
 
 
 def _storing(alignment: int, documentation: str):
