@@ -26,7 +26,7 @@ from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
 from tdgbench.training.skips import Skips
-from tests.helpers.configs import QUICK, SMALL, config
+from tests.helpers.configs import QUICK, config
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.page import PAGES, Page
 from tests.helpers.paths import ROOT
