@@ -1,16 +1,13 @@
 """`python -m benchmarks.core`: forward + backward of the splat core, in ms, ratios, and share of the FMA peak.
 
---peer DIR               also run a prototype `nb_core.py` (class Core) found in DIR
---torch                  also run plain torch, tile by tile (many seconds per call)
+--torch                  also run plain torch, tile by tile (seconds per call)
 --model PLY --data DIR   also render a trained model from a test camera of the capture in DIR
-Where a CUDA GPU and gsplat are, gsplat runs as well.
+Where a CUDA GPU and gsplat are available, gsplat runs as well.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +28,7 @@ from tdgbench.splats.view import GaussianTensors, Pinhole
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
-MOST = "3+depth"  # what the others are held against
+MOST = "3+depth"  # that the others are compared with
 
 
 def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
@@ -63,7 +60,7 @@ def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> C
 
 
 def plain_torch(cloud: Cloud) -> Callable[[], float]:
-    """Seconds of forward + backward in plain torch, float32, tile by tile. Its channels are always 3 + depth."""
+    """Seconds of forward + backward in plain torch, float32, tile by tile, always with 3 channels and depth."""
     weights = torch.ones(cloud.height, cloud.width, 5)
 
     def run() -> float:
@@ -74,41 +71,19 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
     return run
 
 
-def prototype(cloud: Cloud, channels: int, depth: bool, folder: Path) -> Callable[[], float]:
-    """Seconds of forward + backward of a prototype's `Core`, on numpy arrays and without autograd."""
-    sys.path.insert(0, str(folder))
-    core = importlib.import_module("nb_core").Core(pool.get_threads())
-    arrays = [t.numpy() for t in (cloud.means, cloud.scales, cloud.quats, cloud.opacities)]
-    colors = np.ascontiguousarray(cloud.colors[:, :channels].numpy())
-    total = channels + depth
-    grad = np.ones((cloud.height, cloud.width, total), np.float32)
-    zeros = np.zeros((cloud.height, cloud.width), np.float32)
-
-    def run() -> float:
-        start = time.perf_counter()
-        core.forward(
-            *arrays, colors, cloud.viewmat.numpy(), cloud.K.numpy(), cloud.width, cloud.height,
-            np.zeros(total, np.float32), depth,
-        )  # fmt: skip
-        core.backward(grad, zeros)
-        return time.perf_counter() - start
-
-    return run
-
-
 def pairs_with_weight(cloud: Cloud) -> int:
-    """Pixel-Gaussian pairs that a blend cannot do without, in registers of 8 or 16 pixels in which any has weight."""
+    """Pixel-Gaussian pairs that a blend cannot skip, in registers of 8 or 16 pixels in which any has weight."""
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
     leaves = [t.clone().requires_grad_() for t in given]
     camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height)
     view = render_view(GaussianTensors(*leaves), camera, backend="cpu")
-    lists = view.image.grad_fn.saved[2]  # type: ignore[union-attr]
-    place = np.arange(len(lists.lit)) - np.repeat(lists.tile_start[:-1], np.diff(lists.tile_start))
-    seen = place < np.repeat(lists.reached, np.diff(lists.tile_start))
-    return int(np.bitwise_count(lists.lit[seen]).sum()) * LANES
+    _, _, done, _ = view.image.grad_fn.saved  # type: ignore[union-attr]
+    starts, counts = done.tiles.starts, done.visits.counts
+    active = [done.visits.active_blocks[start : start + n] for start, n in zip(starts, counts, strict=False)]
+    return int(np.bitwise_count(np.concatenate(active)).sum()) * LANES
 
 
-def candidates_for(cloud: Cloud, variant: str, peer: Path | None, with_torch: bool) -> dict[str, Callable[[], float]]:
+def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Callable[[], float]]:
     channels, depth = VARIANTS[variant]
     candidates = {
         "cpu": ours(cloud, channels, depth, "cpu", "both"),
@@ -117,35 +92,32 @@ def candidates_for(cloud: Cloud, variant: str, peer: Path | None, with_torch: bo
     }
     if "cuda" in fast_backends():
         candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
-    if peer is not None:
-        candidates["prototype"] = prototype(cloud, channels, depth, peer)
     if with_torch and variant == MOST:
         candidates["torch"] = plain_torch(cloud)
     return candidates
 
 
-def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, peer: Path | None,
-            with_torch: bool) -> pd.DataFrame:  # fmt: skip
+def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, with_torch: bool) -> pd.DataFrame:
     """One row per cloud, channels and candidate; those of a cloud take turns, and ratios are medians over the turns.
 
-    cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over its own with 3 channels
-    and depth.
+    cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over that of the same one
+    with 3 channels and depth.
     """
     peak = fma_peak_gflops()
     rows = []
     for name, cloud in clouds.items():
         flops = pairs_with_weight(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
-        runs = {(v, c): run for v in variants for c, run in candidates_for(cloud, v, peer, with_torch).items()}
-        seconds = {key: np.array(own) for key, own in interleave(runs, repetitions).items()}
-        for (variant, candidate), own in seconds.items():
-            ms, most = median_ms(own.tolist()), seconds.get((MOST, candidate))
+        runs = {(v, c): run for v in variants for c, run in candidates_for(cloud, v, with_torch).items()}
+        seconds = {key: np.array(times) for key, times in interleave(runs, repetitions).items()}
+        for (variant, candidate), times in seconds.items():
+            ms, most = median_ms(times.tolist()), seconds.get((MOST, candidate))
             rows.append(
                 {
                     "cloud": name, "size": f"{cloud.width}x{cloud.height}", "gaussians": len(cloud.means),
                     "channels": variant, "candidate": candidate, "ms": ms,
-                    "cpu_ratio": np.median(seconds[variant, "cpu"] / own),
-                    "most_ratio": np.nan if most is None else np.median(own / most),
-                    "peak_share": flops / (ms * 1e6) / peak if candidate in ("cpu", "prototype") else np.nan,
+                    "cpu_ratio": np.median(seconds[variant, "cpu"] / times),
+                    "most_ratio": np.nan if most is None else np.median(times / most),
+                    "peak_share": flops / (ms * 1e6) / peak if candidate == "cpu" else np.nan,
                 }
             )  # fmt: skip
             print(_line(rows[-1]), flush=True)
@@ -168,9 +140,9 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     """Milliseconds against Gaussians, log-log, one line per candidate and channel count."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axis = figure.subplots()
-    for (size, channels, name), own in table.groupby(["size", "channels", "candidate"], sort=False):
+    for (size, channels, name), line in table.groupby(["size", "channels", "candidate"], sort=False):
         if name not in ("cpu forward", "cpu backward"):
-            axis.loglog(own["gaussians"], own["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
+            axis.loglog(line["gaussians"], line["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
     axis.set_xlabel("Gaussians")
     axis.set_ylabel("forward + backward, ms (median)")
     axis.legend(fontsize=7)
@@ -185,7 +157,6 @@ def main() -> None:
     parser.add_argument("--channels", nargs="+", choices=VARIANTS, default=list(VARIANTS))
     parser.add_argument("--repetitions", type=int, default=11)
     parser.add_argument("--threads", type=int)
-    parser.add_argument("--peer", type=Path)
     parser.add_argument("--torch", action="store_true")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--data", type=Path)
@@ -202,7 +173,7 @@ def main() -> None:
             clouds[f"random {size} {count}"] = random_cloud(count, width, height)
     if args.model is not None:
         clouds["trained"] = trained_cloud(args.model, args.data)
-    table = measure(clouds, args.channels, args.repetitions, args.peer, args.torch)
+    table = measure(clouds, args.channels, args.repetitions, args.torch)
     table["cloud"] = table["cloud"].str.split().str[0]
     args.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(args.out / "core.csv", index=False)

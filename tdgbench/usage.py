@@ -24,7 +24,7 @@ OPTIONS = (
     ("name=NAME results=DIR", "results go to DIR/NAME (default: results/single)"),
     ("overwrite=always|never", "repeat finished cells, or keep outdated ones"),
     ("hydra/launcher=joblib", "run cells side by side (also submitit_local, submitit_slurm, ray)"),
-    ("--config-dir DIR", "add a folder with YAML files of your own: DIR/<group>/<choice>.yaml"),
+    ("--config-dir DIR", "add a folder with your YAML files: DIR/<group>/<choice>.yaml"),
     ("--cfg job, --version, --hydra-help", "print the configuration; the version; Hydra's flags"),
 )
 

@@ -58,7 +58,7 @@ def small_results(tmp_path_factory, data_root) -> Path:
     common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
               f"results={results}")  # fmt: skip
     progress = CellProgress(Console(quiet=True), 30)
-    for own in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
-        assert run_cell(config(*common, *own), "", progress).status == "ok"
+    for overrides in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
+        assert run_cell(config(*common, *overrides), "", progress).status == "ok"
     assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
     return results / "single"

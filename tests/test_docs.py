@@ -61,6 +61,7 @@ def test_every_page_is_reachable_from_the_readme():
 def test_named_experiments_and_tools_exist(page):
     text = page.read_text(encoding="utf-8")
     experiments = {path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml")}
+    experiments |= set(re.findall(r"^`\S*experiment/(\w+)\.yaml`:$", text, re.MULTILINE))  # of a worked example
     assert set(re.findall(r"\+experiment=([a-z]\w*)", text)) <= experiments
     assert set(re.findall(r"`tdgbench ([a-z]+)(?= |`)", text)) <= set(TOOLS)
 

@@ -13,7 +13,7 @@ class InitialPoints(Protocol):
     """Source of initial points."""
 
     def points(self, scene: Scene) -> PointCloud:
-        """Points for a scene. Raises SceneError if it has none to offer."""
+        """Points for a scene. Raises SceneError if the scene has none."""
 
     def describe(self, scene: Scene) -> dict[str, object]:
         """Kind, number and origin of the points, for the record."""

@@ -1,4 +1,4 @@
-"""What a metric is: a description, and a function of one rendered test view. One file of `metrics/` each."""
+"""Base classes of metrics: a description, and a function of one rendered test view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every metric: the modules of `metrics/`, found by themselves."""
+"""The metrics: one per module of `metrics/`."""
 
 from __future__ import annotations
 

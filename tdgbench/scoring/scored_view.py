@@ -1,4 +1,4 @@
-"""What a metric reads: one rendered view, its ground truth, its scene, and the convention of the scores."""
+"""Input of a metric: one rendered view, its ground truth, its scene, and the convention of the scores."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class RenderedImages:
-    """What a method shows of one view.
+    """A method's renders of one view.
 
     image: (H, W, C) float32, not clipped. depth: (H, W) expected z in scene units, 0 where nothing was rendered.
     rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none.

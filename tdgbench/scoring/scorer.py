@@ -47,7 +47,7 @@ class Scorer:
         return {view.name: self._score(shown(view), METRICS.values()) for view in scene.test}
 
     def score_train(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
-        """The cheap metrics of a training view, which tell overfitting well enough."""
+        """The cheap metrics of a training view, which suffice to show overfitting."""
         return self._score(ScoredView(view, rendered, self.settings), TRAIN_METRICS.values())
 
     def _score(self, shown: ScoredView, metrics: Iterable[Metric]) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""Gradients of some Gaussians of a view, and which ones it sees: what a backward pass leaves for a training step."""
+"""Result of a training step's backward pass: gradients of some Gaussians of a view, and its visible Gaussians."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ class Gradients:
 
     spans: list[tuple[int, int]]
     index: Tensor  # (capacity,) int32: the Gaussian of each row
-    values: (
-        Tensor  # (capacity, columns): as in `tdgbench.splats.columns`; trailing columns that are zero may be missing
-    )
+    values: Tensor  # (capacity, columns) as in `tdgbench.splats.columns`; trailing columns of zeros may be missing
     image: Tensor  # (capacity, 3): d loss / d image mean per px (2), radius in px
     projected_spans: list[tuple[int, int]]
     projected: Tensor  # (capacity,) int32: Gaussians that were projected

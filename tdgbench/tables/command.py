@@ -1,6 +1,6 @@
 """`tdgbench tables DIR ...`: rebuild the tables of results/<experiment> from disk, without training.
 
-`tdgbench tables claims [DIR ...]`: test the paper's claims against its own tables and against the cells of all these
+`tdgbench tables claims [DIR ...]`: test the paper's claims against its tables and against the cells of all these
 experiments together; test every paper's averages against their rows.
 """
 

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
+from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.measure import Measure
 from tdgbench.tables.names import OVERALL
 
-HOURS = Measure(
-    name="hours", label="time", meaning="training time", unit="h", latex="Time [h]", ratio=True, published=True
-)  # fmt: skip
-GAUSSIANS = Measure(name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True)
-_TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
-MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, GAUSSIANS)}
 
-PUBLISHED = (*(name for name, metric in METRICS.items() if metric.published), HOURS.name)  # columns of the main table
-PUBLISHED_SCORES = PUBLISHED[:-1]
+@dataclass(frozen=True, kw_only=True)
+class RecordMeasure(Measure):
+    """A number of a whole cell, read from its record."""
+
+    of_record: Callable[[Record], float]
+
+
+HOURS = RecordMeasure(
+    name="hours", label="time", meaning="training time", unit="h", latex="Time [h]", ratio=True, published=True,
+    of_record=lambda record: record.seconds["train"] / 3600,
+)  # fmt: skip
+GAUSSIANS = RecordMeasure(
+    name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
+    of_record=lambda record: float(sum(record.gaussians.values())),
+)  # fmt: skip
+OF_RECORDS = (HOURS, GAUSSIANS)  # those that are `published` are columns of the main table
+_TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
+MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
+
+PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.published)
+PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.published))  # columns of the main table
 TRAINING = tuple(measure.name for measure in _TRAIN)  # of the training views, where overfitting shows
 EXTRA = (*(name for name in METRICS if name not in PUBLISHED), *TRAINING)
 ABLATION = tuple(f"{part}{name}" for part in ("", "train_", "rgb_") for name in ("psnr", "ssim"))  # of Table 2

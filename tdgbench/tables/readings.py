@@ -15,7 +15,7 @@ import pandas as pd
 from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
-from tdgbench.tables.measures import GAUSSIANS, HOURS, PUBLISHED, PUBLISHED_SCORES, digits, measure
+from tdgbench.tables.measures import GAUSSIANS, OF_RECORDS, PUBLISHED, PUBLISHED_SCORES, digits, measure
 from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import metric_value
@@ -65,8 +65,7 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         head = [record.method, int(record.config["budget"]["iterations"]), *place]
-        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, HOURS.name)}
-        values[GAUSSIANS.name] = float(sum(record.gaussians.values()))
+        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, *(one.name for one in OF_RECORDS))}
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 

@@ -11,7 +11,7 @@ from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import EXTRA, HOURS, PUBLISHED, TRAINING, digits, measure
+from tdgbench.tables.measures import EXTRA, PUBLISHED, TRAINING, RecordMeasure, digits, measure
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
 
 SPLITS = {
@@ -38,8 +38,9 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """The value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, f"failed in {record.failure.stage}: {record.failure.error.splitlines()[0]}"
-    if metric == HOURS.name:
-        return record.seconds["train"] / 3600, ""
+    described = measure(metric)
+    if isinstance(described, RecordMeasure):
+        return described.of_record(record), ""
     if metric in TRAINING:
         value = record.train_scores.get(metric.removeprefix("train_"))
     else:

@@ -13,7 +13,7 @@ from scipy import stats
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
-from tdgbench.tables.measures import HOURS, TRAINING, gain
+from tdgbench.tables.measures import HOURS, OF_RECORDS, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_main
@@ -72,7 +72,7 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Every number of a cell: scores by view, hours as one value."""
-    found = {HOURS.name: np.array([record.seconds["train"] / 3600])}
+    found = {one.name: np.array([one.of_record(record)]) for one in OF_RECORDS if one.published}
     path = cell_folder_of(experiment, record) / "views.csv"
     if path.exists():
         with path.open(newline="") as file:

@@ -78,9 +78,9 @@ class Context:
         start = start.map(lambda tensor: tensor.to(self.device))
         return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips)
 
-    def view_order(self) -> ViewOrder:
-        """A new random order of the training views."""
-        self._orders.append(ViewOrder(self.scene.train, self.generator()))
+    def view_order(self, views: list[View] | None = None) -> ViewOrder:
+        """A new random order of the training views, or of some of them."""
+        self._orders.append(ViewOrder(self.scene.train if views is None else views, self.generator()))
         return self._orders[-1]
 
     def state_dict(self) -> dict[str, Any]:

@@ -18,27 +18,27 @@ GRAD_THRESHOLD = 2e-4  # 3DGS's, in units of half the image
 
 
 class Pull(NamedTuple):
-    """What one view tells of n Gaussians."""
+    """Gradients of one view for n Gaussians."""
 
-    seen: Tensor  # (n,) bool
-    rows: Tensor  # (n, columns) d loss / d parameters; 0 where not seen
+    visible: Tensor  # (n,) bool
+    rows: Tensor  # (n, columns) d loss / d parameters; 0 where not visible
     image: Tensor  # (n, 2) d loss / d centre, in units of half the image
-    radii: Tensor  # (n,) int32 px; 0 where not seen
+    radii: Tensor  # (n,) int32 px; 0 where not visible
 
 
-def seen_at(rows: Tensor, iteration: int) -> Tensor:
-    """Which Gaussians (n,) a view sees: hangs on the lineage alone, which both sides know to the bit."""
+def visible_at(rows: Tensor, iteration: int) -> Tensor:
+    """Visible Gaussians (n,) of a view; depends on the lineage alone, which both sides know exactly."""
     return torch.sin(1300.0 * rows[:, -1].double() + 0.7 * iteration) > -0.4
 
 
 def pull(rows: Tensor, iteration: int) -> Pull:
     """Gradients of Gaussians, rows (n, columns).
 
-    Sign and zeros hang on lineage and iteration alone, so that rounding cannot turn them: Adam's first steps are signs.
+    Signs and zeros depend on lineage and iteration alone, not on rounding: Adam's first steps are signs.
     Their size changes by a factor of a thousand from iteration to iteration, which its second moment remembers.
     """
     rows = rows.detach()
-    seen, p = seen_at(rows, iteration), rows.double()
+    visible, p = visible_at(rows, iteration), rows.double()
     lineage, column = p[:, -1:], torch.arange(p.shape[1], dtype=torch.float64)
     pace = torch.where(column == OPACITY, 0.0, 0.37)  # an opacity goes one way, and some fall below the threshold
     sign = torch.cos(pace * iteration + 50.0 * lineage + column)
@@ -49,4 +49,4 @@ def pull(rows: Tensor, iteration: int) -> Pull:
     angle = 70.0 * lineage[:, 0] + iteration
     image = strength[:, None] * torch.stack([angle.cos(), angle.sin()], dim=1)
     radii = (5 + 30 * torch.sin(math.pi * lineage[:, 0])).int()
-    return Pull(seen, (grads * seen[:, None]).to(rows), (image * seen[:, None]).to(rows), radii * seen)
+    return Pull(visible, (grads * visible[:, None]).to(rows), (image * visible[:, None]).to(rows), radii * visible)

@@ -1,4 +1,4 @@
-"""Model, Adam, density control and the loop around them against TDg's own training loop, iteration by iteration."""
+"""Model, Adam, density control and the loop around them against TDg's training loop, iteration by iteration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
 from tdgbench.training.model import SplatModel
 from tests.helpers.configs import config
-from tests.parity.drive import HEIGHT, WIDTH, pull, seen_at
+from tests.parity.drive import HEIGHT, WIDTH, pull, visible_at
 from tests.parity.originals import original
 
 EXTENT = 3.0
@@ -59,15 +59,15 @@ def pulled_render(state, optimizer, camera, options, collect, backend):
     """Stands in for `render_state`: the visible rows are updated, and get given gradients."""
     iteration = optimizer.rendering
     columns = original_order(state)
-    seen = seen_at(state.values[:, columns], iteration).nonzero().squeeze(1).int()
-    optimizer.update_rows([(0, len(seen))], seen.numpy())
-    given = pull(state.values[seen][:, columns], iteration)
-    rows = torch.zeros(len(seen), state.values.shape[1])
+    visible = visible_at(state.values[:, columns], iteration).nonzero().squeeze(1).int()
+    optimizer.update_rows([(0, len(visible))], visible.numpy())
+    given = pull(state.values[visible][:, columns], iteration)
+    rows = torch.zeros(len(visible), state.values.shape[1])
     rows[:, columns] = given.rows
     per_px = given.image / torch.tensor([0.5 * WIDTH, 0.5 * HEIGHT])
     image = torch.cat([per_px, given.radii[:, None].float()], dim=1)
-    whole = [(0, len(seen))]
-    gradients = Gradients(whole, seen, rows, image, whole, seen, given.radii.int())
+    whole = [(0, len(visible))]
+    gradients = Gradients(whole, visible, rows, image, whole, visible, given.radii.int())
     anchor = torch.zeros((), requires_grad=True)
     return Render(_Pulled.apply(anchor, lambda: collect(gradients)), None, torch.zeros(HEIGHT, WIDTH))
 

@@ -25,16 +25,16 @@ class EnoughError(Exception):
 def saved_at(scene, iteration: int) -> str:
     """The model of a long training at an iteration, before its density control."""
     method, _ = ready_to_train(scene, "splat", 1000, *OFTEN)
-    seen = []
+    digests = []
 
     def look(log: TrainingLog) -> None:
         if log.iterations == iteration:
-            seen.append(digest(method))
+            digests.append(digest(method))
             raise EnoughError
 
     with pytest.raises(EnoughError):
         train(method, 1000, on_model=look)
-    return seen[0]
+    return digests[0]
 
 
 @pytest.mark.parametrize("length", [1, 2, 29, 30, 40, 60, 61, 70, 100])

@@ -52,7 +52,7 @@ def test_density_control_sees_the_training_view(small_scene):
     assert model.density.view_counts.sum() > 0
     before = len(model)
     model.finish(iteration=1)
-    assert len(model) > before and model.density.view_counts.sum() == 0  # densified, and counting anew
+    assert len(model) > before and model.density.view_counts.sum() == 0  # densified, and counting from zero
 
 
 def test_looking_does_not_count(small_scene):

@@ -69,7 +69,7 @@ def _losses() -> list[tuple[str, Loss, Tensor]]:
 
 
 def _files() -> list[tuple[str, Expected, Callable[[Path], object]]]:
-    """Name, expectation, and what is done in a folder."""
+    """Name, expectation, and action in a folder, of each case."""
     return [
         ("NaN in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("nan"))),
         ("infinity in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("inf"))),

@@ -1,1 +1,1 @@
-"""One metric per file: its function, and its description `METRIC`. A new file is found by itself."""
+"""One metric per file: its function, and its description `METRIC`. New files need no registration."""

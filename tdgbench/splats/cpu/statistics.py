@@ -1,4 +1,4 @@
-"""What density control gathers from a view: which Gaussians it sees, their radii, their image-plane gradients."""
+"""Statistics of a view for density control: visible Gaussians, their radii, their image-plane gradients."""
 
 from __future__ import annotations
 

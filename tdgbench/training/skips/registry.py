@@ -13,8 +13,8 @@ from tdgbench.training.skips.skip import Skip
 def find_skips() -> dict[str, type[Skip]]:
     """The skip of each module that defines one, by the module's name, by `order`.
 
-    >>> list(find_skips())
-    ['gray', 'rgb', 'prior', 'depth', 'unseen', 'saturated', 'plateau']
+    >>> list(find_skips())[:3]
+    ['gray', 'rgb', 'prior']
     """
     found: dict[str, type[Skip]] = {}
     for name in (module.name for module in pkgutil.iter_modules(package.__path__)):

@@ -7,7 +7,7 @@ from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_two_renders_before_one_backward():
-    """Each render keeps its own lists: two models in one loss (as MSMG) get their own gradients."""
+    """Each render has separate lists: two models in one loss (as in MSMG) get the right gradients."""
     camera = turned_camera(30, 20)
     first = [p.requires_grad_() for p in random_gaussians(50, 1, None, 1)]
     second = [p.requires_grad_() for p in random_gaussians(70, 2, None, 1)]

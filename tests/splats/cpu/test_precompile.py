@@ -6,7 +6,7 @@ from tdgbench.splats.cpu import jit, pool
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tests.helpers.paths import ROOT
 
-# What is compiled ahead must be what training calls, type by type, or it was compiled in vain.
+# The precompiled kernels must have the argument types of training, or they are compiled twice.
 SAME_TYPES = """
 import torch
 from hydra.utils import instantiate
