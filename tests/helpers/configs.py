@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from functools import cache
+
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
@@ -20,6 +23,12 @@ QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
 
 def config(*overrides: str) -> DictConfig:
     """The project's configuration, composed with overrides."""
+    return copy.deepcopy(_composed(overrides))
+
+
+@cache
+def _composed(overrides: tuple[str, ...]) -> DictConfig:
+    """Composed once per set of overrides: a quarter of a second each."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return compose("config", overrides=list(overrides))
