@@ -1,8 +1,8 @@
 """`python -m benchmarks.core`: forward + backward of the splat core, in ms, ratios, and share of the FMA peak.
 
---torch                  also run plain torch, tile by tile (many seconds per call)
+--torch                  also run plain torch, tile by tile (seconds per call)
 --model PLY --data DIR   also render a trained model from a test camera of the capture in DIR
-Where a CUDA GPU and gsplat are, gsplat runs as well.
+Where a CUDA GPU and gsplat are available, gsplat runs as well.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_clo
 from tdgbench.experiments.measure.timing import fma_peak_gflops, interleave, median_ms
 from tdgbench.splats.backends import fast_backends, load_backend
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster.types import ForwardPass
 from tdgbench.splats.cpu.simd.registers import LANES
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
-MOST = "3+depth"  # the baseline of `most_ratio`
+MOST = "3+depth"  # that the others are compared with
 
 
 def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
@@ -61,7 +60,7 @@ def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> C
 
 
 def plain_torch(cloud: Cloud) -> Callable[[], float]:
-    """Seconds of forward + backward in plain torch, float32, tile by tile. Its channels are always 3 + depth."""
+    """Seconds of forward + backward in plain torch, float32, tile by tile, always with 3 channels and depth."""
     weights = torch.ones(cloud.height, cloud.width, 5)
 
     def run() -> float:
@@ -73,20 +72,18 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
 
 
 def pairs_with_weight(cloud: Cloud) -> int:
-    """Pixel-Gaussian pairs that a blend must evaluate: all pixels of a register (8 or 16) in which any has weight."""
+    """Pixel-Gaussian pairs that a blend cannot skip, in registers of 8 or 16 pixels in which any has weight."""
     given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
     leaves = [t.clone().requires_grad_() for t in given]
     camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height)
     view = render_view(GaussianTensors(*leaves), camera, backend="cpu")
-    done: ForwardPass = view.image.grad_fn.saved[2]  # type: ignore[union-attr]
-    starts, (counts, active_blocks) = done.tiles.starts, done.visits
-    place = np.arange(done.count_pairs()) - np.repeat(starts[:-1], np.diff(starts))
-    is_blended = place < np.repeat(counts, np.diff(starts))
-    return int(np.bitwise_count(active_blocks[: done.count_pairs()][is_blended]).sum()) * LANES
+    _, _, done, _ = view.image.grad_fn.saved  # type: ignore[union-attr]
+    starts, counts = done.tiles.starts, done.visits.counts
+    active = [done.visits.active_blocks[start : start + n] for start, n in zip(starts, counts, strict=False)]
+    return int(np.bitwise_count(np.concatenate(active)).sum()) * LANES
 
 
 def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Callable[[], float]]:
-    """Timed functions of a variant by name."""
     channels, depth = VARIANTS[variant]
     candidates = {
         "cpu": ours(cloud, channels, depth, "cpu", "both"),
@@ -103,8 +100,8 @@ def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Ca
 def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, with_torch: bool) -> pd.DataFrame:
     """One row per cloud, channels and candidate; those of a cloud take turns, and ratios are medians over the turns.
 
-    cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over that with 3 channels
-    and depth.
+    cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over that of the same one
+    with 3 channels and depth.
     """
     peak = fma_peak_gflops()
     rows = []
@@ -143,9 +140,9 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     """Milliseconds against Gaussians, log-log, one line per candidate and channel count."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axis = figure.subplots()
-    for (size, channels, name), group in table.groupby(["size", "channels", "candidate"], sort=False):
+    for (size, channels, name), line in table.groupby(["size", "channels", "candidate"], sort=False):
         if name not in ("cpu forward", "cpu backward"):
-            axis.loglog(group["gaussians"], group["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
+            axis.loglog(line["gaussians"], line["ms"], "o-", label=f"{name} {channels} {size}", lw=1)
     axis.set_xlabel("Gaussians")
     axis.set_ylabel("forward + backward, ms (median)")
     axis.legend(fontsize=7)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 from tdgbench.bench.record import read_all
-from tests.helpers.command import command
+from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL
 
 OPTIONS = [o for o in SMALL if not o.startswith("dataset.loader")]
@@ -19,7 +19,7 @@ def test_good_cells_finish_and_the_others_say_why(tmp_path, small_scene):
     (root / "incomplete" / "thermal" / "view004.png").unlink()
     shutil.rmtree(root / "unposed" / "sparse")
     shutil.rmtree(root / "thermal_only" / "rgb")
-    run = command(
+    run = command_here(
         tmp_path, "-m", *OPTIONS, "dataset=folder", f"data.root={root}", "budget=demo", "budget.iterations=12",
         "method=msmg", "scene=corrupt,good,incomplete,thermal_only,unposed",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""How Gaussians are blended: 3DGS's constants, and the shortcuts of the `cpu` backend."""
+"""Constants of alpha blending, 3DGS's by default, and the shortcuts of the `cpu` backend."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Blending:
-    """Constants of blending (the first three fields), and shortcuts that do not change the image.
+    """The first three change the image, the others only the work.
 
-    max_alpha: cap of alpha. min_alpha: smaller alphas are skipped. min_transmittance: a pixel stops before the Gaussian
-    that would reduce its transmittance below this. tight: tiles are listed by the ellipse in which alpha ≥ min_alpha;
-    otherwise by the 3 σ square, whatever the opacity, as in 3DGS. end_early: a tile ends once all its pixels have
-    stopped.
+    Args:
+        max_alpha: cap of alpha.
+        min_alpha: smaller alphas are skipped.
+        min_transmittance: a pixel stops before the Gaussian that would take its transmittance below this.
+        tight: list tiles by the ellipse in which alpha ≥ min_alpha; else by the square around the cutoff, whatever the
+            opacity, as 3DGS does.
+        end_early: a tile ends once all its pixels have stopped.
+
+    >>> round(1 / Blending().min_alpha)
+    255
+    >>> Blending(max_alpha=1.0)
+    Traceback (most recent call last):
+    ValueError: min_alpha 0.00392156862745098 and max_alpha 1.0 must be 0 ≤ min < max < 1
     """
 
     max_alpha: float = 0.99
@@ -28,7 +37,11 @@ class Blending:
             raise ValueError(f"min_transmittance is {self.min_transmittance}; it must be in [0, 1)")
 
     def moved(self, factor: float) -> Blending:
-        """Both thresholds moved by a factor: pixels that then differ are sensitive to rounding."""
+        """Both thresholds moved by a factor: pixels that then differ are those that a rounding error could flip.
+
+        >>> AS_3DGS.moved(2.0).min_transmittance
+        5e-05
+        """
         return replace(self, min_alpha=self.min_alpha * factor, min_transmittance=self.min_transmittance / factor)
 
 

@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 3, in 3DGS's sign convention (PLY files are interchangeable)."""
+"""Real spherical harmonics up to degree 3, in 3DGS's sign convention: its PLY files mean the same here."""
 
 from __future__ import annotations
 
@@ -21,14 +21,22 @@ C3 = (
 
 
 def num_bases(degree: int) -> int:
-    """Coefficients per channel at a degree: (degree + 1)²."""
+    """Coefficients per channel at a degree: (degree + 1)².
+
+    >>> [num_bases(degree) for degree in range(4)]
+    [1, 4, 9, 16]
+    """
     if not 0 <= degree <= MAX_DEGREE:
         raise ValueError(f"sh_degree is {degree}; it must be 0 to {MAX_DEGREE}")
     return (degree + 1) ** 2
 
 
 def basis(directions: Tensor, degree: int) -> Tensor:
-    """The basis functions at unit directions (…, 3) -> (…, (degree + 1)²)."""
+    """Basis functions (…, (degree + 1)²) at unit directions (…, 3).
+
+    >>> basis(torch.tensor([0.0, 0.0, 1.0]), 1)
+    tensor([0.2821, -0.0000, 0.4886, -0.0000])
+    """
     x, y, z = directions.unbind(-1)
     values = [torch.full_like(x, C0)]
     if degree >= 1:
@@ -62,10 +70,14 @@ def colors_from_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
 
 
 def sh_from_color(color: Tensor) -> Tensor:
-    """Degree-0 coefficient of a colour in [0, 1]."""
+    """Degree-0 coefficient of a colour in [0, 1], any shape.
+
+    >>> sh_from_color(torch.tensor([0.0, 0.5, 1.0]))
+    tensor([-1.7725,  0.0000,  1.7725])
+    """
     return (color - 0.5) / C0
 
 
 def color_from_sh(dc: Tensor) -> Tensor:
-    """Colour of a degree-0 coefficient."""
+    """Colour of a degree-0 coefficient, any shape; inverse of `sh_from_color`."""
     return dc * C0 + 0.5

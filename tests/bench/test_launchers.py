@@ -14,6 +14,8 @@ from tdgbench.splats.cpu import pool
 from tests.helpers.command import command
 from tests.helpers.configs import QUICK
 
+pytestmark = pytest.mark.slow
+
 CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
 
 

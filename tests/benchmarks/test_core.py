@@ -1,17 +1,12 @@
-import subprocess
-import sys
-
 import pandas as pd
 
-from tests.helpers.paths import ROOT
+from benchmarks import core
+from tests.helpers.command import program_here
 
 
 def test_runs_small(tmp_path):
     small = ["--counts", "300", "--sizes", "64x48", "--channels", "1", "3+depth", "--repetitions", "2", "--torch"]
-    run = subprocess.run(
-        [sys.executable, "-m", "benchmarks.core", *small, "--out", str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    run = program_here(core.main, tmp_path, "core", *small, "--out", str(tmp_path))
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "core.csv")
     assert set(table["candidate"]) == {"cpu", "cpu forward", "cpu backward", "torch"}

@@ -1,20 +1,15 @@
-import subprocess
-import sys
-
 import pandas as pd
 import pytest
 
+from benchmarks import training
+from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
-from tests.helpers.paths import ROOT
 
 
 @pytest.mark.parametrize("method", ["tdg", "msmg"])
 def test_parts_add_up(tmp_path, data_root, method):
     overrides = [*SMALL, f"data.root={data_root}", "prior=synthetic", "budget=demo", f"method={method}"]
-    run = subprocess.run(
-        [sys.executable, "-m", "benchmarks.training", *overrides, "--steps", "20", "--out", str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    run = program_here(training.main, tmp_path, "training", *overrides, "--steps", "20", "--out", str(tmp_path))
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "training.csv")
     assert table["share"].sum() == pytest.approx(1) and (table["ms"] > 0).all()

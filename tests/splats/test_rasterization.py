@@ -193,6 +193,7 @@ def test_bitwise_equal_on_any_number_of_threads(backend):
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", ["8", "16"])
 def test_other_instruction_sets(lanes):
     """The kernels compiled for half or full registers, in a process of their own, agree with the reference."""

@@ -25,6 +25,7 @@ from tdgbench.training.method import Method
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
     "raster.projection_forward": "project",
+    "raster.sorting": "bin",
     "raster.tiles": "bin",
     "raster.blend": "blend",
     "raster.blend_backward": "blend backward",
@@ -32,6 +33,10 @@ PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.dense": "projection backward",
     "adam": "Adam",
     "statistics": "density control",
+    "rows": "density control",
+    "losses.photometric": "losses",
+    "losses.smoothness": "losses",
+    "losses.minmax": "losses",
 }
 REMAINDER = "Python and torch"
 
@@ -88,7 +93,7 @@ class StepProfile:
 
 
 def _part_of_kernel(kernel, _arguments) -> str:
-    return PART_OF_MODULE.get(kernel.__module__.removeprefix("tdgbench.splats.cpu."), "losses")
+    return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.splats.cpu.")]
 
 
 def measure_step(cfg: DictConfig, steps: int) -> StepCost:

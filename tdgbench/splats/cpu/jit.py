@@ -33,10 +33,13 @@ def lanes() -> int:
 CACHE_DIR = open_cache(lanes())
 
 
-def kernel(inline: bool = False, free_sums: bool = False, variant: str = "") -> Callable[[Callable[..., Any]], Any]:
+def kernel(
+    inline: bool = False, free_sums: bool = False, variant: str = "", allocates: bool = False
+) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function to machine code that runs without the GIL.
 
-    inline: a helper that kernels call. free_sums: sums may be reordered, and so vectorised; for kernels whose sums
+    inline: a helper that kernels call; it counts no references to arrays, which would cost atomic operations in inner
+    loops, unless it `allocates`. free_sums: sums may be reordered, and so vectorised; for kernels whose sums
     run over one row, so that results still do not depend on the number of threads. variant: name of one of several
     kernels made from the same source; each has separate files in the cache. Its closure may hold numbers only: Numba
     hashes it to find the machine code, and a function in it hashes differently in every process.
@@ -54,7 +57,7 @@ def kernel(inline: bool = False, free_sums: bool = False, variant: str = "") -> 
             "no_cfunc_wrapper": True,
         }
         if inline:
-            return njit(forceinline=True, **options)(function)
+            return njit(forceinline=True, _nrt=allocates, **options)(function)
         previous = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(CACHE_DIR)
         try:

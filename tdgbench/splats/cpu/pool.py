@@ -1,6 +1,6 @@
-"""The thread pool of the kernels: plain Python threads, because kernels release the GIL.
+"""Thread pool that runs the kernels: plain Python threads, since the kernels release the GIL.
 
-Results do not depend on the number of threads, because those of the pieces of work do not.
+Callers cut work into pieces whose results do not depend on their number, so no result depends on the threads.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ _pool: tuple[int, int, ThreadPoolExecutor] | None = None  # process id, workers,
 
 
 def available_cores() -> int:
-    """Number of cores that this process may run on, by its affinity where the platform reports it."""
+    """Cores that this process may run on, by its affinity where the platform reports it."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def get_threads() -> int:
-    """Number of threads of the CPU kernels: that of `set_threads`, else one per available core."""
+    """Threads of the CPU kernels: the number given to `set_threads`, else every available core."""
     return _threads if _threads is not None else available_cores()
 
 
 def chosen_threads() -> int | None:
-    """Number of threads from `set_threads`; None: one per available core."""
+    """Number given to `set_threads`; None means every available core."""
     return _threads
 
 
 def set_threads(count: int | None) -> None:
-    """Set the number of threads of the CPU kernels; None: one per available core. Raises ValueError below 1."""
+    """Set the number of threads of the CPU kernels (None: every available core)."""
     global _threads
     if count is not None and count < 1:
         raise ValueError(f"threads is {count}; it must be 1 or more")
@@ -40,9 +40,9 @@ def set_threads(count: int | None) -> None:
 
 
 def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Call `function` on each tuple of arguments in parallel, on the first in the calling thread; return the results.
+    """Call `function` concurrently, once per tuple of arguments; the calling thread takes the first.
 
-    Waits for all calls to end before it raises the exception of one of them.
+    Returns the results in order once all calls have ended, or raises the exception of one of them.
     """
     if len(arguments) == 1:
         return [function(*arguments[0])]
@@ -55,7 +55,11 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
 
 
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:
-    """Split range(count) into `threads` contiguous ranges (first, end) of nearly equal length."""
+    """Cut range(count) into `threads` contiguous pieces (start, stop) of nearly equal length.
+
+    >>> chunks(10, 3)
+    [(0, 3), (3, 6), (6, 10)]
+    """
     return [(count * t // threads, count * (t + 1) // threads) for t in range(threads)]
 
 

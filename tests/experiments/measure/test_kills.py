@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.measure.kills import compare, contents, run_killed
-from tests.helpers.command import command
+from tests.helpers.command import command, command_here
 from tests.helpers.configs import QUICK
 
 SWEEP = ("method=splat,tdg", "scene=turntable,orbit", "budget.iterations=700", "checkpoint=0")
 
 
+@pytest.mark.slow
 def test_killed_and_resumed(tmp_path, data_root):
     sweep = ["-m", *QUICK, *SWEEP, f"data.root={data_root}"]
     calm, killed = tmp_path / "results" / "single", tmp_path / "killed" / "single"
@@ -25,8 +28,8 @@ def test_killed_and_resumed(tmp_path, data_root):
 
 def test_a_difference_is_reported(tmp_path, data_root):
     quick = (*QUICK, "scene=turntable", "method=splat", f"data.root={data_root}")
-    assert command(tmp_path, *quick).returncode == 0
-    assert command(tmp_path, *quick, "seed=1", "name=other").returncode == 0
+    assert command_here(tmp_path, *quick).returncode == 0
+    assert command_here(tmp_path, *quick, "seed=1", "name=other").returncode == 0
     results = tmp_path / "results"
     assert compare(results / "single", results / "single") == []
     assert len(compare(results / "single", results / "other")) == 2  # each has a cell that the other has not

@@ -13,7 +13,7 @@ def surprise(_backend):
 
 
 def test_table_picture_and_status(tmp_path, data_root, capsys, monkeypatch):
-    cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", "job.cases=opacity")
+    cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", "job.cases=appearance")
     Stress().run(cfg)
     table = pd.read_csv(tmp_path / "stress" / "stress.csv")
     assert len(table) >= 5 and table["passed"].all() and (tmp_path / "stress" / "stress.png").exists()

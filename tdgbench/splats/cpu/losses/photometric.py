@@ -15,7 +15,8 @@ import numpy as np
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.losses import ssim
-from tdgbench.splats.cpu.losses.smoothness import difference_row
+from tdgbench.splats.cpu.losses.row_sums import difference_sum, row_sum
+from tdgbench.splats.cpu.losses.smoothness import add_difference_gradient, neighbour_differences
 
 F, U = np.float32, np.uint64
 TAPS, RADIUS = ssim.WINDOW, ssim.WINDOW // 2
@@ -98,10 +99,9 @@ def moments_of_row(ra, rb, channels, line, out):
 
 @kernel(free_sums=True)
 def similarity_of_row(filtered, channels, line, values, out):
-    """Σ SSIM of a row, from its five moments `filtered` (5, columns).
+    """values (columns,) = SSIM of a row's pixels, from its five moments `filtered` (5, columns).
 
-    out (3, columns) = dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along the row; line (3, padded columns) and
-    values (columns,) are scratch.
+    out (3, columns) = dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along the row; line (3, padded columns) is scratch.
     """
     n = values.shape[0]
     c = U(channels)
@@ -127,32 +127,24 @@ def similarity_of_row(filtered, channels, line, values, out):
         )
         l1[x + pad] = d_aa
         l2[x + pad] = d_ab
-    total = ZERO
-    for x in range(U(n)):
-        total += values[x]
     for k in range(3):
         source, target = line[k], out[k]
         for x in range(U(n)):
             target[x] = along_row(source, x, c)
-    return total
 
 
 @kernel(free_sums=True)
 def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
-    """Σ |a − b| of rows a and b (columns,); out = l1_scale · sign(a − b) + ssim_scale · dS/da.
+    """out (columns,) = l1_scale · sign(a − b) + ssim_scale · dS/da, of rows a and b (columns,).
 
     filtered (3, columns): dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along rows and columns.
     """
     n = ra.shape[0]
     f0, f1, f2 = filtered[0], filtered[1], filtered[2]
-    total = ZERO
-    for x in range(U(n)):
-        total += abs(ra[x] - rb[x])
     for x in range(U(n)):
         d = ra[x] - rb[x]
         sign = l1_scale if d > ZERO else (-l1_scale if d < ZERO else ZERO)
         out[x] = sign + ssim_scale * (f0[x] + TWO * ra[x] * f1[x] + rb[x] * f2[x])
-    return total
 
 
 @kernel()
@@ -180,9 +172,9 @@ def photometric_band(start, stop, images, scales, gradient, sums):
         if s >= 0 and s < rows:
             for k in range(5):
                 across_rows(moments, k, s, filtered[k])
-            total = similarity_of_row(filtered, channels, slope_line, values, slopes[here])
+            similarity_of_row(filtered, channels, slope_line, values, slopes[here])
             if s >= start and s < stop:
-                sums[s, 1] = total
+                sums[s, 1] = row_sum(values)
         else:
             slopes[here, :, :] = ZERO
         g = s - RADIUS
@@ -190,9 +182,11 @@ def photometric_band(start, stop, images, scales, gradient, sums):
             continue
         for k in range(3):
             across_rows(slopes, k, g, filtered[k])
-        sums[g, 0] = gradient_of_row(a[g], b[g], filtered, scales.l1, scales.ssim, gradient[g])
+        gradient_of_row(a[g], b[g], filtered, scales.l1, scales.ssim, gradient[g])
+        sums[g, 0] = difference_sum(a[g], b[g])
         if scales.smooth != ZERO:
-            sums[g, 2] = difference_row(g, a, channels, scales.wrap, scales.smooth, gradient[g])
+            add_difference_gradient(g, a, channels, scales.wrap, scales.smooth, gradient[g])
+            sums[g, 2] = neighbour_differences(g, a, channels, scales.wrap)
 
 
 def photometric_and_gradient(

@@ -9,6 +9,7 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.losses.row_sums import difference_sum
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
@@ -20,41 +21,54 @@ def sign(x):
     return ONE if x > ZERO else (-ONE if x < ZERO else ZERO)
 
 
-@kernel(free_sums=True)
-def difference_row(y, image, channels, wrap, scale, out):
-    """Σ |right − here| + Σ |below − here| of row y; out += scale · Σ over the 4 neighbours of sign(here − neighbour).
+@kernel(inline=True)
+def row_below(y, rows, wrap):
+    """Number of the row below row y; y itself at the bottom without `wrap`."""
+    return y + 1 if y < rows - 1 else (0 if wrap else y)
 
-    image: (rows, columns · channels); out: (columns · channels,). With `wrap` the image is a torus; without it, there
-    are no pairs across the border.
+
+@kernel(inline=True)
+def neighbour_differences(y, image, channels, wrap):
+    """Σ |right − here| + Σ |below − here| of row y of an image (rows, columns · channels); `wrap`: on a torus."""
+    here = image[y]
+    count = here.shape[0]
+    total = difference_sum(image[row_below(y, image.shape[0], wrap)], here)
+    total += difference_sum(here[channels:], here[: count - channels])
+    if wrap:
+        total += difference_sum(here[:channels], here[count - channels :])
+    return total
+
+
+@kernel()
+def add_difference_gradient(y, image, channels, wrap, scale, out):
+    """out (columns · channels,) += scale · Σ over the 4 neighbours of sign(here − neighbour), in row y.
+
+    image: (rows, columns · channels). With `wrap` the image is a torus; without it, there are no pairs across the
+    border.
     """
     rows, columns = image.shape
     c = U(channels)
-    here = image[y]
+    here, below = image[y], image[row_below(y, rows, wrap)]
     above = image[y - 1] if y > 0 else (image[rows - 1] if wrap else here)
-    below = image[y + 1] if y < rows - 1 else (image[0] if wrap else here)
-    total = ZERO
     for x in range(U(columns)):
-        total += abs(below[x] - here[x])
         out[x] += scale * (sign(here[x] - above[x]) + sign(here[x] - below[x]))
     for x in range(U(columns - channels)):
-        total += abs(here[x + c] - here[x])
         out[x] += scale * sign(here[x] - here[x + c])
     for x in range(c, U(columns)):
         out[x] += scale * sign(here[x] - here[x - c])
     if wrap:
         for x in range(c):
             last = U(columns - channels) + x
-            total += abs(here[x] - here[last])
             out[last] += scale * sign(here[last] - here[x])
             out[x] += scale * sign(here[x] - here[last])
-    return total
 
 
 @kernel()
 def difference_rows(start, stop, image, channels, wrap, sums, gradient):
-    """`difference_row` for rows [start, stop): sums (rows,) and gradient (rows, columns · channels)."""
+    """Rows [start, stop): sums (rows,) of `neighbour_differences`, and gradient (rows, columns · channels)."""
     for y in range(start, stop):
-        sums[y] = difference_row(y, image, channels, wrap, ONE, gradient[y])
+        add_difference_gradient(y, image, channels, wrap, ONE, gradient[y])
+        sums[y] = neighbour_differences(y, image, channels, wrap)
 
 
 def differences_and_gradient(image: np.ndarray, wrap: bool) -> tuple[float, np.ndarray]:

@@ -1,1 +1,1 @@
-"""Rasterization kernels: culling, projection, tiles, blending, and their gradients."""
+"""Splatting on the CPU: culling, projection, tile lists, blending, and their gradients."""

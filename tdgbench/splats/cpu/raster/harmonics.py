@@ -1,4 +1,7 @@
-"""The basis of spherical harmonics and its gradient, LANES directions at a time (as `tdgbench.splats.harmonics`)."""
+"""Spherical harmonics and their gradient, LANES directions at a time, as in `tdgbench.splats.harmonics`.
+
+Directions and means are tuples of registers; buffers hold 16 registers, (16 · LANES,) float32.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ def view_direction(mean, camera):
 
 @kernel(inline=True)
 def write_basis(x, y, z, degree, b):
-    """Register k of b = basis function k at the unit directions (x, y, z), for k < (degree + 1)²."""
+    """Write basis function k at the unit directions (x, y, z) to register k of b, for k < (degree + 1)²."""
     store(b, 0, broadcast(C0))
     if degree >= 1:
         store(b, LANES, y * -C1)
@@ -52,7 +55,7 @@ def write_basis(x, y, z, degree, b):
 
 @kernel(inline=True)
 def direction_gradient(x, y, z, degree, s):
-    """d(Σ_k s_k basis_k)/d(x, y, z); s_k is register k of s."""
+    """d(Σ_k s_k basis_k)/d(x, y, z), where s_k is register k of s; degree ≥ 1."""
     s1, s2, s3 = load(s, LANES), load(s, 2 * LANES), load(s, 3 * LANES)
     gx = s3 * -C1
     gy = s1 * -C1

@@ -46,7 +46,7 @@ class Scratch(NamedTuple):
 def projection_backward(first, count, parameters, channels, camera, splats, slots, rows):
     """Gradients of splats [first, first + count), for those that have any; returns how many rows that is.
 
-    Arguments are of the types that have their names; rows: GradientArrays, written from `first` on, zero after colours.
+    Arguments are of the types that have their names; rows: GradientArrays, written from `first` on.
     """
     scratch = Scratch(
         aligned_floats(MAX_SLOT * LANES),
@@ -56,6 +56,7 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     )
     total = np.empty(MAX_SLOT, np.float32)
     slot_floats = MOMENTS + channels.colors + channels.depth
+    pairs, values, written = splats.pairs, slots.values, slots.written
     done, filled = first, 0
     r = first
     while r < first + count or filled > 0:
@@ -63,7 +64,16 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
             prefetch_parameters(
                 splats.gaussian_ids[U(min(r + PREFETCH_DISTANCE, first + count - 1))], parameters, channels
             )
-            if sum_slots(splats.pairs, r, slots, slot_floats, total):
+            for j in range(U(slot_floats)):
+                total[j] = ZERO
+            for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
+                if written[U(slot)]:
+                    for j in range(U(slot_floats)):
+                        total[j] += values[U(slot) * U(slot_floats) + j]
+            pulled = False
+            for j in range(U(slot_floats)):
+                pulled = pulled or total[j] != ZERO
+            if pulled:
                 for j in range(U(slot_floats)):
                     scratch.totals[j * U(LANES) + U(filled)] = total[j]
                 scratch.splat_ids[filled] = r
@@ -90,24 +100,6 @@ def prefetch_parameters(gaussian_id, parameters, channels):
     n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
     prefetch(means.values, U(i * means.stride + means.first))
     prefetch_columns(colors.values, i, colors.stride, colors.first, n_bases * channels.colors)
-
-
-@kernel(inline=True)
-def sum_slots(pairs, r, slots, slot_floats, total):
-    """total[:slot_floats] = sum over the slots of splat r that were written; returns whether any of it is not zero.
-
-    pairs (n, 2) int32; slots: Slots; total (MAX_SLOT,) float32.
-    """
-    for j in range(U(slot_floats)):
-        total[j] = ZERO
-    for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
-        if slots.written[U(slot)]:
-            for j in range(U(slot_floats)):
-                total[j] += slots.values[U(slot) * U(slot_floats) + j]
-    pulled = False
-    for j in range(U(slot_floats)):
-        pulled = pulled or total[j] != ZERO
-    return pulled
 
 
 @kernel(inline=True)

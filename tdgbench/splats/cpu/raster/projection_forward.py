@@ -138,6 +138,7 @@ def project_and_list(
     group, basis = aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
+    tiles, means = pair_tiles.tiles, parameters.means.values  # a reference in the loop costs an atomic operation
     for k in range(first, first + count, LANES):
         mean, has_nan = project_group(group, candidates, k, parameters, camera, limits, has_nan)
         write_colors(group, parameters.colors, candidates, k, channels, mean, camera, basis)
@@ -155,14 +156,13 @@ def project_and_list(
                 continue
             before = n_pairs
             box = box_of(group, i)
-            n_pairs = list_tiles(ellipse_of(group, i), box, limits.loose, tiles_x, n_pairs, pair_tiles.tiles)
+            n_pairs = list_tiles(ellipse_of(group, i), box, limits.loose, tiles_x, n_pairs, tiles)
             if n_pairs == before:
                 continue
             r = U(n_splats)
             write_splat(splats.values, r, group, i, channels)
             splats.values[r, U(RADIUS)] = F(projected.radii[at])
             m = U(candidates[U(k) + i]) * U(parameters.means.stride) + U(parameters.means.first)
-            means = parameters.means.values
             exact_u, exact_v = exact_image_point(means[m], means[m + U(1)], means[m + U(2)], camera)
             splats.values[r, U(U_)], splats.values[r, U(V_)] = F(exact_u - box.left), F(exact_v - box.top)
             splats.pairs[r, U(0)], splats.pairs[r, U(1)] = pair_tiles.first + before, pair_tiles.first + n_pairs

@@ -1,4 +1,7 @@
-"""What SIMD values do with memory: whole registers, columns of scattered rows, prefetch, and the counter of work."""
+"""Memory access of SIMD values: whole registers, columns of scattered rows, prefetch, and a shared work counter.
+
+`index`, `row` and `k` are integer scalars. Offsets count floats.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,9 @@ _INDEX = ir.IntType(32)
 _LONG = ir.IntType(64)
 
 
-@kernel(inline=True)
+@kernel(inline=True, allocates=True)
 def aligned_floats(count):
-    """`count` zeros that begin on a 64-byte boundary."""
+    """Array (at least `count`,) float32 of zeros that begins on a 64-byte boundary."""
     raw = np.zeros(count + 16, np.float32)
     return raw[((-raw.ctypes.data) & 63) >> 2 :]
 
@@ -28,14 +31,20 @@ def _address(context, builder, array_type, array, index):
     return builder.bitcast(builder.gep(data, [index]), FLOATS.as_pointer())
 
 
-@intrinsic
-def load(typing_context, array, index):
-    """LANES floats from a 1-D float32 array, at an offset aligned to the register."""
+def _loading(alignment: int, documentation: str):
+    @intrinsic
+    def operation(typing_context, array, index):
+        def generate(context, builder, signature, args):
+            return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=alignment)
 
-    def generate(context, builder, signature, args):
-        return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=4 * LANES)
+        return vec(array, index), generate
 
-    return vec(array, index), generate
+    operation.__doc__ = documentation
+    return operation
+
+
+load = _loading(4 * LANES, "LANES floats from a 1-D float32 array, at an offset aligned to the register.")
+load_anywhere = _loading(4, "LANES floats from a 1-D float32 array, at any offset.")
 
 
 def _storing(alignment: int, documentation: str):
@@ -58,7 +67,7 @@ store_anywhere = _storing(4, "LANES floats into a 1-D float32 array, at any offs
 
 @intrinsic
 def prefetch(typing_context, values, index):
-    """Ask for the cache line of values[index] (1-D) to be brought in."""
+    """Prefetch the cache line of values[index]; values is 1-D, any type."""
 
     def generate(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -77,7 +86,7 @@ def _call_prefetch(builder, pointer):
 
 @kernel(inline=True)
 def prefetch_columns(values, row, stride, column, count):
-    """Ask for columns [column, column + count) of a row of a matrix that is given as flat float32 memory."""
+    """Prefetch columns [column, column + count) of a row of a matrix (rows, stride) in flat float32 memory."""
     for j in range(0, count, LINE):
         prefetch(values, U(row * stride + column + j))
 
@@ -106,7 +115,7 @@ def gather(typing_context, values, rows, k, stride, column):
 
 @kernel(inline=True)
 def gather_3(values, rows, k, stride, column):
-    """Three neighbouring columns of the rows named by rows[k …]."""
+    """Three registers: columns column, + 1, + 2 of the rows rows[k …], as `gather`."""
     return (
         gather(values, rows, k, stride, column),
         gather(values, rows, k, stride, column + 1),
@@ -116,7 +125,7 @@ def gather_3(values, rows, k, stride, column):
 
 @intrinsic
 def put_column(typing_context, values, first_row, stride, column, value):
-    """values[(first_row + l) · stride + column] = lane l."""
+    """values[(first_row + l) · stride + column] = lane l; values is float32, contiguous."""
 
     def generate(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -131,7 +140,7 @@ def put_column(typing_context, values, first_row, stride, column, value):
 
 @intrinsic
 def take_next(typing_context, counter):
-    """Atomically counter[0]++, returning the old value: hands out work to threads that run without the GIL."""
+    """Atomically counter[0]++, counter (1,) int64; returns the old value: hands out work to threads without the GIL."""
 
     def generate(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -150,7 +159,7 @@ def float_bits(typing_context, x):
 
 @intrinsic
 def prefetch_row(typing_context, array, row):
-    """Ask for row `row` (unsigned) of a 2-D array to be brought into the cache."""
+    """Prefetch row `row` (unsigned) of a 2-D array."""
 
     def generate(context, builder, signature, args):
         struct = context.make_array(signature.args[0])(context, builder, args[0])

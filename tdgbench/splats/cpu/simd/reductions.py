@@ -1,4 +1,4 @@
-"""From the lanes of SIMD values to one number, always in the same order."""
+"""Reductions of the lanes of SIMD values, always in the same order."""
 
 from __future__ import annotations
 
