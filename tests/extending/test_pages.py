@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -242,7 +243,7 @@ def test_skip(page, data_root, small_gray_scene):
     from repeating import Repeating
 
     first, *others = small_gray_scene.train
-    scene = Scene(**{**vars(small_gray_scene), "train": [first, first, first, *others]})
+    scene = replace(small_gray_scene, train=[first, first, first, *others])
 
     def trained_views(allowed: dict[str, object]):
         training = set_up(
