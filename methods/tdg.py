@@ -132,10 +132,10 @@ class DepthTarget:
 
 def comparable_depth(render: Render, kind: str) -> Tensor:
     """Rendered depth (H, W) of the prior's kind: accumulated z (TDg, eq. 3), or the inverse z for a disparity."""
-    assert render.depth is not None
+    depth = render.requested_depth
     if kind != "disparity":
-        return render.depth
-    return inverse_expected_depth(render.depth, render.transmittance, MIN_ALPHA)
+        return depth
+    return inverse_expected_depth(depth, render.transmittance, MIN_ALPHA)
 
 
 def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:

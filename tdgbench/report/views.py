@@ -57,9 +57,8 @@ def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     """Expected z (H, W) of a cell's model from a test camera, NaN without a surface; and that camera."""
     gaussians, camera = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")[view]
     render = render_model(gaussians, camera, depth=True)
-    assert render.depth is not None
     alpha = 1 - render.transmittance
-    return torch.where(alpha > MIN_ALPHA, render.depth / alpha, torch.nan).numpy(), camera
+    return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan).numpy(), camera
 
 
 def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:

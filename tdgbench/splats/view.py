@@ -94,6 +94,13 @@ class Render:
         """(H, W): 1 − transmittance."""
         return 1.0 - self.transmittance
 
+    @property
+    def requested_depth(self) -> Tensor:
+        """`depth`. Raises ValueError if it was not requested."""
+        if self.depth is None:
+            raise ValueError("the view was rendered without depth; request it with depth=True")
+        return self.depth
+
     def cpu(self) -> Render:
         """The image, depth and transmittance on the CPU."""
         depth = None if self.depth is None else self.depth.cpu()

@@ -79,6 +79,4 @@ def half_unit(printed: str) -> float:
     >>> half_unit("27.42")
     0.005
     """
-    exponent = Decimal(printed).as_tuple().exponent
-    assert isinstance(exponent, int)
-    return 0.5 * 10.0**exponent
+    return 0.5 * 10.0 ** int(Decimal(printed).as_tuple().exponent)

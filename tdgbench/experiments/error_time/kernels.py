@@ -148,7 +148,7 @@ def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
             start = now()
             view = oracle.view_of(cloud, leaves, setting.backend, setting.blending)
             if part == "both":
-                torch.autograd.backward([view.image, oracle.depth_of(view)], upstream)
+                torch.autograd.backward([view.image, view.requested_depth], upstream)
             return now() - start
         finally:
             pool.set_threads(before)

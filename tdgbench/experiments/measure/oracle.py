@@ -50,18 +50,11 @@ def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending
     )
 
 
-def depth_of(view: Render) -> Tensor:
-    """Depth (H, W, world units) of a view. Raises TypeError if it was rendered without."""
-    if view.depth is None:
-        raise TypeError("the view was rendered without depth")
-    return view.depth
-
-
 def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:
     """Image and gradients of a cloud on a fast backend in float32; `render` is the oracle. weights: (H, W, D + 2)."""
     leaves = leaves_of(cloud, torch.float32, device_of(backend))
     view = view_of(cloud, leaves, backend, blending)
-    image = torch.cat([view.image, depth_of(view)[..., None]], dim=-1)
+    image = torch.cat([view.image, view.requested_depth[..., None]], dim=-1)
     w = weights.to(image)
     ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
     gradients = {name: leaf.grad.cpu() for name, leaf in zip(NAMES, leaves, strict=True) if leaf.grad is not None}

@@ -72,5 +72,9 @@ class Backend(Protocol):
 
 def _dense(grad: torch.Tensor, view: Render) -> Gradients:
     """Gradients by rows (N, columns) and by image means, after the backward pass of a view."""
-    assert view.projection is not None and view.projection.means2d.grad is not None
-    return Gradients.dense(grad, view.projection.means2d.grad, view.projection.radii)
+    projection = view.projection
+    if projection is None or projection.means2d.grad is None:
+        raise RuntimeError(
+            "a backend must set `projection`, and `means2d.grad` in its backward pass"
+        )
+    return Gradients.dense(grad, projection.means2d.grad, projection.radii)
