@@ -32,10 +32,10 @@ def backward(
             for gradient, image in zip((color, depth, transmittance), done.images)
         )
     )
-    workspace, passing = Workspace(), Workspace()
+    workspace, scratch = Workspace(), Workspace()
     floats = slot_size(len(settings.background) + settings.depth_channel)
     slots = Slots(
-        passing.take("slots", done.pair_capacity * floats, np.float32), np.zeros(done.pair_capacity, np.bool_)
+        scratch.take("slots", done.pair_capacity * floats, np.float32), np.zeros(done.pair_capacity, np.bool_)
     )
     fill_slots(settings, done, gradients, slots)
     capacity = -(-len(done.splats.values) // LANES) * LANES

@@ -123,7 +123,7 @@ def pixel_of(block, lane, tile):
 
 @kernel(inline=True)
 def form_of(splats, i, tile):
-    """Form of row i of splats (n, 16), seen from a tile."""
+    """Form of row i of splats (n, 16), relative to a tile."""
     return Form(
         broadcast((F(tile.left) - splats[i, FIRST_X]) - splats[i, U_]),
         broadcast((F(tile.top) - splats[i, FIRST_Y]) - splats[i, V_]),

@@ -11,7 +11,8 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.projection import camera_point, column, exponential, ray_limits, three_columns
+from tdgbench.splats.cpu.raster.parameters import column, exponential, three_columns
+from tdgbench.splats.cpu.raster.projection import camera_point, ray_limits
 from tdgbench.splats.cpu.raster.source import Source, Span
 from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.cpu.scratch import Workspace

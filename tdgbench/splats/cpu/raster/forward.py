@@ -19,22 +19,22 @@ from tdgbench.splats.cpu.scratch import Workspace
 
 def forward(source: Source, settings: Settings) -> ForwardPass:
     """Render one camera."""
-    workspace, passing = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
-    candidates, spans = find_candidates(source, settings, passing)
+    workspace, scratch = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
+    candidates, spans = find_candidates(source, settings, scratch)
     if source.update is not None:
         source.update(spans, candidates)
-    seen = project(source, settings, candidates, spans, workspace, passing)
-    keys, splat_ids = seen.order
-    spare = [(passing.take("keys", len(keys), np.uint32), passing.take("order", len(keys), np.int32)) for _ in "12"]
-    _, by_depth = sort_by_key([(first, first + n) for first, n in seen.splat_spans], keys, splat_ids, spare)
+    found = project(source, settings, candidates, spans, workspace, scratch)
+    keys, splat_ids = found.order
+    spare = [(scratch.take("keys", len(keys), np.uint32), scratch.take("order", len(keys), np.int32)) for _ in "12"]
+    _, by_depth = sort_by_key([(first, first + n) for first, n in found.splat_spans], keys, splat_ids, spare)
     n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
-    tiles = TileLists(*list_by_tile(by_depth, seen.splats.pairs, seen.pair_tiles, n_tiles, workspace.take))
+    tiles = TileLists(*list_by_tile(by_depth, found.splats.pairs, found.pair_tiles, n_tiles, workspace.take))
     active_blocks = workspace.take("active blocks", len(tiles.splat_ids), np.uint32)
-    images, visits = blend_tiles(settings, seen.splats, tiles, active_blocks)
-    if seen.has_nan:  # the Gaussian could have been anywhere
+    images, visits = blend_tiles(settings, found.splats, tiles, active_blocks)
+    if found.has_nan:  # the Gaussian could have been anywhere
         for image in images:
             image[:] = np.nan
     return ForwardPass(
-        images, seen.projected, seen.projected_spans, seen.splats, seen.splat_spans, tiles, visits,
-        len(seen.pair_tiles), workspace,
+        images, found.projected, found.projected_spans, found.splats, found.splat_spans, tiles, visits,
+        len(found.pair_tiles), workspace,
     )  # fmt: skip

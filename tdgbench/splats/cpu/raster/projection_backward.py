@@ -13,8 +13,10 @@ import numpy as np
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
+from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
 from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
-from tdgbench.splats.cpu.raster.projection import column, footprint
+from tdgbench.splats.cpu.raster.parameters import column
+from tdgbench.splats.cpu.raster.projection import footprint_of
 from tdgbench.splats.cpu.raster.splat import CHANNELS, FLOATS, OPACITY, RADIUS
 from tdgbench.splats.cpu.simd.memory import (
     aligned_floats,
@@ -25,10 +27,10 @@ from tdgbench.splats.cpu.simd.memory import (
     put_column,
     store,
 )
-from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, equal, greater, select
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, select
 
 F, U = np.float32, np.uint64
-ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
+ZERO, ONE = F(0), F(1)
 PREFETCH_DISTANCE = 16  # splats
 MAX_SLOT = MOMENTS + 4  # floats
 
@@ -106,8 +108,8 @@ def prefetch_parameters(gaussian_id, parameters, channels):
 def write_rows(done, parameters, channels, camera, splats, scratch, rows):
     """Gradient rows done, done + 1, … of the group in `scratch`; splats (n, 16) float32."""
     totals, stride = scratch.totals, rows.values.shape[1]
-    seen = footprint(parameters, rows.gaussian_ids, done, camera)
-    scales = seen.scales
+    footprint = footprint_of(parameters, rows.gaussian_ids, done, camera)
+    scales = footprint.scales
     opacity = gather(splats, scratch.splat_ids, 0, FLOATS, OPACITY)
     t0 = load(totals, 0)
     if parameters.raw:
@@ -115,18 +117,20 @@ def write_rows(done, parameters, channels, camera, splats, scratch, rows):
     else:
         put_column(rows.values, done, stride, OPACITY_AT, divide(t0, opacity))
 
-    gp, gq, g_scales, g_mean2d = ellipse_gradient(totals, seen, camera.eps2d)
+    gp, gq, g_scales, g_mean2d = ellipse_gradient(totals, footprint, camera.eps2d)
     put_column(rows.image, done, 3, 0, g_mean2d[0])
     put_column(rows.image, done, 3, 1, g_mean2d[1])
     put_column(rows.image, done, 3, 2, gather(splats, scratch.splat_ids, 0, FLOATS, RADIUS))
     if parameters.raw:
         g_scales = (g_scales[0] * scales[0], g_scales[1] * scales[1], g_scales[2] * scales[2])
     put_three(rows.values, done, SCALES_AT, g_scales)
-    dw, dx, dy, dz = quaternion_gradient(seen.quat, seen.per_length, outer(seen.ja, seen.jb, gp, gq))
+    dw, dx, dy, dz = quaternion_gradient(
+        footprint.quat, footprint.per_length, outer(footprint.ja, footprint.jb, gp, gq)
+    )
     put_column(rows.values, done, stride, QUATS_AT, dw)
     put_three(rows.values, done, QUATS_AT + 1, (dx, dy, dz))
 
-    gx, gy, gz = point_gradient(seen, gp, gq, g_mean2d, camera)
+    gx, gy, gz = point_gradient(footprint, gp, gq, g_mean2d, camera)
     if channels.depth:
         gz = gz + load(totals, (MOMENTS + channels.colors) * LANES)
     g_mean = (
@@ -140,7 +144,9 @@ def write_rows(done, parameters, channels, camera, splats, scratch, rows):
             put_column(rows.values, done, stride, COLORS_AT + c, load(totals, (MOMENTS + c) * LANES))
     else:
         used = COLORS_AT + (channels.degree + 1) * (channels.degree + 1) * channels.colors
-        g_mean = harmonics_gradient(g_mean, seen.mean, done, parameters.colors, channels, camera, splats, scratch, rows)
+        g_mean = harmonics_gradient(
+            g_mean, footprint.mean, done, parameters.colors, channels, camera, splats, scratch, rows
+        )
     put_three(rows.values, done, MEANS_AT, g_mean)
     for unused in range(used, stride):
         put_column(rows.values, done, stride, unused, broadcast(ZERO))
@@ -156,112 +162,6 @@ def put_three(values, row, first_column, vector):
 
 
 @kernel(inline=True)
-def ellipse_gradient(totals, seen, eps2d):
-    """Gradients of p_unit and q_unit (vectors), of the deviations, and of the image mean (u, v).
-
-    totals: see Scratch; seen: Footprint.
-    """
-    t1, t2 = load(totals, LANES), load(totals, 2 * LANES)
-    t3, t4, t5 = load(totals, 3 * LANES), load(totals, 4 * LANES), load(totals, 5 * LANES)
-    a, b, c = seen.covariance
-    p, q, p_unit, q_unit = seen.p, seen.q, seen.p_unit, seen.q_unit
-    s0, s1, s2 = seen.scales
-    inverse = divide(ONE, seen.det)
-    conic = (c * inverse, b * inverse, a * inverse)
-    gu, gv = conic[0] * t1 - conic[1] * t2, conic[2] * t2 - conic[1] * t1
-    moments = (-HALF * t3, -HALF * t4, -HALF * t5)
-    y0 = whitened((p_unit[0], q_unit[0]), p, q, 1, 2, eps2d, inverse)
-    y1 = whitened((p_unit[1], q_unit[1]), p, q, 2, 0, eps2d, inverse)
-    y2 = whitened((p_unit[2], q_unit[2]), p, q, 0, 1, eps2d, inverse)
-    h0, k0, g_s0 = axis_gradient(y0, s0, moments, conic)
-    h1, k1, g_s1 = axis_gradient(y1, s1, moments, conic)
-    h2, k2, g_s2 = axis_gradient(y2, s2, moments, conic)
-    return (h0 * s0, h1 * s1, h2 * s2), (k0 * s0, k1 * s1, k2 * s2), (g_s0, g_s1, g_s2), (gu, gv)
-
-
-@kernel(inline=True)
-def whitened(w, p, q, one, other, eps2d, inverse):
-    """M w of an axis w (u, v), for the inverse M of the image covariance Σ_l a_l a_lᵀ + eps I.
-
-    a_l = (p_l, q_l) are the scaled axes; `one` and `other` number the two that do not belong to w; inverse = 1 / det.
-    adj(a aᵀ) w = (a⊥ · w) a⊥ with a⊥ = (q, −p): an axis adds nothing to its product with itself. Written so, a
-    needle's long axis loses no digits, where the entries of M would cancel.
-    """
-    w_u, w_v = w
-    c1, c2 = q[one] * w_u - p[one] * w_v, q[other] * w_u - p[other] * w_v
-    u = c1 * q[one] + c2 * q[other] + eps2d * w_u
-    v = eps2d * w_v - (c1 * p[one] + c2 * p[other])
-    return u * inverse, v * inverse
-
-
-@kernel(inline=True)
-def axis_gradient(y, s, g, conic):
-    """Gradient of a scaled axis a = s w (u, v) and of its length s, given y = M w and the gradient g (xx, xy, yy) of M.
-
-    conic: (xx, −xy, yy) of M.  dΣ = a daᵀ + da aᵀ and dM = −M dΣ M:  dL/da = −2 M G (M a),
-    dL/ds = w · dL/da = −2 s yᵀ G y.
-    """
-    z_u, z_v = g[0] * y[0] + g[1] * y[1], g[1] * y[0] + g[2] * y[1]
-    by_u = -TWO * s * (conic[0] * z_u - conic[1] * z_v)
-    by_v = TWO * s * (conic[1] * z_u - conic[2] * z_v)
-    return by_u, by_v, -TWO * s * (y[0] * z_u + y[1] * z_v)
-
-
-@kernel(inline=True)
-def outer(ja, jb, gp, gq):
-    """Rows of the rotation's gradient: ja gpᵀ + jb gqᵀ."""
-    return (
-        (ja[0] * gp[0] + jb[0] * gq[0], ja[0] * gp[1] + jb[0] * gq[1], ja[0] * gp[2] + jb[0] * gq[2]),
-        (ja[1] * gp[0] + jb[1] * gq[0], ja[1] * gp[1] + jb[1] * gq[1], ja[1] * gp[2] + jb[1] * gq[2]),
-        (ja[2] * gp[0] + jb[2] * gq[0], ja[2] * gp[1] + jb[2] * gq[1], ja[2] * gp[2] + jb[2] * gq[2]),
-    )
-
-
-@kernel(inline=True)
-def quaternion_gradient(quat, per_length, rows):
-    """Gradient of the raw quaternion from the rows of the rotation's; quat is normalised, per_length = 1 / length."""
-    w, x, y, z = quat
-    g0, g1, g2 = rows
-    dw = TWO * (x * (g2[1] - g1[2]) + y * (g0[2] - g2[0]) + z * (g1[0] - g0[1]))
-    dx = TWO * (-TWO * x * (g1[1] + g2[2]) + y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2]))
-    dy = TWO * (x * (g0[1] + g1[0]) - TWO * y * (g0[0] + g2[2]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0]))
-    dz = TWO * (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) - TWO * z * (g0[0] + g1[1]) + w * (g1[0] - g0[1]))
-    dot = dw * w + dx * x + dy * y + dz * z
-    return (
-        (dw - dot * w) * per_length,
-        (dx - dot * x) * per_length,
-        (dy - dot * y) * per_length,
-        (dz - dot * z) * per_length,
-    )
-
-
-@kernel(inline=True)
-def point_gradient(seen, gp, gq, g_mean2d, camera):
-    """Gradient of the mean in camera coordinates, without that of the depth channel; seen: Footprint."""
-    x, y, _ = seen.point
-    rz, ja, jb = seen.rz, seen.ja, seen.jb
-    tx, ty = seen.ray
-    gu, gv = g_mean2d
-    r0, r1, r2 = seen.axes
-    gja0 = r0[0] * gp[0] + r0[1] * gp[1] + r0[2] * gp[2]
-    gja1 = r1[0] * gp[0] + r1[1] * gp[1] + r1[2] * gp[2]
-    gja2 = r2[0] * gp[0] + r2[1] * gp[1] + r2[2] * gp[2]
-    gjb0 = r0[0] * gq[0] + r0[1] * gq[1] + r0[2] * gq[2]
-    gjb1 = r1[0] * gq[0] + r1[1] * gq[1] + r1[2] * gq[2]
-    gjb2 = r2[0] * gq[0] + r2[1] * gq[1] + r2[2] * gq[2]
-    z_axis, zero = camera.z_axis, broadcast(ZERO)
-    sx, sy = camera.fx * rz, camera.fy * rz
-    gsx = divide(gja0 * ja[0] + gja1 * ja[1] + gja2 * ja[2], sx)
-    gsy = divide(gjb0 * jb[0] + gjb1 * jb[1] + gjb2 * jb[2], sy)
-    gtx = -sx * (gja0 * z_axis[0] + gja1 * z_axis[1] + gja2 * z_axis[2])
-    gty = -sy * (gjb0 * z_axis[0] + gjb1 * z_axis[1] + gjb2 * z_axis[2])
-    gtx, gty = select(equal(tx, x * rz), gtx, zero), select(equal(ty, y * rz), gty, zero)  # zero where clamped
-    gx, gy = sx * gu + gtx * rz, sy * gv + gty * rz
-    g_rz = camera.fx * gsx + camera.fy * gsy + camera.fx * x * gu + camera.fy * y * gv + gtx * x + gty * y
-    return gx, gy, -g_rz * rz * rz
-
-
-@kernel(inline=True)
 def harmonics_gradient(g_mean, mean, done, colors, channels, camera, splats, scratch, rows):
     """Write the gradients of the coefficients; returns that of the mean, with the part of the viewing direction.
 
@@ -273,8 +173,8 @@ def harmonics_gradient(g_mean, mean, done, colors, channels, camera, splats, scr
     for k in range(n_bases):
         store(scratch.pull, k * LANES, broadcast(ZERO))
     for c in range(channels.colors):
-        lit = greater(gather(splats, scratch.splat_ids, 0, FLOATS, CHANNELS + c), broadcast(ZERO))  # else held at zero
-        g = select(lit, load(scratch.totals, (MOMENTS + c) * LANES), broadcast(ZERO))
+        positive = greater(gather(splats, scratch.splat_ids, 0, FLOATS, CHANNELS + c), broadcast(ZERO))  # else clamped
+        g = select(positive, load(scratch.totals, (MOMENTS + c) * LANES), broadcast(ZERO))
         for k in range(n_bases):
             at = k * channels.colors + c
             put_column(rows.values, done, stride, COLORS_AT + at, load(scratch.basis, k * LANES) * g)

@@ -54,7 +54,7 @@ class Projected(NamedTuple):
 
 
 class Splats(NamedTuple):
-    """Projected Gaussians that reach a tile."""
+    """Projected Gaussians that cover some tile."""
 
     values: np.ndarray  # (capacity, 16) float32, columns as in `tdgbench.splats.cpu.raster.splat`
     gaussian_ids: np.ndarray  # (capacity,) int32, ascending

@@ -1,16 +1,86 @@
-"""2^x for kernels whose registers are all taken.
-
-The compiler broadcasts a coefficient that it knows at every use; one that lies in memory is an operand there.
-"""
+"""2^x and log2 x on registers."""
 
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load
-from tdgbench.splats.cpu.simd.registers import EXP2, LANES, exp2_by
+from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, constant, vec
+
+# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomial of 2^r to 2.5e-7 relative, from the highest power down.
+EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)
+
+
+def _power_of_two(builder, x, coefficients):
+    """2^x for |x| < 126, given the polynomial's coefficients as registers; out of range is garbage to be masked."""
+    exact = ("contract",)
+    magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+    shifted = builder.fadd(x, magic)
+    exponent = builder.shl(builder.bitcast(shifted, BITS), ir.Constant(BITS, [23] * LANES))
+    rest = builder.fsub(x, builder.fsub(shifted, magic))
+    square = builder.fmul(rest, rest)
+    pairs = [
+        builder.fadd(builder.fmul(high, rest, flags=exact), low, flags=exact)
+        for high, low in zip(coefficients[::2], coefficients[1::2], strict=True)
+    ]
+    result = pairs[0]
+    for pair in pairs[1:]:
+        result = builder.fadd(builder.fmul(result, square, flags=exact), pair, flags=exact)
+    return builder.bitcast(builder.add(builder.bitcast(result, BITS), exponent), FLOATS)
+
+
+@intrinsic
+def exp2(typing_context, x):
+    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks."""
+    return vec(vec), lambda context, builder, signature, args: _power_of_two(
+        builder, args[0], [constant(value) for value in EXP2]
+    )
+
+
+@intrinsic
+def exp2_by(typing_context, x, coefficients):
+    """As `exp2`, with a tuple of registers for coefficients, from the highest power down.
+
+    The compiler broadcasts a constant at every use; a coefficient in memory is an operand there.
+    """
+
+    def generate(context, builder, signature, args):
+        registers = [builder.extract_value(args[1], i) for i in range(len(coefficients))]
+        return _power_of_two(builder, args[0], registers)
+
+    return vec(vec, coefficients), generate
+
+
+@intrinsic
+def log2(typing_context, x):
+    """log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 elsewhere.
+
+    x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹.
+    """
+
+    def generate(context, builder, signature, args):
+        exact = ("contract",)
+        root_half = ir.Constant(BITS, [0x3F3504F3] * LANES)  # the bits of √½
+        bits = builder.sub(builder.bitcast(args[0], BITS), root_half)
+        exponent = builder.ashr(bits, ir.Constant(BITS, [23] * LANES))
+        shift = builder.shl(exponent, ir.Constant(BITS, [23] * LANES))
+        m = builder.bitcast(builder.sub(builder.bitcast(args[0], BITS), shift), FLOATS)
+        one = constant(1.0)
+        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
+        square = builder.fmul(s, s)
+        series = constant(1 / 9)
+        for k in (7, 5, 3):
+            series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
+        scaled = builder.fmul(s, constant(2.8853900817779268))
+        tail = builder.fmul(builder.fmul(series, square), scaled)
+        whole = builder.sitofp(exponent, FLOATS)
+        return builder.fadd(whole, builder.fadd(scaled, tail))
+
+    return vec(vec), generate
 
 
 def _coefficients() -> np.ndarray:

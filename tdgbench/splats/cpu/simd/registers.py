@@ -19,8 +19,8 @@ from tdgbench.splats.cpu.jit import lanes
 LANES = lanes()
 
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
-_INTS = ir.VectorType(ir.IntType(32), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
+BITS = ir.VectorType(ir.IntType(32), LANES)
+_FLAGS = ir.VectorType(ir.IntType(1), LANES)
 _FAST = ("contract", "nsz", "nnan", "arcp")
 
 
@@ -39,7 +39,7 @@ class _VectorModel(models.PrimitiveModel):
 
 
 vec = _VectorType("vec", FLOATS)
-mask = _VectorType("mask", _BITS)
+mask = _VectorType("mask", _FLAGS)
 
 
 def _is_operand(t: types.Type) -> bool:
@@ -49,7 +49,7 @@ def _is_operand(t: types.Type) -> bool:
 def _broadcast(builder, scalar):
     empty = ir.Constant(FLOATS, ir.Undefined)
     first = builder.insert_element(empty, scalar, ir.IntType(32)(0))
-    return builder.shuffle_vector(first, empty, ir.Constant(_INTS, [0] * LANES))
+    return builder.shuffle_vector(first, empty, ir.Constant(BITS, [0] * LANES))
 
 
 def _as_vector(builder, value, value_type):
@@ -148,8 +148,8 @@ def _exponent_test(predicate: str, documentation: str):
     @intrinsic
     def operation(typing_context, x):
         def generate(context, builder, signature, args):
-            bits = builder.and_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [2**31 - 1] * LANES))
-            return builder.icmp_unsigned(predicate, bits, ir.Constant(_INTS, [0x7F800000] * LANES))
+            bits = builder.and_(builder.bitcast(args[0], BITS), ir.Constant(BITS, [2**31 - 1] * LANES))
+            return builder.icmp_unsigned(predicate, bits, ir.Constant(BITS, [0x7F800000] * LANES))
 
         return mask(vec), generate
 
@@ -178,7 +178,7 @@ def negative_abs(typing_context, x):
     """-|x|, by setting the sign bits (also of zero)."""
 
     def generate(context, builder, signature, args):
-        bits = builder.or_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [-(2**31)] * LANES))
+        bits = builder.or_(builder.bitcast(args[0], BITS), ir.Constant(BITS, [-(2**31)] * LANES))
         return builder.bitcast(bits, FLOATS)
 
     return vec(vec), generate
@@ -189,7 +189,7 @@ def absolute(typing_context, x):
     """|x|, by clearing the sign bits."""
 
     def generate(context, builder, signature, args):
-        bits = builder.and_(builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [2**31 - 1] * LANES))
+        bits = builder.and_(builder.bitcast(args[0], BITS), ir.Constant(BITS, [2**31 - 1] * LANES))
         return builder.bitcast(bits, FLOATS)
 
     return vec(vec), generate
@@ -206,78 +206,6 @@ def lane_index(typing_context):
     """0, 1, 2, … LANES − 1."""
     ramp = [ir.FloatType()(float(i)) for i in range(LANES)]
     return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
-
-
-# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomial of 2^r to 2.5e-7 relative, from the highest power down.
-EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)
-
-
-def _power_of_two(builder, x, coefficients):
-    """2^x for |x| < 126, given the polynomial's coefficients as registers; out of range is garbage to be masked."""
-    exact = ("contract",)
-    magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
-    shifted = builder.fadd(x, magic)
-    exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
-    rest = builder.fsub(x, builder.fsub(shifted, magic))
-    square = builder.fmul(rest, rest)
-    pairs = [
-        builder.fadd(builder.fmul(high, rest, flags=exact), low, flags=exact)
-        for high, low in zip(coefficients[::2], coefficients[1::2], strict=True)
-    ]
-    result = pairs[0]
-    for pair in pairs[1:]:
-        result = builder.fadd(builder.fmul(result, square, flags=exact), pair, flags=exact)
-    return builder.bitcast(builder.add(builder.bitcast(result, _INTS), exponent), FLOATS)
-
-
-@intrinsic
-def exp2(typing_context, x):
-    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks."""
-    return vec(vec), lambda context, builder, signature, args: _power_of_two(
-        builder, args[0], [constant(value) for value in EXP2]
-    )
-
-
-@intrinsic
-def exp2_by(typing_context, x, coefficients):
-    """As `exp2`, with a tuple of registers for coefficients, from the highest power down.
-
-    What the compiler knows to be constant it broadcasts anew at every use; what it does not, it uses from memory.
-    """
-
-    def generate(context, builder, signature, args):
-        held = [builder.extract_value(args[1], i) for i in range(len(coefficients))]
-        return _power_of_two(builder, args[0], held)
-
-    return vec(vec, coefficients), generate
-
-
-@intrinsic
-def log2(typing_context, x):
-    """log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 elsewhere.
-
-    x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹.
-    """
-
-    def generate(context, builder, signature, args):
-        exact = ("contract",)
-        root_half = ir.Constant(_INTS, [0x3F3504F3] * LANES)  # the bits of √½
-        bits = builder.sub(builder.bitcast(args[0], _INTS), root_half)
-        exponent = builder.ashr(bits, ir.Constant(_INTS, [23] * LANES))
-        shift = builder.shl(exponent, ir.Constant(_INTS, [23] * LANES))
-        m = builder.bitcast(builder.sub(builder.bitcast(args[0], _INTS), shift), FLOATS)
-        one = constant(1.0)
-        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
-        square = builder.fmul(s, s)
-        series = constant(1 / 9)
-        for k in (7, 5, 3):
-            series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
-        scaled = builder.fmul(s, constant(2.8853900817779268))
-        tail = builder.fmul(builder.fmul(series, square), scaled)
-        whole = builder.sitofp(exponent, FLOATS)
-        return builder.fadd(whole, builder.fadd(scaled, tail))
-
-    return vec(vec), generate
 
 
 def _elementwise(name: str, documentation: str):

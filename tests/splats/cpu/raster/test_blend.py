@@ -44,7 +44,7 @@ def test_is_the_loop_of_3dgs(backend, opacity):
 
 
 def test_a_saturated_pixel_stops():
-    """Behind enough opaque layers nothing is seen, and nothing gets a gradient."""
+    """Behind enough opaque layers nothing is visible, and nothing gets a gradient."""
     count = 50
     means = torch.zeros(count, 3)
     means[:, 2] = torch.linspace(1, 5, count)

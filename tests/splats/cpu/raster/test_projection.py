@@ -5,8 +5,8 @@ import torch
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.camera import pack_camera
-from tdgbench.splats.cpu.raster.projection import deviations, footprint, opacity_and_log2, screen_radius
-from tdgbench.splats.cpu.raster.source import Columns, source_of_arrays
+from tdgbench.splats.cpu.raster.projection import footprint_of, screen_radius
+from tdgbench.splats.cpu.raster.source import source_of_arrays
 from tdgbench.splats.cpu.simd.memory import put_column
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
@@ -17,17 +17,17 @@ COUNT = 25 * LANES
 @kernel()
 def project_all(rows, parameters, camera, out):
     for k in range(0, rows.shape[0], LANES):
-        seen = footprint(parameters, rows, k, camera)
-        (x, y, z), (a, b, c) = seen.point, seen.covariance
-        u, v = x * seen.rz * camera.fx + camera.cx, y * seen.rz * camera.fy + camera.cy
+        footprint = footprint_of(parameters, rows, k, camera)
+        (x, y, z), (a, b, c) = footprint.point, footprint.covariance
+        u, v = x * footprint.rz * camera.fx + camera.cx, y * footprint.rz * camera.fy + camera.cy
         put_column(out, k, 8, 0, u)
         put_column(out, k, 8, 1, v)
         put_column(out, k, 8, 2, a)
         put_column(out, k, 8, 3, b)
         put_column(out, k, 8, 4, c)
-        put_column(out, k, 8, 5, seen.det)
+        put_column(out, k, 8, 5, footprint.det)
         put_column(out, k, 8, 6, z)
-        put_column(out, k, 8, 7, screen_radius(a, c, seen.det, u, v, camera))
+        put_column(out, k, 8, 7, screen_radius(a, c, footprint.det, u, v, camera))
 
 
 @pytest.mark.parametrize("shape", ["ordinary", "needles"])
@@ -51,26 +51,3 @@ def test_agrees_with_the_reference(shape):
     assert np.median(np.abs(got[:, 5] / want[:, 5] - 1)) < 1e-5  # no cancellation in the determinant
     radii = reference._screen_radii(means2d, covariance, 64, 48).numpy()[front]
     assert (out[front, 7].astype(int) != radii).mean() < 0.01
-
-
-@kernel()
-def activate_all(rows, logits, log_scales, out):
-    for k in range(0, rows.shape[0], LANES):
-        opacity, logarithm = opacity_and_log2(logits, rows, k, True)
-        s0, s1, s2 = deviations(log_scales, rows, k, True)
-        put_column(out, k, 5, 0, opacity)
-        put_column(out, k, 5, 1, logarithm)
-        put_column(out, k, 5, 2, s0)
-        put_column(out, k, 5, 3, s1)
-        put_column(out, k, 5, 4, s2)
-
-
-def test_activations():
-    logits = np.linspace(-80, 60, COUNT, dtype=np.float32)
-    log_scales = np.random.default_rng(0).uniform(-25, 12, (COUNT, 3)).astype(np.float32)
-    out = np.zeros((COUNT, 5), np.float32)
-    activate_all(np.arange(COUNT, dtype=np.int32), Columns(logits, 1, 0), Columns(log_scales.reshape(-1), 3, 0), out)
-    exact = 1 / (1 + np.exp(-logits.astype(np.float64)))
-    assert np.allclose(out[:, 0], exact, rtol=1e-5)
-    assert np.allclose(out[:, 1], np.log2(exact), rtol=1e-6, atol=2e-7)
-    assert np.allclose(out[:, 2:], np.exp(log_scales.astype(np.float64)), rtol=3e-6)

@@ -57,32 +57,3 @@ def test_the_sign_of_zero_is_set():
     out = aligned(np.ones(LANES, F))
     zeros_sign(out)
     assert (out == 0).all() and np.signbit(out).all()
-
-
-@kernel()
-def exponential(values, out):
-    for i in range(0, values.shape[0], LANES):
-        memory.store(out, i, simd.exp2(memory.load(values, i)))
-
-
-def test_exp2():
-    values = aligned(np.linspace(-125, 125, 4096 * LANES).astype(F))
-    out = aligned(np.zeros(len(values), F))
-    exponential(values, out)
-    exact = np.exp2(values.astype(np.float64))
-    assert np.abs(out / exact - 1).max() < 2.5e-7
-
-
-@kernel()
-def logarithm(values, out):
-    for i in range(0, values.shape[0], LANES):
-        memory.store(out, i, simd.log2(memory.load(values, i)))
-
-
-def test_log2():
-    near_one, wide = np.linspace(0.5, 2, 1024 * LANES), np.exp2(np.linspace(-120, 120, 1024 * LANES))
-    for given, relative, absolute in ((near_one, 0, 1e-7), (wide, 2e-7, 2e-7)):
-        values = aligned(given.astype(F))
-        out = aligned(np.zeros(len(values), F))
-        logarithm(values, out)
-        assert np.allclose(out, np.log2(values.astype(np.float64)), rtol=relative, atol=absolute)

@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from tdgbench.splats.backends import reference
-from tdgbench.splats.cpu.raster.projection_backward import axis_gradient, quaternion_gradient, whitened
+from tdgbench.splats.cpu.raster.ewa_gradient import axis_gradient, quaternion_gradient, whitened
 
 
 def axes_and_gradient(seed: int, longest: float = 1.0):
