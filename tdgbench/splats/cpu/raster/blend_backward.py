@@ -90,11 +90,14 @@ def fill_slots(settings: Settings, done: ForwardPass, gradients: Images, slots: 
 @functools.cache
 def make_blend_backward(colors: int, depth: bool):
     """Backward kernel of `tdgbench.splats.cpu.raster.blend.make_blend`."""
+    variant = f"{colors}_depth" if depth else f"{colors}"
     channels = colors + depth
-    size = (4 + channels) * LANES  # floats of a block: x, y, T, light behind, then the gradients of the channels
+    # Floats of a block: x, y, T, light behind, then the gradients of the channels. No literal, so that helpers without
+    # channels serve all variants.
+    size = np.int64((4 + channels) * LANES)
     slot_floats = slot_size(channels)
 
-    @kernel(variant=f"{colors}_depth" if depth else f"{colors}")
+    @kernel(variant=variant)
     def blend_backward(counter, splats, tiles, limits, tables, images, gradients, visits, slots):
         """Write the slots of every pair that has weight somewhere, and mark them as written.
 
