@@ -74,7 +74,5 @@ def _dense(grad: torch.Tensor, view: Render) -> Gradients:
     """Gradients by rows (N, columns) and by image means, after the backward pass of a view."""
     projection = view.projection
     if projection is None or projection.means2d.grad is None:
-        raise RuntimeError(
-            "a backend must set `projection`, and `means2d.grad` in its backward pass"
-        )
+        raise RuntimeError("a backend must set `projection`, and `means2d.grad` in its backward pass")
     return Gradients.dense(grad, projection.means2d.grad, projection.radii)
