@@ -126,30 +126,29 @@ def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
     rows: from `readings`. changes: from `effects`. With one scene, its numbers take the place of an average.
     """
     rows, changes = with_setup(widest_average(rows), "method"), with_setup(widest_average(changes), "effect")
-    titles = [*(measure(m).latex_column for m in PUBLISHED), GAUSSIANS.label]
-    lines = [
-        rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
-        r"\toprule",
-        f"Method & Iterations & {' & '.join(titles)} \\\\",
-        r"\midrule",
-    ]
+    lines = _head("Method", [*(measure(m).latex_column for m in PUBLISHED), GAUSSIANS.label])
     for (method, length), group in rows.groupby(["method", "iterations"], sort=False):
         values = group.set_index("metric")
         numbers = [_spread(values, m) for m in COMPARED]
         lines.append(f"{_method(str(method))} & {length} & {' & '.join(numbers)} \\\\")
     lines += [r"\bottomrule", r"\end{tabular}", ""]
-    titles, arrow = [*(measure(m).latex_column for m in PUBLISHED_SCORES), r"Time $\times$"], r"$\to$"
-    lines += [
-        rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
-        r"\toprule",
-        f"Change & Iterations & {' & '.join(titles)} \\\\",
-        r"\midrule",
-    ]
+    arrow = r"$\to$"
+    lines += _head("Change", [*(measure(m).latex_column for m in PUBLISHED_SCORES), r"Time $\times$"])
     for (effect, lengths), group in changes.groupby(["effect", "iterations"], sort=False):
         values = group.set_index("metric")
         numbers = [_change(values, m) for m in PUBLISHED]
         lines.append(f"{escape(str(effect))} & {str(lengths).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _head(first: str, titles: list[str]) -> list[str]:
+    """Opening lines of a tabular with the columns `first`, iterations and `titles`."""
+    return [
+        rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
+        r"\toprule",
+        f"{first} & Iterations & {' & '.join(titles)} \\\\",
+        r"\midrule",
+    ]
 
 
 def _spread(values: pd.DataFrame, metric: str) -> str:

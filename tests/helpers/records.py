@@ -16,7 +16,12 @@ def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group=
     record = Record(method, dataset, scene, init, seed, experiment.name, extra.pop("variant", ""), group=group)
     record.scores = {"psnr": 20.0, "ssim": 0.8, "lpips": 0.2, **extra.pop("scores", {})}
     record.seconds = {"train": 360.0}
-    for name, value in extra.items():
+    return write_record(experiment, record, extra)
+
+
+def write_record(experiment, record: Record, fields: dict[str, object]):
+    """Write a record with these fields to its cell's folder, which is returned."""
+    for name, value in fields.items():
         setattr(record, name, value)
     folder = cell_folder_of(experiment, record)
     folder.mkdir(parents=True)

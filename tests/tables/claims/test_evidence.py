@@ -2,10 +2,10 @@
 
 import pytest
 
-from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Failure, Record
 from tdgbench.tables.claims.evidence import Evidence, evidence_of
 from tdgbench.tables.published import published_main
+from tests.helpers.records import write_record
 from tests.tables.claims.small_cells import write_log
 
 
@@ -15,12 +15,7 @@ def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic
     record.config = {"budget": {"iterations": iterations}}
     record.scores = {"psnr": psnr, "ssim": 0.9, "lpips": 0.1}
     record.seconds = {"train": 3600.0}
-    for name, value in fields.items():
-        setattr(record, name, value)
-    folder = cell_folder_of(experiment, record)
-    folder.mkdir(parents=True)
-    record.write(folder)
-    return folder
+    return write_record(experiment, record, fields)
 
 
 def psnr(evidence: Evidence, method: str, scene: str) -> float:
