@@ -73,8 +73,7 @@ def read_scene(folder: Path, description: Description, options: ReadOptions) -> 
     model_folder = next((f for f in (folder / "sparse" / "0", folder / "sparse") if f.is_dir()), None)
     if model_folder is None:
         raise SceneError(f"{folder} has no COLMAP model in sparse/0; run COLMAP on its RGB images first")
-    posed, points = read_model(model_folder)
-    notes = []
+    posed, points, notes = read_model(model_folder)
     unposed = sorted(set(thermal) - set(posed))
     if unposed:
         notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {', '.join(unposed[:5])}")

@@ -1,0 +1,11 @@
+"""COLMAP models: cameras, poses, sparse points; distorted cameras become pinholes.
+
+The files are read and checked here; pycolmap, whose reader allocates without end where a count is damaged, knows the
+camera models and writes models.
+"""
+
+from tdgbench.scenes.colmap.model import RegisteredImage, read_model
+from tdgbench.scenes.colmap.pinhole import Undistortion
+from tdgbench.scenes.colmap.write import write_model
+
+__all__ = ["RegisteredImage", "Undistortion", "read_model", "write_model"]

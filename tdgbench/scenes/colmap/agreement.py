@@ -1,0 +1,70 @@
+"""Find cameras whose numbers are valid but wrong: their points do not project to where the images show them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pycolmap
+
+from tdgbench.scenes.colmap.tables import DamagedModelError, ImageEntry, Tables
+
+FEWEST = 10  # observations of a view from which it is judged
+FAR = 0.1  # median error of a wrong view, as a share of the image's diagonal
+NEAR = 0.02  # median over the views that a usable model stays below; COLMAP's errors are 1 px, some 0.001
+
+
+def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
+    """Notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
+
+    poses: world to camera (3, 4) by image id. cameras: as in the model, with distortion, by camera id.
+    """
+    points = _all_points(model)
+    errors = {}
+    for image_id, image in model.images.items():
+        pixels, xyz = _observations(image, *points)
+        if len(pixels) >= FEWEST:
+            errors[image_id] = _median_error(pixels, xyz, poses[image_id], cameras[image.camera_id])
+    if not errors:
+        return []
+    median = float(np.median(list(errors.values())))
+    worst = max(errors, key=errors.__getitem__)
+    if median >= NEAR:
+        return [
+            f"the sparse points project {median:.0%} of the image's diagonal from their 2-D points in the median view; "
+            f"were {model.file('cameras').name} or the poses edited?"
+        ]
+    if errors[worst] > FAR:
+        off = "lie behind it" if np.isinf(errors[worst]) else f"project {errors[worst]:.0%} of the diagonal off"
+        image = model.images[worst]
+        raise DamagedModelError(
+            model.file("images"),
+            f"the points that image {image.name!r} shows {off}, but those of the median view {median:.2%}; its pose or "
+            f"its camera {image.camera_id} is wrong",
+            "copy or download the model again, or remove the image from it",
+        )
+    return []
+
+
+def _all_points(model: Tables) -> tuple[np.ndarray, np.ndarray]:
+    """Ids (P,), ascending, and positions (P, 3)."""
+    order = np.argsort(model.points.ids)
+    return model.points.ids[order], model.points.xyz[order]
+
+
+def _observations(image: ImageEntry, ids: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The compared 2-D points (N, 2) of an image whose 3-D points the model holds, and these (N, 3)."""
+    wanted = image.point_ids[image.compared]
+    rows = np.minimum(np.searchsorted(ids, wanted), max(len(ids) - 1, 0))
+    known = ids[rows] == wanted if len(ids) else np.zeros(len(wanted), bool)
+    return image.pixels[known], xyz[rows[known]]
+
+
+def _median_error(pixels: np.ndarray, xyz: np.ndarray, pose: np.ndarray, camera: pycolmap.Camera) -> float:
+    """Median distance between projections and 2-D points, × diagonal; infinite if most points lie behind."""
+    local = xyz @ pose[:, :3].T + pose[:, 3]
+    front = local[:, 2] > 0
+    if front.mean() < 0.5:
+        return float("inf")
+    with np.errstate(invalid="ignore", over="ignore"):
+        distances = np.linalg.norm(camera.img_from_cam(local[front]) - pixels[front], axis=1)
+    distances = np.where(np.isfinite(distances), distances, np.inf)
+    return float(np.median(distances)) / float(np.hypot(camera.width, camera.height))

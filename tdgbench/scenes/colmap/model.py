@@ -1,0 +1,76 @@
+"""Read a COLMAP model: registered images with checked pinhole cameras, and sparse points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import numpy as np
+import pycolmap
+
+from tdgbench.scenes.colmap.agreement import check_agreement
+from tdgbench.scenes.colmap.files import read_tables
+from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
+from tdgbench.scenes.colmap.references import camera_poses, check_points
+from tdgbench.scenes.colmap.tables import REMEDY, Points, Tables
+from tdgbench.scenes.scene import Camera, PointCloud, SceneError
+from tdgbench.scenes.validate import check_camera
+
+LONGEST_NAME = 200  # bytes; view names become names of files, of 255 bytes at most
+
+
+@dataclass(frozen=True)
+class RegisteredImage:
+    """One registered image of a COLMAP model."""
+
+    name: str  # file name without folder and extension
+    camera: Camera
+    undistortion: Undistortion | None
+
+
+class ReadModel(NamedTuple):
+    """A model as scenes use it."""
+
+    images: dict[str, RegisteredImage]  # by view name
+    points: PointCloud | None
+    notes: list[str]  # what is doubtful about it
+
+
+def read_model(folder: Path) -> ReadModel:
+    """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
+    tables = read_tables(folder)
+    if not tables.images:
+        raise SceneError(f"{tables.file('images')} has no registered image; {REMEDY}")
+    poses = camera_poses(tables)
+    check_points(tables)
+    cameras = {key: to_pinhole(entry, tables.file("cameras")) for key, entry in tables.cameras.items()}
+    posed: dict[str, RegisteredImage] = {}
+    for image_id, image in tables.images.items():
+        name = _view_name(image.name, tables.file("images"))
+        if name in posed:
+            raise SceneError(f"{folder} has two images named {name}; view names must be unique in a scene")
+        pinhole, _, undistortion = cameras[image.camera_id]
+        pose = np.eye(4)
+        pose[:3] = poses[image_id]
+        camera = Camera(pinhole.K, pose, pinhole.width, pinhole.height)
+        check_camera(camera, f"{tables.file('images')}: image {image.name!r}")
+        posed[name] = RegisteredImage(name, camera, undistortion)
+    sources: dict[int, pycolmap.Camera] = {key: source for key, (_, source, _) in cameras.items()}
+    return ReadModel(posed, _cloud(tables.points), check_agreement(tables, poses, sources))
+
+
+def _view_name(image_name: str, file: Path) -> str:
+    """File name without folder and extension. Raises SceneError for one that no file could have."""
+    name = PurePosixPath(image_name.replace("\\", "/")).stem
+    if not name.strip() or name in (".", "..") or not name.isprintable() or len(name.encode()) > LONGEST_NAME:
+        raise SceneError(f"{file} has an image named {image_name!r}; rename it: view names become names of files")
+    return name
+
+
+def _cloud(points: Points) -> PointCloud | None:
+    """Points in the order of their ids, or None if there are none."""
+    if not len(points.ids):
+        return None
+    order = np.argsort(points.ids)
+    return PointCloud(points.xyz[order], points.colors[order].astype(np.float32) / np.float32(255))

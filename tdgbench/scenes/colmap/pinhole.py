@@ -1,0 +1,112 @@
+"""Pinholes for COLMAP's cameras, and how to resample images to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from scipy.ndimage import map_coordinates
+
+from tdgbench.scenes.colmap.tables import CameraEntry
+from tdgbench.scenes.scene import Camera, SceneError
+from tdgbench.scenes.validate import check_intrinsics, check_size
+
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+MIN_SANE = 0.9  # share of a pinhole's pixels that must lie inside the distorted image, and in the same order
+BLOCK = 1 << 20  # pixels that are mapped at a time
+
+
+@dataclass(frozen=True)
+class Undistortion:
+    """How images of a distorted camera become those of a pinhole."""
+
+    source: pycolmap.Camera
+    pinhole: pycolmap.Camera
+    where: str  # file and camera, for messages
+
+    @property
+    def source_size(self) -> tuple[int, int]:
+        """Width and height of the distorted image, px."""
+        return self.source.width, self.source.height
+
+    @cached_property
+    def positions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (H, W) of each pinhole pixel in the distorted image, float64 pixel indices.
+
+        Raises SceneError if they make no image: the distortion is damaged.
+        """
+        width, height = self.pinhole.width, self.pinhole.height
+        rows, columns = np.empty((height, width)), np.empty((height, width))
+        step = max(1, BLOCK // width)
+        for first in range(0, height, step):
+            block = slice(first, min(first + step, height))
+            x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(block.start, block.stop) + 0.5)
+            rays = self.pinhole.cam_from_img(np.stack([x.ravel(), y.ravel()], axis=-1))
+            pixels = self.source.img_from_cam(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
+            columns[block], rows[block] = (pixels - 0.5).T.reshape(2, *x.shape)
+        self._check(rows, columns)
+        return rows, columns
+
+    def apply(self, image: np.ndarray) -> np.ndarray:
+        """Resample an image (H, W, C) bilinearly to (H', W', C) of the pinhole; the border is replicated."""
+        height, width = image.shape[:2]
+        rows = (self.positions[0] + 0.5) * height / self.source_size[1] - 0.5
+        columns = (self.positions[1] + 0.5) * width / self.source_size[0] - 0.5
+        planes = [
+            map_coordinates(image[..., c], [rows, columns], order=1, mode="nearest") for c in range(image.shape[2])
+        ]
+        return np.stack(planes, axis=-1)
+
+    def _check(self, rows: np.ndarray, columns: np.ndarray) -> None:
+        """Raise SceneError unless the positions are finite, mostly inside the image, and mostly in order."""
+        if not (np.isfinite(rows).all() and np.isfinite(columns).all()):
+            raise self._absurd("leads to positions that are not finite")
+        width, height = self.source_size
+        inside = (rows > -1.5) & (rows < height + 0.5) & (columns > -1.5) & (columns < width + 0.5)
+        ordered = [np.mean(np.diff(v, axis=axis) > 0) for v, axis in ((rows, 0), (columns, 1)) if v.shape[axis] > 1]
+        if inside.mean() < MIN_SANE or min(ordered, default=1.0) < MIN_SANE:
+            raise self._absurd("folds the image or leaves it")
+
+    def _absurd(self, what: str) -> SceneError:
+        fixed = [*self.source.focal_length_idxs(), *self.source.principal_point_idxs()]
+        distortion = [f"{value:g}" for value in np.delete(self.source.params, fixed)]
+        return SceneError(f"{self.where}: the distortion {', '.join(distortion)} {what}. Correct the model")
+
+
+def to_pinhole(entry: CameraEntry, file: Path) -> tuple[Camera, pycolmap.Camera, Undistortion | None]:
+    """Intrinsics of a camera as a pinhole at the world's origin, COLMAP's camera, and how to resample images.
+
+    A camera that is no pinhole becomes pycolmap's undistorted one. Raises SceneError for numbers that cannot be a
+    camera's.
+    """
+    where = f"{file}: camera {entry.id}"
+    if not np.isfinite(entry.params).all():
+        raise SceneError(f"{where} has parameters that are not finite. Correct the model")
+    check_size(entry.width, entry.height, where)
+    source = pycolmap.Camera(
+        model=entry.model, width=entry.width, height=entry.height, params=list(entry.params), camera_id=entry.id
+    )  # fmt: skip
+    if not source.focal_length_idxs():  # pycolmap crashes where such a camera is asked for its focal length
+        raise SceneError(f"{where} is {entry.model}, which no pinhole can show; render the scene with pinholes")
+    _check_intrinsics(source, where)
+    if entry.model in PINHOLES:
+        return _at_origin(source), source, None
+    try:
+        pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
+    except Exception as error:
+        raise SceneError(f"{where} cannot be undistorted: {error}. Correct the model") from error
+    _check_intrinsics(pinhole, f"{where}, undistorted,")
+    return _at_origin(pinhole), source, Undistortion(source, pinhole, where)
+
+
+def _check_intrinsics(camera: pycolmap.Camera, where: str) -> None:
+    focal = camera.focal_length_x, camera.focal_length_y
+    principal = camera.principal_point_x, camera.principal_point_y
+    check_intrinsics(camera.width, camera.height, focal, principal, where)
+
+
+def _at_origin(camera: pycolmap.Camera) -> Camera:
+    return Camera(np.array(camera.calibration_matrix()), np.eye(4), camera.width, camera.height)

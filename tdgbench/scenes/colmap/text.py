@@ -1,0 +1,229 @@
+"""COLMAP's text files. Layout: COLMAP's src/colmap/scene/reconstruction_io_text.cc.
+
+COLMAP ends every line, so a file with its header and an unfinished last line is cut.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.scenes.colmap.tables import (
+    NO_POINT,
+    SENSORS,
+    CameraEntry,
+    DamagedModelError,
+    Frame,
+    ImageEntry,
+    Points,
+    Pose,
+    Rig,
+    Sensor,
+    camera_models,
+    to_compare,
+)
+from tdgbench.scenes.inputs import read_bytes
+
+NEWLINE = b"\n"
+HEADER = b"# Number of "  # COLMAP's, not that of other writers
+MAX_ID = 2**32 - 1
+NUMBERS = re.compile(r"[-+0-9.eE\s]*")
+NO_POINT_WORD = str(NO_POINT)
+
+
+class _Line:
+    """The words of a line, taken one after the other. `number` counts from 1."""
+
+    def __init__(self, path: Path, number: int, text: str) -> None:
+        self.path, self.number, self.text, self.words, self.at = path, number, text, text.split(), 0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether Python reads its numbers as COLMAP does, which knows neither 1_0 nor other alphabets' digits."""
+        return "_" not in self.text and self.text.isascii()
+
+    def damaged(self, what: str) -> DamagedModelError:
+        return DamagedModelError(self.path, f"line {self.number} {what}")
+
+    def word(self) -> str:
+        if self.at >= len(self.words):
+            raise self.damaged(f"ends after {len(self.words)} words")
+        self.at += 1
+        return self.words[self.at - 1]
+
+    def integer(self, largest: int = MAX_ID) -> int:
+        return self.integers(1, largest)[0]
+
+    def integers(self, count: int, largest: int) -> list[int]:
+        words = self._next(count)
+        try:
+            values = list(map(int, words))
+        except ValueError as error:
+            raise self.damaged(f"has {error.args[0].rsplit(':')[-1].strip()} where an integer is expected") from error
+        if values and (min(values) < 0 or max(values) > largest):
+            raise self.damaged(f"has a number outside 0 to {largest}")
+        return values
+
+    def floats(self, count: int) -> list[float]:
+        words = self._next(count)
+        try:
+            return list(map(float, words))
+        except ValueError as error:
+            raise self.damaged(f"has {error.args[0].rsplit(':')[-1].strip()} where a number is expected") from error
+
+    def sensor(self) -> Sensor:
+        kind = self.word()
+        if kind not in SENSORS.values():
+            raise self.damaged(f"has a sensor of unknown type {kind!r}")
+        return Sensor(kind, self.integer())
+
+    def left(self) -> int:
+        return len(self.words) - self.at
+
+    def end(self) -> None:
+        if self.left():
+            raise self.damaged(f"has {self.left()} words too many")
+
+    def _next(self, count: int) -> list[str]:
+        words = self.words[self.at : self.at + count]
+        if len(words) < count:
+            raise self.damaged(f"ends after {len(self.words)} words")
+        self.at += count
+        if not self.is_plain:
+            odd = next((word for word in words if "_" in word or not word.isascii()), None)
+            if odd is not None:
+                raise self.damaged(f"has {odd!r} where a number is expected")
+        return words
+
+
+def _text_lines(path: Path) -> list[str]:
+    """Lines of a whole file. Raises SceneError if it is cut or not UTF-8."""
+    raw = read_bytes(path)
+    if HEADER in raw[:1000] and not raw.endswith(NEWLINE):
+        raise DamagedModelError(path, f"its last line, {raw.count(NEWLINE) + 1}, has no end")
+    try:
+        return raw.decode().split("\n")
+    except UnicodeDecodeError as error:
+        line = raw.count(NEWLINE, 0, error.start) + 1
+        raise DamagedModelError(path, f"line {line} is not UTF-8") from error
+
+
+def _lines(path: Path) -> Iterator[_Line]:
+    """The lines that are neither empty nor comments."""
+    for number, text in enumerate(_text_lines(path), start=1):
+        line = _Line(path, number, text)
+        if line.words and line.words[0][0] != "#":
+            yield line
+
+
+def read_cameras(path: Path) -> list[CameraEntry]:
+    """Rows of cameras.txt. Raises SceneError."""
+    sizes, found = dict(camera_models().values()), []
+    for line in _lines(path):
+        camera_id, model = line.integer(), line.word()
+        if model not in sizes:
+            raise line.damaged(f"has an unknown camera model {model!r}")
+        width, height = line.integers(2, 2**64 - 1)
+        found.append(CameraEntry(camera_id, model, width, height, tuple(line.floats(sizes[model]))))
+        line.end()
+    return found
+
+
+def read_images(path: Path) -> list[ImageEntry]:
+    """Rows of images.txt: two lines each, the second with the 2-D points, which may be empty. Raises SceneError."""
+    lines, found, at = _text_lines(path), [], 0
+    while at < len(lines):
+        text = lines[at]
+        at += 1
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        head = _Line(path, at, text)
+        image_id, pose, camera_id = head.integer(), Pose.of(head.floats(7)), head.integer()
+        head.word()
+        name = text.split(maxsplit=9)[9].strip()
+        points = _Line(path, at + 1, lines[at] if at < len(lines) else "")
+        at += 1
+        found.append(ImageEntry(image_id, pose, camera_id, name, *_points2D(points)))
+    return found
+
+
+def _points2D(line: _Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Point ids, and numbers and positions of the compared 2-D points, of x, y, id, x, y, id ...; -1 is no id.
+
+    Of the other positions, which nothing needs, only the characters are checked: to read 10 million would take seconds.
+    """
+    if len(line.words) % 3 or not NUMBERS.fullmatch(line.text):
+        raise line.damaged(f"has {len(line.words)} words; each 2-D point has 3 numbers")
+    x, y = line.words[0::3], line.words[1::3]
+    line.words = [NO_POINT_WORD if word == "-1" else word for word in line.words[2::3]]
+    point_ids = np.array(line.integers(len(x), NO_POINT), np.uint64)
+    compared = to_compare(point_ids)
+    line.at, line.words = 0, [word for i in compared for word in (x[i], y[i])]
+    return point_ids, compared, np.array(line.floats(len(line.words)), np.float64).reshape(-1, 2)
+
+
+def read_points(path: Path) -> Points:
+    """Rows of points3D.txt. Raises SceneError."""
+    ids: list[int] = []
+    xyz: list[float] = []
+    colors: list[int] = []
+    lengths: list[int] = []
+    tracks: list[int] = []
+    for line in _lines(path):
+        words, count = line.words, len(line.words)
+        try:  # not word by word, since models have millions of points
+            ids.append(int(words[0]))
+            xyz += map(float, words[1:4])
+            colors += map(int, words[4:7])
+            lengths.append((count - 8) // 2)
+            tracks += map(int, words[8:])
+            float(words[7])
+        except (ValueError, IndexError) as error:
+            raise line.damaged(f"is no point: {error}") from error
+        if count % 2 or not line.is_plain:
+            raise line.damaged(f"has {count} words; a point has 8 numbers and 2 for each image of its track")
+    try:
+        return Points(
+            np.array(ids, np.uint64),
+            np.array(xyz, np.float64).reshape(-1, 3),
+            np.array(colors, np.uint8).reshape(-1, 3),
+            np.array(lengths, np.int64),
+            np.array(tracks[0::2], np.uint32),
+            np.array(tracks[1::2], np.uint32),
+        )
+    except OverflowError as error:
+        raise DamagedModelError(path, f"an id or a color is out of its range ({error})") from error
+
+
+def read_rigs(path: Path) -> list[Rig]:
+    """Rows of rigs.txt. Raises SceneError."""
+    found = []
+    for line in _lines(path):
+        rig_id, count = line.integer(), line.integer()
+        sensors: dict[Sensor, Pose | None] = {}
+        for index in range(min(count, line.left())):
+            sensor = line.sensor()
+            if sensor in sensors:
+                raise line.damaged(f"has {sensor.type} {sensor.id} twice")
+            has_pose = index > 0 and line.integer(1) == 1
+            sensors[sensor] = Pose.of(line.floats(7)) if has_pose else None
+        if len(sensors) < count:
+            raise line.damaged(f"counts {count} sensors, but has {len(sensors)}")
+        line.end()
+        found.append(Rig(rig_id, sensors))
+    return found
+
+
+def read_frames(path: Path) -> list[Frame]:
+    """Rows of frames.txt. Raises SceneError."""
+    found = []
+    for line in _lines(path):
+        frame_id, rig_id, pose, count = line.integer(), line.integer(), Pose.of(line.floats(7)), line.integer()
+        if line.left() != 3 * count:
+            raise line.damaged(f"counts {count} data ids, but has {line.left() / 3:g}")
+        data = [(line.sensor(), line.integer(2**64 - 1)) for _ in range(count)]
+        found.append(Frame(frame_id, rig_id, pose, data))
+    return found

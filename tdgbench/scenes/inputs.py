@@ -1,0 +1,97 @@
+"""Input files and folders: opened only if they are regular files, listed only if they can be.
+
+A FIFO, a device or a socket would block or never end; a loop of links or a missing permission is named.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.scenes.scene import SceneError
+
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def regular_file(path: Path) -> Path:
+    """Return the path. Raises SceneError unless it is, or links to, a regular file; opens nothing.
+
+    >>> regular_file(Path("/"))
+    Traceback (most recent call last):
+    tdgbench.scenes.scene.SceneError: / is a folder, not a file; replace it by the file itself
+    """
+    utf8_name(path)
+    try:
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except OSError as error:
+        raise SceneError(f"{path} cannot be used: {_reason(path, error)}") from error
+    if kind != stat.S_IFREG:
+        raise SceneError(f"{path} is {KINDS.get(kind, 'no file')}, not a file; replace it by the file itself")
+    return path
+
+
+def is_there(path: Path) -> bool:
+    """Whether something has this name, be it a link to nothing."""
+    return os.path.lexists(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is at `path`. Raises SceneError if that cannot be told."""
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise SceneError(f"{path} cannot be used: {_reason(path, error)}") from error
+
+
+def listed(folder: Path) -> list[Path]:
+    """Content of a folder, sorted by name. Raises SceneError if it cannot be listed."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError as error:
+        raise SceneError(f"{folder} cannot be listed: {_reason(folder, error)}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a regular file. Raises SceneError."""
+    try:
+        return regular_file(path).read_bytes()
+    except OSError as error:
+        raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
+
+
+def read_array(path: Path) -> np.ndarray:
+    """Real numbers of an .npy file. Raises SceneError; a shape that the file is too short for takes no memory."""
+    try:
+        values = np.load(regular_file(path), mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError) as error:
+        raise SceneError(f"{path} cannot be read as an .npy array: {error}; write it with numpy.save") from error
+    if not isinstance(values, np.memmap) or values.dtype.kind not in "fiu":
+        what = str(values.dtype) if isinstance(values, np.ndarray) else type(values).__name__
+        raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
+    return np.array(values)
+
+
+def utf8_name(path: Path) -> Path:
+    """Return the path. Raises SceneError if its name is not UTF-8, which no record or table could hold."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise SceneError(f"the name of {str(path)!r} is not UTF-8; rename it") from error
+    return path
+
+
+def _reason(path: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError) and path.is_symlink():
+        return "it links to nothing; replace the link by the file"
+    if isinstance(error, PermissionError):
+        return "no permission to read it; change its permissions"
+    return error.strerror or str(error)
