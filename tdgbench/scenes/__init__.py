@@ -1,16 +1,9 @@
 """Input: scenes, views, cameras and sparse points; one loader per data set. Imports nothing else of tdgbench."""
 
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
+from tdgbench.scenes.errors import MissingScenesError, SceneError
 from tdgbench.scenes.layout import ReadOptions
-from tdgbench.scenes.scene import (
-    Camera,
-    MissingScenesError,
-    PointCloud,
-    Scene,
-    SceneError,
-    TemperatureRange,
-    View,
-)
+from tdgbench.scenes.scene import Camera, PointCloud, Scene, TemperatureRange, View
 
 __all__ = [
     "Camera",

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Protocol
 
 from tdgbench.scenes import registry
+from tdgbench.scenes.errors import MissingScenesError, SceneError
 from tdgbench.scenes.layout import LAYOUT, Description, ReadOptions, read_scene
-from tdgbench.scenes.scene import MissingScenesError, Scene, SceneError
+from tdgbench.scenes.scene import Scene
 
 
 class Dataset(Protocol):

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import json
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
-from tdgbench.scenes.scene import SceneError, TemperatureRange
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
+from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.validate import MAX_PIXELS
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+FORMATS = ("PNG", "JPEG", "TIFF", "BMP")  # Pillow's names
+TO_GRAY = ("1", "LA", "La")  # modes of Pillow that are converted
+TO_COLOR = ("P", "PA", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
+READ_AS_THEY_ARE = ("L", "RGB", "I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+TEMPERATURES = (-273.15, 1e5)  # °C; absolute zero, and beyond what cameras measure
 
 
 @dataclass(frozen=True)
@@ -28,21 +40,72 @@ def read_radiometry(path: Path) -> Radiometry | None:
 
     Keys: min and max in °C; degC_per_count and degC_at_zero for 16-bit images. Raises SceneError.
     """
-    if not path.exists():
+    if not is_there(path):
         return None
     try:
-        content = json.loads(path.read_text())
-        low, high = float(content["min"]), float(content["max"])
+        content = json.loads(read_bytes(path))
+        low, high = _number(content["min"]), _number(content["max"])
         per_count = content.get("degC_per_count")
-        if not low < high:
-            raise ValueError(f"min {low} is not below max {high}")
+        if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:
+            raise ValueError(f"min {low} and max {high} are no range in {TEMPERATURES[0]} to {TEMPERATURES[1]:g}")
+        if per_count is not None and _number(per_count) == 0:
+            raise ValueError("degC_per_count is 0")
         return Radiometry(
             TemperatureRange(low, high),
-            None if per_count is None else float(per_count),
-            float(content.get("degC_at_zero", 0.0)),
+            None if per_count is None else _number(per_count),
+            _number(content.get("degC_at_zero", 0.0)),
         )
-    except (ValueError, KeyError, TypeError) as error:
-        raise SceneError(f"{path} must hold numbers `min` < `max` in °C: {error!r}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise SceneError(f"{path} must hold finite numbers `min` < `max` in °C: {error!r}") from error
+
+
+def _number(value: object) -> float:
+    """A finite number. Raises ValueError or TypeError."""
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number) or isinstance(value, bool):
+        raise ValueError(f"{value} is no finite number")
+    return number
+
+
+@contextmanager
+def opened_image(path: Path) -> Iterator[Image.Image]:
+    """An image whose header is checked and whose pixels are not yet decoded. Raises SceneError naming the file.
+
+    Errors of decoding inside the context become SceneError, too.
+    """
+    regular_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # of sizes that are refused below
+            image = Image.open(path, formats=FORMATS)
+        with image:
+            if image.width * image.height > MAX_PIXELS:
+                raise SceneError(
+                    f"{path} is {image.width}×{image.height} px; an image may have {MAX_PIXELS} pixels. Resize it"
+                )
+            _check_one_picture(image, path)
+            yield image
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # Pillow's decoders raise many kinds
+        raise SceneError(f"{path} cannot be read as an image: {error}; copy or export it again") from error
+
+
+def _check_one_picture(image: Image.Image, path: Path) -> None:
+    """Raise SceneError for an animation or a stack, whose pages have one size; previews are smaller."""
+    if image.format == "MPO" or getattr(image, "n_frames", 1) == 1:
+        return
+    size = image.size
+    image.seek(1)
+    if image.size == size:
+        raise SceneError(f"{path} holds {image.n_frames} pictures; a view is one. Save one of them")  # type: ignore[attr-defined]
+    image.seek(0)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height in px, of the header alone. Raises SceneError naming the file."""
+    with opened_image(path) as image:
+        return image.size
 
 
 def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
@@ -51,18 +114,19 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how.
     Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
-    try:
-        with Image.open(path) as opened:
-            image: Image.Image = opened
-            if image.mode in ("P", "RGBA", "CMYK", "YCbCr", "LA", "1"):
-                image = image.convert("L" if image.mode in ("LA", "1") else "RGB")
-            values, mode = np.asarray(image), image.mode
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise SceneError(f"{path} cannot be read as an image: {error}") from error
+    with opened_image(path) as opened:
+        image: Image.Image = opened
+        if image.mode in (*TO_GRAY, *TO_COLOR):
+            image = image.convert("L" if image.mode in TO_GRAY else "RGB")
+        if image.mode not in READ_AS_THEY_ARE:
+            raise SceneError(f"{path} has mode {image.mode}; save it as 8- or 16-bit gray, 8-bit colour or float")
+        values, mode = np.asarray(image), image.mode
     if values.ndim == 2:
         values = values[:, :, None]
     if values.dtype == np.uint8:
-        return values.astype(np.float32) / np.float32(255)
+        result = values.astype(np.float32)
+        result /= np.float32(255)
+        return result
     degC = None
     if np.issubdtype(values.dtype, np.floating):
         degC = values.astype(np.float64)

@@ -5,14 +5,16 @@ A FIFO, a device or a socket would block or never end; a loop of links or a miss
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from pathlib import Path
 
 import numpy as np
 
-from tdgbench.scenes.scene import SceneError
+from tdgbench.scenes.errors import SceneError
 
+LONGEST_NAME = 200  # bytes; names of files have 255 at most
 KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a FIFO",
@@ -27,7 +29,7 @@ def regular_file(path: Path) -> Path:
 
     >>> regular_file(Path("/"))
     Traceback (most recent call last):
-    tdgbench.scenes.scene.SceneError: / is a folder, not a file; replace it by the file itself
+    tdgbench.scenes.errors.SceneError: / is a folder, not a file; replace it by the file itself
     """
     utf8_name(path)
     try:
@@ -68,6 +70,15 @@ def read_bytes(path: Path) -> bytes:
         raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
 
 
+def hash_of(path: Path) -> bytes:
+    """SHA-256 of a regular file. Raises SceneError."""
+    try:
+        with regular_file(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
+
+
 def read_array(path: Path) -> np.ndarray:
     """Real numbers of an .npy file. Raises SceneError; a shape that the file is too short for takes no memory."""
     try:
@@ -87,6 +98,16 @@ def utf8_name(path: Path) -> Path:
     except UnicodeEncodeError as error:
         raise SceneError(f"the name of {str(path)!r} is not UTF-8; rename it") from error
     return path
+
+
+def check_view_name(name: str, where: str) -> str:
+    """Return a view's name. Raises SceneError, beginning with `where`, unless files of results can be named so."""
+    if not name.strip() or name in (".", "..") or not name.isprintable() or len(name.encode()) > LONGEST_NAME:
+        raise SceneError(
+            f"{where} gives a view the name {name!r}; rename it: results are named after views, so names are of "
+            f"printable characters and {LONGEST_NAME} bytes at most"
+        )
+    return name
 
 
 def _reason(path: Path, error: OSError) -> str:

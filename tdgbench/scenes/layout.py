@@ -15,9 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage, read_model
-from tdgbench.scenes.images import SUFFIXES, Radiometry, is_gray, read_image, read_radiometry, resize
-from tdgbench.scenes.scene import Scene, SceneError, View
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import SUFFIXES, Radiometry, image_size, is_gray, read_image, read_radiometry, resize
+from tdgbench.scenes.inputs import check_view_name, hash_of, is_folder, is_there, listed, regular_file
+from tdgbench.scenes.scene import Scene, View
 from tdgbench.scenes.splits import split_names
+from tdgbench.scenes.validate import check_camera
 
 LAYOUT = "<scene>/{rgb,thermal}/[train|test]/<view>.png, <scene>/sparse/0 (COLMAP), [<scene>/temperature.json]"
 ASPECT_TOLERANCE = 0.01
@@ -48,14 +51,19 @@ class Description:
 
 
 def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
-    """Image paths by view name; and by view name `train` or `test`, where these subfolders exist."""
+    """Image paths by view name; and by view name `train` or `test`, where these subfolders exist.
+
+    Raises SceneError for a name that no result could have, and for what is no regular file.
+    """
     paths: dict[str, Path] = {}
     shipped: dict[str, str] = {}
-    subfolders = [name for name in ("train", "test") if (folder / name).is_dir()]
+    subfolders = [name for name in ("train", "test") if is_folder(folder / name)]
     for sub in subfolders or [""]:
-        for path in sorted((folder / sub).iterdir()):
+        for path in listed(folder / sub):
             if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
                 continue
+            regular_file(path)
+            check_view_name(path.stem, f"the file {path!s:.1000}")
             if path.stem in paths:
                 raise SceneError(f"{path} and {paths[path.stem]} are both view {path.stem}; keep one of them")
             paths[path.stem] = path
@@ -66,11 +74,13 @@ def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
 
 def read_scene(folder: Path, description: Description, options: ReadOptions) -> Scene:
     """Read the scene in a folder. Raises SceneError naming the file or view and the remedy."""
-    if not (folder / "thermal").is_dir():
+    if not is_folder(folder / "thermal"):
         raise SceneError(f"{folder} has no thermal/ folder; the layout is {LAYOUT}")
     thermal, shipped = find_images(folder / "thermal")
-    rgb = find_images(folder / "rgb")[0] if (folder / "rgb").is_dir() else {}
-    model_folder = next((f for f in (folder / "sparse" / "0", folder / "sparse") if f.is_dir()), None)
+    if not thermal:
+        raise SceneError(f"{folder / 'thermal'} holds no image; put one of each view there ({', '.join(SUFFIXES)})")
+    rgb = _find_rgb(folder / "rgb")
+    model_folder = next((f for f in (folder / "sparse" / "0", folder / "sparse") if is_folder(f)), None)
     if model_folder is None:
         raise SceneError(f"{folder} has no COLMAP model in sparse/0; run COLMAP on its RGB images first")
     posed, points, notes = read_model(model_folder)
@@ -95,6 +105,9 @@ def read_scene(folder: Path, description: Description, options: ReadOptions) -> 
         train, test = split_names(names, options.split, shipped)
     except ValueError as error:
         raise SceneError(f"{folder}: {error}") from error
+    for name in names:
+        check_image_size(thermal[name], posed[name])
+        posed[name].check_undistortion()
     radiometry = read_radiometry(folder / "temperature.json")
     channels = _decide_channels([thermal[n] for n in names], radiometry, options.channels)
     views = {
@@ -116,6 +129,26 @@ def read_scene(folder: Path, description: Description, options: ReadOptions) -> 
     )
 
 
+def check_image_size(path: Path, posed: RegisteredImage) -> None:
+    """Raise SceneError unless the image's header has the aspect ratio of its camera; decode nothing."""
+    width, height = image_size(path)
+    source = posed.source_size
+    if abs(width / height * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
+        raise SceneError(
+            f"{path} is {width}×{height}, but its camera is {source[0]}×{source[1]}: the aspect ratios differ; "
+            "export the image again, or correct the camera"
+        )
+
+
+def _find_rgb(folder: Path) -> dict[str, Path]:
+    """RGB images by view name; none without the folder."""
+    if not is_there(folder):
+        return {}
+    if not is_folder(folder):
+        raise SceneError(f"{folder} is no folder; replace it by a folder of RGB images, or remove it")
+    return find_images(folder)[0]
+
+
 def _decide_channels(paths: list[Path], radiometry: Radiometry | None, wanted: int | str) -> int:
     if wanted == "auto":
         return 1 if all(is_gray(read_image(path, radiometry)) for path in paths) else 3
@@ -129,6 +162,7 @@ def _make_view(posed: RegisteredImage, thermal: Path, rgb: Path | None, depth_fo
     camera = posed.camera
     if options.width is not None:
         camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))
+        check_camera(camera, f"data.width={options.width}: view {posed.name}")
     depth = depth_folder / f"{posed.name}.npy"
     return View(
         name=posed.name,
@@ -136,19 +170,14 @@ def _make_view(posed: RegisteredImage, thermal: Path, rgb: Path | None, depth_fo
         load_thermal=partial(_load, thermal, posed, camera.width, camera.height, channels, radiometry),
         load_rgb=None if rgb is None else partial(_load, rgb, posed, camera.width, camera.height, 3, None),
         thermal_path=thermal,
-        true_depth_path=depth if depth.exists() else None,
+        true_depth_path=regular_file(depth) if is_there(depth) else None,
     )
 
 
 def _load(path: Path, posed: RegisteredImage, width: int, height: int, channels: int, radiometry) -> np.ndarray:
     """Image of a view as float32 (height, width, channels): read, undistorted, resized, converted."""
+    check_image_size(path, posed)
     image = read_image(path, radiometry)
-    source = (posed.camera.width, posed.camera.height) if posed.undistortion is None else posed.undistortion.source_size
-    if abs(image.shape[1] / image.shape[0] * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
-        raise SceneError(
-            f"{path} is {image.shape[1]}×{image.shape[0]}, but its camera is {source[0]}×{source[1]}: "
-            "the aspect ratios differ"
-        )
     if posed.undistortion is not None:
         image = posed.undistortion.apply(image)
     image = resize(image, width, height)
@@ -162,8 +191,8 @@ def _load(path: Path, posed: RegisteredImage, width: int, height: int, channels:
 def _fingerprint(folder: Path, images: list[Path], model: Path) -> str:
     """Hash of the paths and contents of the images, the COLMAP model and temperature.json."""
     digest = hashlib.sha256()
-    extra = [folder / "temperature.json"] if (folder / "temperature.json").exists() else []
-    for path in sorted([*images, *(p for p in model.iterdir() if p.is_file()), *extra]):
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    extra = [folder / "temperature.json"] if is_there(folder / "temperature.json") else []
+    for path in sorted([*images, *(p for p in listed(model) if p.is_file()), *extra]):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode("utf-8", "surrogateescape"))
+        digest.update(hash_of(path))
     return digest.hexdigest()[:16]

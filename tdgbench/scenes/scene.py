@@ -9,19 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import read_array
+
 MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
-
-
-class SceneError(Exception):
-    """A scene cannot be used. The message names the file or view and the remedy."""
-
-
-class MissingScenesError(SceneError):
-    """Scenes are not on disk."""
-
-    def __init__(self, names: list[str], message: str) -> None:
-        super().__init__(message)
-        self.names = names
 
 
 @dataclass(frozen=True)
@@ -100,8 +91,13 @@ class View:
 
     @cached_property
     def true_depth(self) -> np.ndarray | None:
-        """(H, W) float32, z in world units; None if unknown."""
-        return None if self.true_depth_path is None else np.load(self.true_depth_path, allow_pickle=False)
+        """(H, W) float32, z in world units; None if unknown. Raises SceneError for a file that is no depth map."""
+        if self.true_depth_path is None:
+            return None
+        depth = read_array(self.true_depth_path)
+        if depth.ndim != 2 or not np.isfinite(depth).all():
+            raise SceneError(f"{self.true_depth_path} is no depth map: it must hold finite numbers of shape (H, W)")
+        return depth
 
 
 @dataclass

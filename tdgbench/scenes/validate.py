@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from tdgbench.scenes.scene import Camera, SceneError
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.scene import Camera
 
 MAX_PIXELS = 89_478_485  # of an image; Pillow's limit against decompression bombs (Image.MAX_IMAGE_PIXELS)
 FIELD_OF_VIEW = (1.0, 179.0)  # degrees; a pinhole has less than 180, COLMAP drops less than 5.7
@@ -23,7 +24,7 @@ def check_camera(camera: Camera, where: str) -> Camera:
     True
     >>> check_camera(Camera(np.diag([-50.0, 50.0, 1.0]), np.eye(4), 64, 48), "view 1")
     Traceback (most recent call last):
-    tdgbench.scenes.scene.SceneError: view 1 has the focal length -50 px; it must be positive. Correct the model
+    tdgbench.scenes.errors.SceneError: view 1 has the focal length -50 px; it must be positive. Correct the model
     """
     K, pose = camera.K, camera.world_to_camera
     if K.shape != (3, 3) or pose.shape != (4, 4):
@@ -58,7 +59,7 @@ def check_intrinsics(
 
 def check_size(width: int, height: int, where: str) -> None:
     """Raise SceneError unless an image of width × height px can be held."""
-    if not (1 <= width and 1 <= height and width * height <= MAX_PIXELS):
+    if not (width >= 1 and height >= 1 and width * height <= MAX_PIXELS):
         raise _wrong(where, f"is {width}×{height} px", f"it must have 1 to {MAX_PIXELS} pixels")
 
 

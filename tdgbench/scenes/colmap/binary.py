@@ -1,7 +1,7 @@
 """COLMAP's binary files, read so that every count and length is proved against the file's size first.
 
-Layout: COLMAP's src/colmap/scene/reconstruction_io_binary.cc. pycolmap's own reader believes the counts: a file one byte
-short makes it allocate without end. All numbers are little-endian.
+Layout: COLMAP's src/colmap/scene/reconstruction_io_binary.cc; all numbers are little-endian. pycolmap's own reader
+believes the counts: a file one byte short makes it allocate without end.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from tdgbench.scenes.colmap import binary, text
 from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, Tables, by_id
+from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.scene import SceneError
 
 FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
 NEEDED = ("cameras", "images", "points3D")

@@ -13,11 +13,11 @@ from tdgbench.scenes.colmap.agreement import check_agreement
 from tdgbench.scenes.colmap.files import read_tables
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
 from tdgbench.scenes.colmap.references import camera_poses, check_points
-from tdgbench.scenes.colmap.tables import REMEDY, Points, Tables
-from tdgbench.scenes.scene import Camera, PointCloud, SceneError
+from tdgbench.scenes.colmap.tables import REMEDY, Points
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import check_view_name
+from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.validate import check_camera
-
-LONGEST_NAME = 200  # bytes; view names become names of files, of 255 bytes at most
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,16 @@ class RegisteredImage:
     name: str  # file name without folder and extension
     camera: Camera
     undistortion: Undistortion | None
+
+    @property
+    def source_size(self) -> tuple[int, int]:
+        """Width and height of the camera as in the model, px."""
+        return (self.camera.width, self.camera.height) if self.undistortion is None else self.undistortion.source_size
+
+    def check_undistortion(self) -> None:
+        """Raise SceneError if the camera's distortion makes no image of its images."""
+        if self.undistortion is not None:
+            _ = self.undistortion.positions
 
 
 class ReadModel(NamedTuple):
@@ -47,25 +57,18 @@ def read_model(folder: Path) -> ReadModel:
     cameras = {key: to_pinhole(entry, tables.file("cameras")) for key, entry in tables.cameras.items()}
     posed: dict[str, RegisteredImage] = {}
     for image_id, image in tables.images.items():
-        name = _view_name(image.name, tables.file("images"))
+        where = f"{tables.file('images')}: image {image.name!r}"
+        name = check_view_name(PurePosixPath(image.name.replace("\\", "/")).stem, where)
         if name in posed:
             raise SceneError(f"{folder} has two images named {name}; view names must be unique in a scene")
         pinhole, _, undistortion = cameras[image.camera_id]
         pose = np.eye(4)
         pose[:3] = poses[image_id]
         camera = Camera(pinhole.K, pose, pinhole.width, pinhole.height)
-        check_camera(camera, f"{tables.file('images')}: image {image.name!r}")
+        check_camera(camera, where)
         posed[name] = RegisteredImage(name, camera, undistortion)
     sources: dict[int, pycolmap.Camera] = {key: source for key, (_, source, _) in cameras.items()}
     return ReadModel(posed, _cloud(tables.points), check_agreement(tables, poses, sources))
-
-
-def _view_name(image_name: str, file: Path) -> str:
-    """File name without folder and extension. Raises SceneError for one that no file could have."""
-    name = PurePosixPath(image_name.replace("\\", "/")).stem
-    if not name.strip() or name in (".", "..") or not name.isprintable() or len(name.encode()) > LONGEST_NAME:
-        raise SceneError(f"{file} has an image named {image_name!r}; rename it: view names become names of files")
-    return name
 
 
 def _cloud(points: Points) -> PointCloud | None:

@@ -11,7 +11,8 @@ import pycolmap
 from scipy.ndimage import map_coordinates
 
 from tdgbench.scenes.colmap.tables import CameraEntry
-from tdgbench.scenes.scene import Camera, SceneError
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.scene import Camera
 from tdgbench.scenes.validate import check_intrinsics, check_size
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.scene import SceneError
+from tdgbench.scenes.errors import SceneError
 
 NO_POINT = 2**64 - 1  # point id of a 2-D point without a 3-D point
 MOST_COMPARED = 500  # 2-D points of a view; for a median, more say nothing new

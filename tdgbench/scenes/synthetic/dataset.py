@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.layout import Description, ReadOptions, read_scene
-from tdgbench.scenes.scene import Scene, SceneError
+from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import write_scene
 
