@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
-from tdgbench.scenes import Scene, View
+from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.scenes.images import opened_image
+from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
 LARGEST_COUNT = {"L": 255, "I;16": 65535, "I": 65535}  # by Pillow mode
@@ -31,18 +34,17 @@ class FilePrior:
         folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
         digest = hashlib.sha256()
         for view in scene.train:
-            digest.update(hashlib.sha256(self._find(scene, view).read_bytes()).digest())
+            with _as_prior_error():
+                digest.update(hash_of(self._find(scene, view)))
         return {"estimator": "files", "folder": folder, "kind": self.kind, "files": digest.hexdigest()[:16]}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         path = self._find(scene, view)
-        try:
+        with _as_prior_error():
             if path.suffix == ".npy":
-                values = np.load(path, allow_pickle=False).astype(np.float32).squeeze()
+                values = read_array(path).astype(np.float32).squeeze()
             else:
                 values = _read_png(path, (view.camera.height, view.camera.width))
-        except (OSError, ValueError) as error:
-            raise PriorError(f"{path} cannot be read as a depth map: {error}") from error
         return DepthPrior(values, self.kind)
 
     def _find(self, scene: Scene, view: View) -> Path:
@@ -58,7 +60,7 @@ class FilePrior:
             for part in ("train", "test", "")
             for suffix in (".npy", ".png")
         ]
-        path = next((p for p in candidates if p.exists()), None)
+        path = next((p for p in candidates if is_there(p)), None)
         if path is None:
             expected = bases[0] / f"{view.name}.npy"
             raise PriorError(
@@ -67,12 +69,24 @@ class FilePrior:
         return path
 
 
+@contextmanager
+def _as_prior_error() -> Iterator[None]:
+    """Turn what an unusable file raises into PriorError."""
+    try:
+        yield
+    except SceneError as error:
+        raise PriorError(str(error)) from error
+
+
 def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Depth map (H, W) float32 in [0, 1] of size (H, W), NaN where unknown. Raises ValueError for colour images."""
-    with Image.open(path) as image:
-        if image.mode not in LARGEST_COUNT:
-            raise ValueError(f"it has mode {image.mode}; a depth map has one channel of 8 or 16 bits")
-        counts = np.asarray(image).astype(np.float32) / np.float32(LARGEST_COUNT[image.mode])
+    """Depth map (H, W) float32 in [0, 1] of size (H, W), NaN where unknown. Raises SceneError or PriorError."""
+    with opened_image(path) as image:
+        mode, counts = image.mode, np.asarray(image)
+    if mode not in LARGEST_COUNT:
+        raise PriorError(
+            f"{path} cannot be read as a depth map: it has mode {mode}; a depth map has one channel of 8 or 16 bits"
+        )
+    counts = counts.astype(np.float32) / np.float32(LARGEST_COUNT[mode])
     if counts.shape != size:
         given = torch.from_numpy(counts)[None, None]
         resized = torch.nn.functional.interpolate(given, size=size, mode="bilinear", align_corners=False)

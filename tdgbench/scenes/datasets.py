@@ -7,12 +7,14 @@ from typing import Protocol
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
+from tdgbench.scenes.inputs import is_folder, listed, utf8_name
 from tdgbench.scenes.layout import LAYOUT, Description, ReadOptions, read_scene
+from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.scene import Scene
 
 
 class Dataset(Protocol):
-    """Source of scenes. A name of None means the only scene, where there is one."""
+    """Source of scenes. A name of None means the only scene, where there is one; a number is a name of digits."""
 
     def names(self) -> list[str]:
         """Names of all scenes."""
@@ -23,10 +25,10 @@ class Dataset(Protocol):
     def explain_missing(self, names: list[str]) -> str:
         """One message for all missing scenes: names, expected folders, publisher."""
 
-    def describe(self, name: str | None) -> Description:
+    def describe(self, name: str | int | None) -> Description:
         """Describe a scene without reading it. Raises SceneError for an unknown name."""
 
-    def load(self, name: str | None) -> Scene:
+    def load(self, name: str | int | None) -> Scene:
         """Read a scene. Raises MissingScenesError or SceneError."""
 
 
@@ -53,13 +55,14 @@ class RegisteredDataset:
     def missing(self, names: list[str]) -> list[str]:
         return [name for name in names if self._find(name) is None]
 
-    def describe(self, name: str | None) -> Description:
+    def describe(self, name: str | int | None) -> Description:
+        name = scene_name(name)
         if name is None:
             raise SceneError(f"choose a scene with scene=…: {', '.join(self.names())}")
         scene = self._registered(name)
         return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
 
-    def load(self, name: str | None) -> Scene:
+    def load(self, name: str | int | None) -> Scene:
         description = self.describe(name)
         folder = self._find(description.scene)
         if folder is None:
@@ -99,11 +102,11 @@ class FolderDataset:
         self.options = options
 
     def names(self) -> list[str]:
-        if (self.root / "thermal").is_dir():
-            return [self.root.resolve().name]
-        if not self.root.is_dir():
+        if self._is_scene():
+            return [name for name in [self.root.resolve().name] if not is_hidden(name)]
+        if not is_folder(self.root):
             return []
-        return sorted(p.name for p in self.root.iterdir() if (p / "thermal").is_dir())
+        return [p.name for p in listed(self.root) if not is_hidden(p.name) and _holds_thermal(p)]
 
     def missing(self, names: list[str]) -> list[str]:
         return [name for name in names if name not in self.names()]
@@ -112,19 +115,34 @@ class FolderDataset:
         there = ", ".join(self.names()) or "none"
         return (
             f"{', '.join(names)} not found in {self.root} (scenes there: {there}). Set data.root=DIR to a scene or to "
-            f"a folder of scenes; layout: {LAYOUT}"
+            f"a folder of scenes whose names do not begin with a dot; layout: {LAYOUT}"
         )
 
-    def describe(self, name: str | None) -> Description:
+    def describe(self, name: str | int | None) -> Description:
+        if self._is_scene():
+            check_scene_name(self.root.resolve().name)
         names = self.names()
+        name = scene_name(name, names)
         if name is None and len(names) != 1:
             wanted = ["a scene (scene=…)"]
             raise MissingScenesError(wanted, self.explain_missing(wanted))
-        return Description(names[0] if name is None else name, "folder", "")
+        return Description(check_scene_name(names[0] if name is None else name), "folder", "")
 
-    def load(self, name: str | None) -> Scene:
+    def load(self, name: str | int | None) -> Scene:
         description = self.describe(name)
         if description.scene not in self.names():
+            is_folder(self.root / description.scene / "thermal")  # its error says more, where there is one
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
-        folder = self.root if (self.root / "thermal").is_dir() else self.root / description.scene
+        folder = self.root if self._is_scene() else self.root / description.scene
         return read_scene(folder, description, self.options)
+
+    def _is_scene(self) -> bool:
+        return is_folder(utf8_name(self.root) / "thermal")
+
+
+def _holds_thermal(folder: Path) -> bool:
+    """Whether a folder is a scene. One that may not be read is none: it must not keep the others from being found."""
+    try:
+        return is_folder(folder / "thermal")
+    except SceneError:
+        return False

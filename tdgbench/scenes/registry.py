@@ -6,6 +6,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import is_folder, listed
+from tdgbench.scenes.names import is_hidden
+
 GROUPS = {
     "day": "Day light conditions",
     "dark": "Dark light conditions",
@@ -34,10 +38,12 @@ class RegisteredScene:
         return _plain(folder) in {_plain(name) for name in (self.name, *self.aliases)}
 
     def find(self, dataset_folder: Path) -> Path | None:
-        """Folder of this scene inside the folder of its data set, or None."""
-        if not dataset_folder.is_dir():
+        """Folder of this scene inside the folder of its data set, or None. Raises SceneError if there are two."""
+        if not is_folder(dataset_folder):
             return None
-        found = sorted(p for p in dataset_folder.iterdir() if p.is_dir() and self.matches(p.name))
+        found = [p for p in listed(dataset_folder) if not is_hidden(p.name) and self.matches(p.name) and is_folder(p)]
+        if len(found) > 1:
+            raise SceneError(f"{' and '.join(map(str, found))} are both the scene {self.name}; keep one of them")
         return found[0] if found else None
 
 

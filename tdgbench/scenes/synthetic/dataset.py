@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.layout import Description, ReadOptions, read_scene
+from tdgbench.scenes.names import scene_name
 from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import write_scene
@@ -44,13 +45,13 @@ class SyntheticDataset:
     def explain_missing(self, names: list[str]) -> str:
         return f"no synthetic scene {', '.join(names)}; choose from {', '.join(WORLDS)}"
 
-    def describe(self, name: str | None) -> Description:
-        name = name or next(iter(WORLDS))
+    def describe(self, name: str | int | None) -> Description:
+        name = scene_name(name) or next(iter(WORLDS))
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
         return Description(name, "synthetic", WORLDS[name](self.seed).group)
 
-    def load(self, name: str | None) -> Scene:
+    def load(self, name: str | int | None) -> Scene:
         description = self.describe(name)
         world = WORLDS[description.scene](self.seed)
         folder = self.root / "synthetic" / self._folder_name(description.scene)
