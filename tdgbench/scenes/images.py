@@ -31,7 +31,7 @@ def read_radiometry(path: Path) -> Radiometry | None:
     if not path.exists():
         return None
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         low, high = float(content["min"]), float(content["max"])
         per_count = content.get("degC_per_count")
         if not low < high:
