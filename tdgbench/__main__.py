@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from tdgbench import __version__
 from tdgbench.experiments.experiment import experiment_of
 from tdgbench.resources import conf_folder
+from tdgbench.terminal import guard_streams, say
 from tdgbench.tools import TOOLS
 from tdgbench.usage import usage
 
@@ -22,18 +23,19 @@ def main() -> int:
 
     The first word chooses a tool. Without one, Hydra takes the arguments. No arguments: the demo.
     """
+    guard_streams()
     words = sys.argv[1:]
     if str(Path.cwd()) not in sys.path and not sys.flags.safe_path:
         sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
     if words and words[0] in TOOLS:
         return TOOLS[words[0]].run(words[1:])
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
-        print(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", file=sys.stderr)
+        say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
         return 2
     if {"--help", "-h"} & set(words):
-        print(usage())
+        say(usage())
     elif "--version" in words:
-        print(f"tdgbench {__version__}")
+        say(f"tdgbench {__version__}")
     else:
         if not words:
             sys.argv.append(DEMO)

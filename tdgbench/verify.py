@@ -10,7 +10,6 @@ import argparse
 import csv
 import json
 import math
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,8 +17,6 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from rich.console import Console
-from rich.markup import escape
 
 from tdgbench.bench import cameras
 from tdgbench.bench.hashes import hashes
@@ -30,6 +27,7 @@ from tdgbench.scoring import METRICS, LPIPSOptions, Scorer, to_8bit
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.scored_view import ImagePair, Modality, NotApplicableError
 from tdgbench.splats.ply import load_ply
+from tdgbench.terminal import say
 
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
 SCORE_TOLERANCE = 1e-6
@@ -49,7 +47,7 @@ def verify(experiment: Path) -> tuple[int, list[str]]:
 def verify_cell(folder: Path) -> list[str]:
     """Problems of one cell; of a failed cell, only those of its record."""
     try:
-        text = (folder / FILE).read_text()
+        text = (folder / FILE).read_text(encoding="utf-8")
         content = json.loads(text)
     except ValueError as error:
         return [f"{FILE} is not JSON: {error}"]
@@ -103,7 +101,7 @@ def _picture(path: Path) -> np.ndarray:
 
 def _scores(folder: Path, content: dict[str, Any]) -> Iterator[str]:
     """Scores that differ from those of the stored pictures. Scores that need more than pictures are not checked."""
-    with (folder / "views.csv").open(newline="") as file:
+    with (folder / "views.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["view"]: row for row in csv.DictReader(file)}
     metrics = content["config"]["metrics"]
     options = LPIPSOptions(metrics["lpips"]["net"], metrics["lpips"]["weights"], download=False)
@@ -152,15 +150,15 @@ def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status."""
     parser = argparse.ArgumentParser(prog="tdgbench verify", description=__doc__)
     parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>")
-    console, status = Console(), 0
+    status = 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
             count, problems = verify(experiment)
         except ValueError as error:
-            print(f"tdgbench verify: {error}", file=sys.stderr)
+            say(f"tdgbench verify: {error}", stderr=True)
             return 1
         for problem in problems:
-            console.print(f"[red]problem:[/red] {escape(problem)}", highlight=False, soft_wrap=True)
-        console.print(f"{experiment}: {count} cells, {len(problems)} problems", highlight=False, soft_wrap=True)
+            say(problem, "problem:")
+        say(f"{experiment}: {count} cells, {len(problems)} problems")
         status |= bool(problems)
     return status

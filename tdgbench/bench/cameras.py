@@ -24,7 +24,7 @@ def write_cameras(path: Path, scene: Scene) -> None:
 def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
     """Read the cameras of one part, by view name. Raises ValueError, naming the file, if it holds anything else."""
     try:
-        return {name: _from_json(one) for name, one in json.loads(path.read_text())[part].items()}
+        return {name: _from_json(one) for name, one in json.loads(path.read_text(encoding="utf-8"))[part].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} holds no cameras: {error!r}") from error
 

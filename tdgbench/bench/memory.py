@@ -33,7 +33,7 @@ class PeakMemory:
         if torch.cuda.is_available():
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):
-            Path("/proc/self/clear_refs").write_text("5")
+            Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
         peak, current = _read("VmHWM"), _read("VmRSS")
         self.mb = current
         if current is not None and (peak is None or peak > current + ROUNDING_MB):
@@ -58,7 +58,7 @@ class PeakMemory:
 def _read(field: str) -> float | None:
     """Field of /proc/self/status, MB; None if it is not there."""
     with contextlib.suppress(OSError):
-        for line in STATUS.read_text().splitlines():
+        for line in STATUS.read_text(encoding="utf-8").splitlines():
             if line.startswith(f"{field}:"):
                 return round(int(line.split()[1]) / 1024, 1)
     return None

@@ -44,7 +44,7 @@ class Plan:
 def read_plan(experiment: Path) -> Plan:
     """Read the plan in an experiment's folder; the default plan if there is none."""
     path = experiment / FILE
-    return Plan(**json.loads(path.read_text())) if path.exists() else Plan()
+    return Plan(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Plan()
 
 
 def swept(config: DictConfig) -> dict[str, list[str]]:

@@ -142,7 +142,7 @@ def read_record(folder: Path) -> Record | None:
     """Read the record in a cell's folder; None without one. Raises ValueError, naming the file, if it is broken."""
     path = folder / FILE
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         if content.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {content.get('schema')}, this version reads {SCHEMA}")
         failure = content.pop("failure")

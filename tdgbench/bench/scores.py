@@ -24,7 +24,7 @@ def score_training_views(method: Method, scene: Scene, scorer: Scorer) -> dict[s
 
 def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
     """Write one row per view; n/a where a metric has no value."""
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["view", *METRICS])
         for name, values in scores.items():

@@ -11,7 +11,7 @@ from tdgbench.training.loop import TrainingLog
 def write_log(path: Path, log: TrainingLog) -> None:
     """Write one row per logged iteration; one column per loss term."""
     terms = sorted({term for line in log.lines for term in line.terms})
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["iteration", "seconds", "loss", "train_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
         for line in log.lines:

@@ -12,8 +12,8 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from hydra.utils import get_class
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.markup import escape
+
+from tdgbench.terminal import say
 
 
 class Experiment(ABC):
@@ -61,6 +61,5 @@ def _end(cfg: DictConfig, jobs: Path) -> None:
     try:
         experiment_of(cfg).end(cfg, jobs)
     except Exception as error:  # Hydra would print a warning and exit with status 0
-        message = escape(f"{type(error).__name__}: {error}")
-        Console().print(f"[red]error:[/red] {message}", highlight=False, soft_wrap=True)
+        say(f"{type(error).__name__}: {error}", "error:")
         raise SystemExit(1) from error

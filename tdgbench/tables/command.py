@@ -7,14 +7,12 @@ experiments together; test every paper's averages against their rows.
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-
-from rich.console import Console
 
 from tdgbench.tables.between_papers import all_averages, between_papers
 from tdgbench.tables.build import build_tables, write_claims
 from tdgbench.tables.show import show, show_averages, show_claims, show_papers
+from tdgbench.terminal import console, say
 
 
 def main(arguments: list[str]) -> int:
@@ -24,13 +22,13 @@ def main(arguments: list[str]) -> int:
     what = parser.parse_args(arguments).what
     try:
         if what[0] == "claims":
-            show_claims(write_claims([Path(folder) for folder in what[1:]]), Console())
-            show_papers(between_papers(), Console())
-            show_averages(all_averages(), Console())
+            show_claims(write_claims([Path(folder) for folder in what[1:]]), console())
+            show_papers(between_papers(), console())
+            show_averages(all_averages(), console())
             return 0
         for folder in what:
-            show(build_tables(Path(folder)), Console())
+            show(build_tables(Path(folder)), console())
     except ValueError as error:
-        print(f"tdgbench tables: {error}", file=sys.stderr)
+        say(f"tdgbench tables: {error}", stderr=True)
         return 1
     return 0

@@ -75,7 +75,7 @@ def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     found = {one.name: np.array([one.of_record(record)]) for one in OF_RECORDS if one.published}
     path = cell_folder_of(experiment, record) / "views.csv"
     if path.exists():
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         for metric in rows[0] if rows else []:
             if metric != "view" and all(row[metric] != "n/a" for row in rows):

@@ -8,8 +8,8 @@ import pandas as pd
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.markup import escape
 
+from tdgbench import terminal
 from tdgbench.experiments.error_time import growth, kernels, training
 from tdgbench.experiments.error_time.draw import draw_curves, draw_growth, draw_pareto
 from tdgbench.experiments.error_time.show import show
@@ -36,7 +36,7 @@ class ErrorTime(Experiment):
             raise ValueError(f"job.parts: there is no {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
-        console, folder = Console(), Path(cfg.results) / cfg.name
+        console, folder = terminal.console(), Path(cfg.results) / cfg.name
         folder.mkdir(parents=True, exist_ok=True)
         failed = 0
         if "kernels" in cfg.job.parts:
@@ -45,7 +45,7 @@ class ErrorTime(Experiment):
             failed = _measure_training(cfg, folder, console)
         if "growth" in cfg.job.parts:
             _measure_growth(cfg, folder, console)
-        console.print(f"tables and pictures: {folder}", highlight=False, soft_wrap=True)
+        terminal.say(f"tables and pictures: {folder}")
         if failed:
             raise SystemExit(1)
 
@@ -76,13 +76,10 @@ def _measure_training(cfg: DictConfig, folder: Path, console: Console) -> int:
     def report(scene: str, label: str, result: pd.DataFrame | Exception) -> None:
         if isinstance(result, Exception):
             message = f"{scene}, {label}: {type(result).__name__}: {result}"
-            console.print(f"[red]failed:[/red] {escape(message)}", highlight=False, soft_wrap=True)
+            terminal.say(message, "failed:")
             return
         last = result.iloc[-1]
-        console.print(
-            f"{scene}, {label}: {last.psnr:.2f} dB after {last.iteration} iterations and {last.seconds:.1f} s",
-            highlight=False,
-        )
+        terminal.say(f"{scene}, {label}: {last.psnr:.2f} dB after {last.iteration} iterations and {last.seconds:.1f} s")
 
     curves, failed = training.sample_all(cfg, report)
     _write(curves, folder / "curves.csv")

@@ -7,7 +7,6 @@ from pathlib import Path
 import pandas as pd
 from omegaconf import DictConfig
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from tdgbench.bench.cell import Outcome
@@ -18,6 +17,7 @@ from tdgbench.experiments.skips.draw import draw
 from tdgbench.experiments.skips.table import skip_rows, summary
 from tdgbench.experiments.skips.variants import run_variants
 from tdgbench.files import write_text
+from tdgbench.terminal import console, say
 
 SUCCESS = ("ok", "kept", "elsewhere")
 
@@ -27,13 +27,12 @@ class SkipAblation(Experiment):
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
-        console = Console()
 
         def report(outcome: Outcome) -> None:
             if outcome.status not in SUCCESS:
-                console.print(f"[red]{outcome.status}:[/red] {escape(outcome.title)}: {escape(outcome.message)}")
+                say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
 
-        outcomes = run_variants(cfg, CellProgress(Console(stderr=True), int(cfg.budget.iterations)), report)
+        outcomes = run_variants(cfg, CellProgress(console(stderr=True), int(cfg.budget.iterations)), report)
         folder = Path(cfg.results) / cfg.name
         rows = skip_rows(read_all(folder))
         if not rows.empty:
@@ -41,13 +40,13 @@ class SkipAblation(Experiment):
             write_text(folder / "skips_cells.csv", rows.to_csv(index=False, lineterminator="\n"))
             write_text(folder / "skips.csv", table.to_csv(index=False, lineterminator="\n"))
             draw(table, folder / "skips.png")
-            show(table, console)
-            console.print(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}", soft_wrap=True)
+            show(table, console())
+            say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
         if any(outcome.status not in SUCCESS for outcome in outcomes):
             raise SystemExit(1)
 
 
-def show(table: pd.DataFrame, console: Console) -> None:
+def show(table: pd.DataFrame, out: Console) -> None:
     """Print the summary."""
     view = Table("skip", "taken on", "faster alone", "slower without", "worst PSNR, dB", "worst SSIM", "default may be")
     for row in table.itertuples():
@@ -57,7 +56,7 @@ def show(table: pd.DataFrame, console: Console) -> None:
             _change(row.psnr_worst, row.psnr_error, 3), _change(row.ssim_worst, row.ssim_error, 4),
             "on" if row.keep else "off",
         )  # fmt: skip
-    console.print(view)
+    out.print(view)
 
 
 def _change(mean: float, error: float, digits: int) -> str:

@@ -132,14 +132,14 @@ def _tiff(bad: float) -> Callable[[Path], object]:
         degC = np.full(SIZE, 20, np.float32)
         degC[3, 4] = bad
         Image.fromarray(degC).save(folder / "view.tiff")
-        (folder / "temperature.json").write_text(json.dumps({"min": 10, "max": 30}))
+        (folder / "temperature.json").write_text(json.dumps({"min": 10, "max": 30}), encoding="utf-8")
         return read_image(folder / "view.tiff", read_radiometry(folder / "temperature.json"))
 
     return act
 
 
 def _flat_range(folder: Path) -> object:
-    (folder / "temperature.json").write_text(json.dumps({"min": 20, "max": 20}))
+    (folder / "temperature.json").write_text(json.dumps({"min": 20, "max": 20}), encoding="utf-8")
     return read_radiometry(folder / "temperature.json")
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import torch
 from omegaconf import DictConfig
-from rich.console import Console
 from rich.markup import escape
 
 from tdgbench.experiments.experiment import Experiment
@@ -15,6 +14,7 @@ from tdgbench.experiments.stress.draw import draw
 from tdgbench.experiments.stress.suite import run_suite
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
+from tdgbench.terminal import console, say
 
 
 class Stress(Experiment):
@@ -22,16 +22,16 @@ class Stress(Experiment):
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cases that `cfg.job.cases` chooses. Raises SystemExit(1) if any case is a surprise."""
-        console = Console()
+        out = console()
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
 
         def report(verdict: Verdict) -> None:
             mark = "[green]as expected[/green]" if verdict.passed else "[red]SURPRISE[/red]"
             title = f"{verdict.family}: {verdict.case} [{verdict.backend}]"
-            console.print(f"{escape(title):<72}{mark}  {escape(verdict.seen)}", highlight=False, soft_wrap=True)
+            out.print(f"{escape(title):<72}{mark}  {escape(verdict.seen)}", highlight=False, soft_wrap=True)
             if not verdict.passed:
-                console.print(f"    expected {escape(verdict.expected)}", highlight=False, soft_wrap=True)
+                say(f"    expected {verdict.expected}")
 
         table = run_suite(cfg, cfg.job.cases, report)
         folder = Path(cfg.results) / cfg.name
@@ -41,8 +41,7 @@ class Stress(Experiment):
         surprises = int((~table["passed"]).sum())
         cases = len(table[["family", "case"]].drop_duplicates())
         backends = ", ".join(dict.fromkeys(table["backend"]))
-        console.print(f"{cases} cases on {backends}: {surprises} surprises", highlight=False)
-        files = f"table: {folder / 'stress.csv'}, picture: {folder / 'stress.png'}"
-        console.print(files, highlight=False, soft_wrap=True)
+        say(f"{cases} cases on {backends}: {surprises} surprises")
+        say(f"table: {folder / 'stress.csv'}, picture: {folder / 'stress.png'}")
         if surprises:
             raise SystemExit(1)

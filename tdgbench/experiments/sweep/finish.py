@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.markup import escape
 
 from tdgbench.bench.cell import Outcome
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show
+from tdgbench.terminal import console, say
 
 
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
@@ -20,20 +19,17 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
-    console = Console()
     problem = None
     try:
-        _write_all(Path(cfg.results) / cfg.name, console)
+        _write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
-    console.print(summary(outcomes), highlight=False)
+    say(summary(outcomes))
     for outcome in outcomes:
         if outcome.status == "failed":
-            message = escape(f"{outcome.title}: {outcome.message}")
-            console.print(f"[red]failed:[/red] {message}", highlight=False, soft_wrap=True)
+            say(f"{outcome.title}: {outcome.message}", "failed:")
     if problem is not None:
-        message = f"cannot write tables and report: {escape(problem)}; the cells are complete"
-        console.print(f"[red]error:[/red] {message}", highlight=False, soft_wrap=True)
+        say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
     if problem is not None or any(outcome.status in ("failed", "missing") for outcome in outcomes):
         raise SystemExit(1)
 
@@ -54,12 +50,12 @@ def summary(outcomes: list[Outcome]) -> str:
     return ", ".join(parts + ([f"{count['elsewhere']} running in another process"] if count["elsewhere"] else []))
 
 
-def _write_all(experiment: Path, console: Console) -> None:
+def _write_all(experiment: Path) -> None:
     """Write tables, pictures and report of all cells on disk; print where they are."""
     tables = build_tables(experiment)
-    show(tables, console)
-    console.print(f"tables: {tables.folder}", highlight=False, soft_wrap=True)
+    show(tables, console())
+    say(f"tables: {tables.folder}")
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
-        console.print(f"pictures: {experiment / 'strip.png'}", highlight=False, soft_wrap=True)
+        say(f"pictures: {experiment / 'strip.png'}")
     page = write_report(experiment, tables)
-    console.print(f"report: {page}", highlight=False, soft_wrap=True)
+    say(f"report: {page}")

@@ -8,38 +8,36 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.markup import escape
 
 from tdgbench.bench.cell import Outcome, run_cell
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.progress import CellProgress
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
+from tdgbench.terminal import console, say
 
 OUTCOME = "outcome.json"
 WORDS = {
     "ok": "done",
     "kept": "already there",
-    "failed": "[red]failed[/red]",
+    "failed": "failed",
     "elsewhere": "running in another process",
 }
 
 
 def run_job(cfg: DictConfig) -> None:
     """Run a cell, print its outcome in one line, and write the outcome to the job's folder."""
-    console = Console(stderr=True)
     hydra = HydraConfig.get()
     if cfg.threads is None:
         cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
     variant = read_plan(Path(cfg.results) / cfg.name).variant(list(hydra.overrides.task))
-    outcome = run_cell(cfg, variant, CellProgress(console, int(cfg.budget.iterations)))
+    outcome = run_cell(cfg, variant, CellProgress(console(stderr=True), int(cfg.budget.iterations)))
     folder = Path(hydra.runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     if outcome.status != "missing":
-        remark = f" ({escape(outcome.message)})" if outcome.status == "ok" and outcome.message else ""
-        console.print(f"{escape(outcome.title)}: {WORDS[outcome.status]}{remark}", highlight=False, soft_wrap=True)
+        remark = f" ({outcome.message})" if outcome.status == "ok" and outcome.message else ""
+        say(f"{outcome.title}: {WORDS[outcome.status]}{remark}", stderr=True)
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
@@ -65,5 +63,5 @@ def read_outcomes(hydra_folder: Path) -> list[Outcome]:
     found = []
     for path in hydra_folder.rglob(OUTCOME):
         number = path.parent.name
-        found.append((int(number) if number.isdigit() else -1, Outcome(**json.loads(path.read_text()))))
+        found.append((int(number) if number.isdigit() else -1, Outcome(**json.loads(path.read_text(encoding="utf-8")))))
     return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]

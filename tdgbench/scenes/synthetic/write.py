@@ -48,7 +48,7 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
         cloud = _sparse_points(cameras, images, round(points * world.point_share), rng)
         write_model(part / "sparse" / "0", named, cloud)
         low, high = world.temperatures
-        (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}))
+        (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}), encoding="utf-8")
         try:
             part.replace(folder)
         except OSError:

@@ -1,0 +1,113 @@
+"""Printing never raises and never changes the exit status, whatever the terminal is."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tdgbench.terminal import GuardedStream, console, say
+from tests.helpers.paths import ROOT
+
+EIGHT_BITS = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
+PROGRAM = r"""
+import sys
+from tdgbench.terminal import console, guard_streams, say
+guard_streams()
+for _ in range(int(sys.argv[2])):
+    console().print("[red]\u00b0C[/red] \u00d7")
+    print("a bare print \u2191")
+    say("[bold] \u20ac", "error:")
+open(sys.argv[3], "w").write("a file of the run")
+sys.exit(int(sys.argv[1]))
+"""
+
+
+def ran(tmp_path: Path, redirection: str, status: int, variables: dict[str, str] | None = None, prints: int = 1):
+    """Outcome of a program that prints and ends with a status; `redirection` is the shell's."""
+    words = f'"{sys.executable}" -c "$PROGRAM" {status} {prints} {tmp_path / "file.txt"} {redirection}'
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PROGRAM": PROGRAM, **(variables or {})}
+    run = subprocess.run(["bash", "-c", words], env=environment, capture_output=True, timeout=60)
+    assert (tmp_path / "file.txt").read_text(encoding="utf-8") == "a file of the run"
+    return run
+
+
+@pytest.mark.parametrize(
+    ("redirection", "status"),
+    [("> /dev/full", 0), ("> /dev/full", 1), (">&-", 1), ("<&- >&- 2>&-", 1), ("> /dev/full 2>&1", 1)],
+)
+def test_the_status_stands_where_nothing_can_be_printed(tmp_path, redirection, status):
+    run = ran(tmp_path, redirection, status)
+    assert run.returncode == status and run.stdout == b"", run.stderr
+    if "2>" not in redirection:
+        note = run.stderr.decode()
+        assert note.startswith("note: nothing more is printed to standard output") and note.count("\n") == 1
+
+
+def test_a_reader_that_stops_changes_no_status(tmp_path):
+    run = ran(tmp_path, "| head -1; exit ${PIPESTATUS[0]}", 1, prints=2_000)
+    assert run.returncode == 1 and len(run.stdout.splitlines()) == 1
+    assert b"Traceback" not in run.stderr
+
+
+def test_characters_outside_of_the_encoding_are_printed_as_escapes(tmp_path):
+    run = ran(tmp_path, "", 1, EIGHT_BITS)
+    assert (run.returncode, run.stderr) == (1, b"")
+    assert run.stdout.decode() == "\\xb0C \\xd7\na bare print \\u2191\nerror: [bold] \\u20ac\n"
+
+
+def test_text_is_no_markup_and_cannot_steer_the_terminal(capsys):
+    say("[red]a[/blue] \x1b[2J\n é", "error:")
+    assert capsys.readouterr().out == "error: [red]a[/blue] \\x1b[2J\n é\n"
+    say("a" * 300, stderr=True)
+    assert capsys.readouterr().err == "a" * 300 + "\n"
+
+
+def test_a_stream_that_breaks_later(capsys):
+    stream = io.StringIO()
+    guarded = GuardedStream("stdout", stream)
+    guarded.writelines(["a", "b"])
+    assert stream.getvalue() == "ab"
+    stream.close()
+    assert guarded.write("lost") == 4
+    guarded.flush()
+    assert capsys.readouterr().err == "note: nothing more is printed to standard output: it is closed\n"
+
+
+def test_a_console_prints_where_the_stream_is_now(capsys):
+    console().print("out")
+    console(stderr=True).print("err")
+    assert capsys.readouterr() == ("out\n", "err\n")
+
+
+def test_everything_is_printed_through_the_guard():
+    """No module makes a console of its own (a quiet one excepted) or prints past it."""
+    for path in [*(ROOT / "tdgbench").rglob("*.py"), *(ROOT / "methods").rglob("*.py")]:
+        if path.name == "terminal.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                quiet = any(keyword.arg == "quiet" for keyword in node.keywords)
+                assert node.func.id != "print" and (node.func.id != "Console" or quiet), f"{path}:{node.lineno}"
+
+
+def test_text_files_are_utf_8_in_every_locale():
+    for path in [*(ROOT / "tdgbench").rglob("*.py"), *(ROOT / "methods").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and _opens_text(node):
+                assert any(keyword.arg == "encoding" for keyword in node.keywords), f"{path}:{node.lineno}"
+
+
+def _opens_text(call: ast.Call) -> bool:
+    """Whether a call reads or writes text through a path's method or `open`."""
+    mode = call.args[0].value if call.args and isinstance(call.args[0], ast.Constant) else "r"
+    if isinstance(call.func, ast.Name):
+        return call.func.id == "open"
+    if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in ("os", "Image"):
+        return False
+    return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))
