@@ -123,7 +123,7 @@ class CellRun(SetupObserver):
         try:
             self.log = train(method, context.budget.iterations, on_line, plateau, self.checkpoint.after_step, log)
         except TrainingError:
-            self.checkpoint.discard()  # training from it would end at the same iteration
+            self._discard(self.checkpoint)  # training from it would end at the same iteration
             raise
 
     def write(self) -> None:
@@ -146,8 +146,7 @@ class CellRun(SetupObserver):
                 write_log(part / "log.csv", self.log)
             record.hashes = hashes(part)
             record.write(part)
-        with self._remarked("its checkpoint could not be removed"):
-            self.checkpoint.discard()
+        self._discard(self.checkpoint)
         if self._board is not None:
             with self._remarked("scores and renders could not be written to the TensorBoard log"):
                 images = {name: to_8bit(one.image) for name, one in renders.items()}
@@ -157,6 +156,10 @@ class CellRun(SetupObserver):
         """Close the TensorBoard log, if there is one."""
         if self._board is not None:
             self._board.close()
+
+    def _discard(self, checkpoint: Checkpoint) -> None:
+        with self._remarked("its checkpoint could not be removed"):
+            checkpoint.discard()
 
     @contextmanager
     def _remarked(self, what: str) -> Iterator[None]:
@@ -211,7 +214,7 @@ class CellRun(SetupObserver):
         made_with = {"settings, data or code": self.record.key, **same_bytes_on(self.record.environment)}
         checkpoint = Checkpoint(path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
-            checkpoint.discard()
+            self._discard(checkpoint)
         return checkpoint
 
     def _log_listener(self, after: int) -> Callable[[LogLine], None]:
