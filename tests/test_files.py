@@ -142,9 +142,9 @@ def test_what_is_no_folder_is_replaced(tmp_path, junk):
 
 
 def test_an_error_without_a_name_gets_one(tmp_path):
-    with pytest.raises(OSError, match="No space left on device: '.*table.csv'"), whole_file(tmp_path / "table.csv"):
+    with pytest.raises(OSError, match=r"table\.csv"), whole_file(tmp_path / "table.csv"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with pytest.raises(OSError, match="No space left on device: '.*seed0'"), whole_folder(tmp_path / "seed0"):
+    with pytest.raises(OSError, match="seed0"), whole_folder(tmp_path / "seed0"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 

@@ -68,16 +68,17 @@ def _record_of(cfg: DictConfig, variant: str) -> Record:
         seed = int(str(cfg.seed))
     except ValueError as error:
         raise ValueError(f"seed is {cfg.seed!r}; it must be a whole number") from error
-    names = {"method": cfg.method.name, "scene": cfg.scene, "init": cfg.init.name, "experiment": cfg.name}
-    return Record(**{key: str(name) for key, name in names.items()}, dataset="", seed=seed, variant=variant)
+    method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
+    return Record(method, "", scene, init, seed, experiment, variant)
 
 
 def _title(cfg: DictConfig, run: CellRun | None) -> str:
     """Name of a cell in messages, also if its options name none."""
     if run is not None:
         return run.record.title
-    method, scene, seed = (OmegaConf.to_container(cfg, resolve=False).get(k) for k in ("method", "scene", "seed"))
-    return f"{method.get('name') if isinstance(method, dict) else method} on {scene}, seed {seed}"
+    keys = ("method.name", "scene", "init.name", "seed")
+    method, scene, init, seed = (OmegaConf.select(cfg, key, throw_on_resolution_failure=False) for key in keys)
+    return f"{method} on {scene}, {init}, seed {seed}"
 
 
 def _run(run: CellRun, held: ExitStack) -> Outcome:

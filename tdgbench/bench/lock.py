@@ -24,8 +24,9 @@ def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
 
 @contextmanager
 def file_lock(path: Path, mode: int | None = None) -> Iterator[bool]:
-    """Try to lock a file; yield False at once if another process holds it. mode: permissions of a new file, whatever the umask.
+    """Try to lock a file; yield False at once if another process holds it.
 
+    mode: permissions of a new file, whatever the umask; None: those of a lock for its user alone to write.
     Raises OSError, with the path and the remedy, if the file cannot be made.
     """
     lock = FileLock(path) if mode is None else FileLock(path, mode=mode)

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, cast
 
 import torch
 from torch import Tensor
@@ -83,7 +83,7 @@ class Checkpoint:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(self.path) as part, part.open("wb") as file:
             hashing = _HashingFile(file)
-            torch.save(content, hashing)
+            torch.save(content, cast(IO[bytes], hashing))
             file.write(hashing.digest.digest())
 
     def _state(self) -> dict[str, Any]:
@@ -133,7 +133,7 @@ class Checkpoint:
 class _HashingFile:
     """File to write to that hashes what is written."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: IO[bytes]) -> None:
         self._file, self.digest = file, hashlib.new(DIGEST)
 
     def write(self, data: bytes) -> int:

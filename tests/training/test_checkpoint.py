@@ -208,7 +208,7 @@ OTHERS = {
     "other columns": ("models.rgb.rows._values", lambda rows: rows[:, 1:].clone()),
     "other type": ("models.rgb.rows._values", lambda rows: rows.double()),
     "fewer rows": ("models.rgb.rows._first", lambda rows: rows[1:].clone()),
-    "no rows": ("models.rgb.rows", lambda rows: {k: v[:0].clone() if hasattr(v, "shape") else v for k, v in rows.items()}),
+    "no rows": ("models.rgb.rows", lambda rows: {k: v if isinstance(v, int) else v[:0] for k, v in rows.items()}),
     "a list": ("models.rgb.rows._values", lambda rows: rows.tolist()),
     "not a number": ("models.rgb.rows._values", lambda rows: rows.index_fill(0, torch.tensor([3]), torch.nan)),
     "infinite": ("models.rgb.rows._second", lambda rows: rows + torch.inf),
