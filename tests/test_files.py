@@ -1,10 +1,12 @@
+import errno
 import os
 import stat
+from pathlib import Path
 
 import pytest
 import torch
 
-from tdgbench.files import whole_file, whole_folder, write_text
+from tdgbench.files import settle, whole_file, whole_folder, write_text
 
 
 def test_a_file_is_whole_or_not_at_all(tmp_path):
@@ -63,3 +65,92 @@ def test_permissions_follow_the_umask(tmp_path, umask, folder, file):
         "seed0": folder, "seed0/renders": folder, "seed0/renders/a.png": file, "table.csv": file,
         "checkpoint.pt": file,
     }  # fmt: skip
+
+
+class PulledPlugError(BaseException):
+    """Not an Exception, so that nothing catches it, like SIGKILL."""
+
+
+def killed_at_rename(number, monkeypatch):
+    """Die right before the `number`-th rename; what runs after a kill only here must not matter."""
+    replace, calls = Path.replace, []
+
+    def dying(self, target):
+        calls.append(target)
+        if len(calls) >= number:  # nothing is renamed any more
+            raise PulledPlugError
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", dying)
+    monkeypatch.setattr("tdgbench.files.shutil.rmtree", lambda *_, **__: None)
+    monkeypatch.setattr("tdgbench.files._remove", lambda _: None)
+
+
+@pytest.mark.parametrize(("number", "content"), [(1, "one"), (2, "two"), (3, "two")])
+def test_a_kill_between_renames_loses_nothing(tmp_path, monkeypatch, number, content):
+    target = tmp_path / "seed0"
+    with whole_folder(target) as part:
+        (part / "model.ply").write_text("one")
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at_rename(number, patch)
+        with whole_folder(target) as part:
+            (part / "model.ply").write_text("two")
+    settle(target)
+    assert (target / "model.ply").read_text() == content
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_was_replaced_comes_back_where_nothing_else_is(tmp_path):
+    old = tmp_path / ".seed0.part-old"
+    old.mkdir()
+    (old / "model.ply").write_text("one")
+    with pytest.raises(RuntimeError), whole_folder(tmp_path / "seed0"):
+        raise RuntimeError
+    assert (tmp_path / "seed0" / "model.ply").read_text() == "one"
+
+
+def test_a_folder_that_cannot_be_put_in_place_leaves_the_old_one(tmp_path, monkeypatch):
+    target = tmp_path / "seed0"
+    with whole_folder(target) as part:
+        (part / "model.ply").write_text("one")
+    replace = Path.replace
+
+    def full(self, to):
+        if self.name.endswith("-new"):
+            raise OSError(errno.ENOSPC, "No space left on device", str(self))
+        return replace(self, to)
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
+        patch.setattr(Path, "replace", full)
+        with whole_folder(target) as part:
+            (part / "model.ply").write_text("two")
+    assert (target / "model.ply").read_text() == "one"
+    settle(target)  # once there is space
+    assert (target / "model.ply").read_text() == "two" and list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("junk", ["file", "link", "fifo"])
+def test_what_is_no_folder_is_replaced(tmp_path, junk):
+    target, make = (
+        tmp_path / "seed0",
+        {"file": Path.touch, "link": lambda p: p.symlink_to("nowhere"), "fifo": os.mkfifo},
+    )
+    make[junk](target)
+    with whole_folder(target) as part:
+        (part / "a").write_text("one")
+    assert (target / "a").read_text() == "one" and list(tmp_path.iterdir()) == [target]
+
+
+def test_an_error_without_a_name_gets_one(tmp_path):
+    with pytest.raises(OSError, match=r"table\.csv"), whole_file(tmp_path / "table.csv"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OSError, match="seed0"), whole_folder(tmp_path / "seed0"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_other_folders_are_no_leftovers(tmp_path):
+    other = tmp_path / ".seed1.part-3"
+    other.mkdir()
+    with whole_folder(tmp_path / "seed[01]"):
+        pass
+    assert other.exists()

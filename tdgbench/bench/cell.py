@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import traceback
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from tdgbench.bench import failures, stored
 from tdgbench.bench.environment import describe_environment
 from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Failure, Record, read_record
+from tdgbench.bench.record import Record
 from tdgbench.bench.run import CellRun
-from tdgbench.priors import PriorError
-from tdgbench.scenes import MissingScenesError, SceneError
+from tdgbench.files import settle
+from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
-from tdgbench.training.errors import TrainingError
 from tdgbench.training.method import training_device
 
 OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
-EXPECTED_ERRORS = (SceneError, PriorError, TrainingError)  # their message says enough without its type
 
 
 @dataclass(frozen=True)
@@ -44,51 +42,73 @@ class Outcome:
 
 
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
-    """Run the cell that a resolved configuration describes. A failure of the cell is an outcome, not an exception.
+    """Run the cell that a resolved configuration describes.
 
-    Raises ValueError for an unknown `overwrite`.
+    A failure of the cell is an outcome, not an exception, whatever its cause. Only what is meant to end the process
+    passes, as KeyboardInterrupt; locks are then released.
     """
+    run, held = None, ExitStack()
+    try:
+        record = _record_of(cfg, variant)
+        run = CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
+        progress.begin(record.title)
+        outcome = _run(run, held)
+    except MissingScenesError as error:
+        outcome = Outcome("missing", _title(cfg, run), str(error))
+    except (Exception, SystemExit) as error:  # plug-ins may call sys.exit
+        outcome = Outcome("failed", _title(cfg, run), _keep_failure(error, run))
+    finally:
+        remarks = _close(held, progress)
+    return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))
+
+
+def _record_of(cfg: DictConfig, variant: str) -> Record:
+    """The record of a cell before its scene is known. Raises ValueError if the options name no cell."""
+    try:
+        seed = int(str(cfg.seed))
+    except ValueError as error:
+        raise ValueError(f"seed is {cfg.seed!r}; it must be a whole number") from error
+    method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
+    return Record(method, "", scene, init, seed, experiment, variant)
+
+
+def _title(cfg: DictConfig, run: CellRun | None) -> str:
+    """Name of a cell in messages, also if its options name none."""
+    if run is not None:
+        return run.record.title
+    keys = ("method.name", "scene", "init.name", "seed")
+    method, scene, init, seed = (OmegaConf.select(cfg, key, throw_on_resolution_failure=False) for key in keys)
+    return f"{method} on {scene}, {init}, seed {seed}"
+
+
+def _run(run: CellRun, held: ExitStack) -> Outcome:
+    """Run a cell if it has to; locks are in `held` at the end."""
+    cfg, record = run.cfg, run.record
     if cfg.overwrite not in OVERWRITE:
         raise ValueError(f"overwrite is {cfg.overwrite!r}; it must be one of {', '.join(OVERWRITE)}")
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
-    record = Record(
-        method=cfg.method.name,
-        dataset="",
-        scene=str(cfg.scene),
-        init=cfg.init.name,
-        seed=int(cfg.seed),
-        experiment=cfg.name,
-        variant=variant,
-        environment=describe_environment(),
-    )
-    experiment = Path(cfg.results) / cfg.name
-    run, held = CellRun(cfg, record, experiment, progress), ExitStack()
+    record.environment = describe_environment()
+    run.load()
+    if not held.enter_context(cell_lock(run.experiment, run.folder)):
+        return Outcome("elsewhere", record.title, "another process is running it")
+    run.is_locked = True
     held.callback(run.close)
-    progress.begin(record.title)
-    try:
-        run.load()
-        if not held.enter_context(cell_lock(experiment, run.folder)):
-            return Outcome("elsewhere", record.title, "another process is running it")
-        existing = _readable_record(run.folder)
-        skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
-        if skipped is not None:
-            return skipped
-        if training_device(cfg.backend.name).type == "cuda":
-            torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
-            record.environment = describe_environment()
-        with PeakMemory() as memory:
-            run.train()
-        record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
-        run.write()
-        return Outcome("ok", record.title, "; ".join(_remarks(existing, record)))
-    except MissingScenesError as error:
-        return Outcome("missing", record.title, str(error))
-    except Exception as error:
-        return _failed(error, run)
-    finally:
-        held.close()
-        progress.end()
+    settle(run.folder)
+    existing = stored.readable_record(run.folder)
+    skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
+    if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
+        skipped = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
+    if skipped is not None:
+        return skipped
+    if training_device(cfg.backend.name).type == "cuda":
+        torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
+        record.environment = describe_environment()
+    with PeakMemory() as memory:
+        run.train()
+    record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
+    run.write()
+    return Outcome("ok", record.title, "; ".join([*_remarks(existing, record), *run.remarks]))
 
 
 def _remarks(existing: Record | None, record: Record) -> list[str]:
@@ -98,29 +118,45 @@ def _remarks(existing: Record | None, record: Record) -> list[str]:
     return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
 
 
-def _failed(error: Exception, run: CellRun) -> Outcome:
-    """Write the record of a failure and return its outcome."""
-    record, stage = run.record, run.current
-    message = str(error) if isinstance(error, EXPECTED_ERRORS) else f"{type(error).__name__}: {error}"
-    record.status = "failed"
-    record.failure = Failure(
-        stage=stage,
-        error=f"{type(error).__name__}: {error}",
-        traceback=traceback.format_exc(),
-        iteration=getattr(error, "iteration", None) if isinstance(error, TrainingError) else None,
-        tensor=getattr(error, "tensor", None) if isinstance(error, TrainingError) else None,
-    )
+def _keep_failure(error: BaseException, run: CellRun | None) -> str:
+    """Write the record of a failure where that is possible; returns the message of the outcome.
+
+    Options that name no cell leave no record.
+    """
+    message = failures.message(error)
+    if run is None:
+        return message
+    stage = run.current
+    failure = failures.describe(error, stage)
     try:
-        _write_failure(run.folder, record)
-    except OSError as unwritten:
+        if not run.record.dataset:
+            with suppress(Exception, SystemExit):
+                run.locate()  # so that its record is where its result would be
+        with ExitStack() as held:
+            if not run.is_locked and not held.enter_context(cell_lock(run.experiment, run.folder)):
+                raise OSError("another process is running the cell")
+            stored.write_failure(run.folder, run.record, failure)
+    except Exception as unwritten:
         message += f" (its record could not be written: {unwritten})"
-    return Outcome("failed", record.title, f"{stage}: {message}")
+    return f"{stage}: {message}"
+
+
+def _close(held: ExitStack, progress: CellProgress) -> list[str]:
+    """Release the locks and end the progress bar. Returns what did not work: it changes no outcome."""
+    remarks = []
+    for close in (held.close, progress.end):
+        try:
+            close()
+        except Exception as error:
+            remarks.append(f"clearing up: {failures.message(error)}")
+    return remarks
 
 
 def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
     """Outcome of a cell that can be skipped, or None if it has to run."""
-    if existing.status == "failed":
-        if existing.failure is None or existing.key != record.key or cfg.overwrite == "always" or cfg.retry_failed:
+    if existing.failure is not None:
+        is_retried = existing.failure.of_environment or cfg.overwrite == "always" or cfg.retry_failed
+        if existing.key != record.key or is_retried:
             return None
         failure = f"{existing.failure.stage}: {existing.failure.error}"
         return Outcome("failed", record.title, f"{failure} (in an earlier run; retry_failed=true runs it again)")
@@ -132,20 +168,3 @@ def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> O
         changes = "; ".join(why_differs(existing, record))
         return Outcome("kept", record.title, f"overwrite=never keeps a result of other settings ({changes})")
     return None
-
-
-def _readable_record(folder: Path) -> Record | None:
-    """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
-    try:
-        return read_record(folder)
-    except ValueError:
-        return None
-
-
-def _write_failure(folder: Path, record: Record) -> None:
-    """Write the record of a failure to the cell's folder; hide a finished result of other settings beside it."""
-    existing = _readable_record(folder)
-    if existing is not None and existing.status == "ok":
-        folder.replace(folder.with_name(f".{folder.name}-{existing.key[:8]}"))
-    folder.mkdir(parents=True, exist_ok=True)
-    record.write(folder)

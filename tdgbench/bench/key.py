@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -15,11 +16,10 @@ _OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that
 
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
-    """Part of the configuration that a result depends on, as plain data."""
-    plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    """Part of the configuration that a result depends on, as JSON can hold it."""
+    plain: dict[str, Any] = as_json(OmegaConf.to_container(cfg, resolve=True))
     loader = {k: v for k, v in plain["dataset"]["loader"].items() if k != "root"}
-    metrics = json.loads(json.dumps(plain["metrics"]))
-    metrics["lpips"].pop("download")
+    metrics = {**plain["metrics"], "lpips": {k: v for k, v in plain["metrics"]["lpips"].items() if k != "download"}}
     return {
         "dataset": loader,
         "init": plain["init"],
@@ -31,6 +31,20 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "skip": plain["skip"],
         "seed": plain["seed"],
     }
+
+
+def as_json(value: Any) -> Any:
+    """A value as JSON can hold it: text for numbers that are not finite and for all that is no plain data.
+
+    >>> as_json({"rate": float("inf"), "sizes": (1, 2.5), 3: None})
+    {'rate': 'inf', 'sizes': [1, 2.5], '3': None}
+    """
+    if isinstance(value, dict):
+        return {str(name): as_json(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(one) for one in value]
+    is_plain = value is None or isinstance(value, str | int | float)
+    return value if is_plain and not (isinstance(value, float) and not math.isfinite(value)) else str(value)
 
 
 def cell_key(record: Record) -> str:

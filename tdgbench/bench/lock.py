@@ -23,15 +23,22 @@ def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
 
 
 @contextmanager
-def file_lock(path: Path) -> Iterator[bool]:
-    """Try to lock a file; yield False at once if another process holds it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path)
+def file_lock(path: Path, mode: int | None = None) -> Iterator[bool]:
+    """Try to lock a file; yield False at once if another process holds it.
+
+    mode: permissions of a new file, whatever the umask; None: those of a lock for its user alone to write.
+    Raises OSError, with the path and the remedy, if the file cannot be made.
+    """
+    lock = FileLock(path) if mode is None else FileLock(path, mode=mode)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0)
     except Timeout:
         yield False
         return
+    except OSError as error:
+        what = f"{error.strerror or error}: no lock can be made here; remove what is in its place, or make it writable"
+        raise OSError(error.errno, what, str(error.filename or path)) from error
     try:
         yield True
     finally:

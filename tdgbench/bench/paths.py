@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 from tdgbench.bench.record import Record
+
+LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 
 
 def cell_folder_of(experiment: Path, record: Record) -> Path:
@@ -16,9 +19,34 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
     'table1/cells/tdg/paper/Truck/colmap/seed0,budget.iterations=900'
     """
     last = f"seed{record.seed}" + (f",{record.variant}" if record.variant else "")
-    parts = [record.method, record.dataset or "unknown", record.scene, record.init, last]
-    safe = ["".join(c if c.isalnum() or c in "-_.,=+" else "_" for c in part) for part in parts]
-    return experiment / "cells" / Path(*safe)
+    parts = [record.method, record.dataset, record.scene, record.init, last]
+    return experiment / "cells" / Path(*map(folder_name, parts))
+
+
+def folder_name(name: str) -> str:
+    """A visible folder name of at most 230 bytes; different names give different ones.
+
+    A name that has to be changed carries a hash after `~`, which no unchanged name contains.
+
+    >>> folder_name("a_b"), folder_name("a b"), folder_name("")
+    ('a_b', 'a_b~c8687a08', 'unknown~e3b0c442')
+    """
+    safe = "".join(c if c.isalnum() or c in "-_.,=+" else "_" for c in name)
+    if safe == name and name[:1] not in ("", ".") and len(os.fsencode(name)) <= LONGEST:
+        return name
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    visible = "_" + safe[1:] if safe.startswith(".") else safe or "unknown"
+    shortened = visible.encode()[: LONGEST - len(digest) - 1].decode(errors="ignore")
+    return f"{shortened}~{digest}"
+
+
+def hidden_folder(folder: Path, key: str) -> Path:
+    """Where a finished result of another key is kept once the cell of `folder` has failed.
+
+    >>> hidden_folder(Path("colmap/seed0"), "842371dd379ba6205b90e832234243b1").as_posix()
+    'colmap/.seed0-842371dd'
+    """
+    return folder.with_name(f".{folder.name}-{key[:8]}")
 
 
 def short_name(experiment: Path, folder: Path) -> str:

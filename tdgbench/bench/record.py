@@ -16,7 +16,7 @@ from tdgbench.files import write_text
 
 FILE = "record.json"
 SCHEMA = 1
-ADDED_LATER = ("density",)  # fields that records of this schema may lack
+ADDED_LATER = ("density", "of_environment")  # fields that records of this schema may lack
 SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
 STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")
 DESCRIBES_MACHINE = ("python", "packages", "cpu", "cores", "threads", "git")
@@ -42,6 +42,11 @@ def _has(names: tuple[str, ...]) -> BeforeValidator:
         return content
 
     return BeforeValidator(check)
+
+
+def _not_added_later(kind: type) -> tuple[str, ...]:
+    """Fields that every record of this schema has."""
+    return tuple(f.name for f in fields(kind) if f.name not in ADDED_LATER)
 
 
 def _among(*values: int) -> AfterValidator:
@@ -77,6 +82,7 @@ class Failure:
     traceback: str
     iteration: int | None = None  # of the first number that was not finite
     tensor: str | None = None
+    of_environment: bool = False  # disk, memory, device: the next run tries again
 
 
 @dataclass
@@ -120,7 +126,7 @@ class Record:
     hashes: dict[str, Sha256] = field(default_factory=dict)
     environment: Annotated[dict[str, Any], _has(DESCRIBES_MACHINE)] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
-    failure: Annotated[Failure, _has(tuple(f.name for f in fields(Failure)))] | None = None
+    failure: Annotated[Failure, _has(_not_added_later(Failure))] | None = None
     schema: Annotated[int, _among(SCHEMA)] = SCHEMA
 
     @property
@@ -180,7 +186,7 @@ def schema_problems(text: str) -> list[str]:
 
 @cache
 def _validator() -> TypeAdapter[Record]:
-    required = _has(tuple(f.name for f in fields(Record) if f.name not in ADDED_LATER))
+    required = _has(_not_added_later(Record))
     return TypeAdapter(Annotated[Record, required, AfterValidator(_check_status)])
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import cast
 
 import torch
@@ -51,12 +52,14 @@ class CellRun(SetupObserver):
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
-        self.current = "load"  # name of the current stage
+        self.current = "options"  # name of the current stage
+        self.is_locked = False  # whether this run holds the cell's lock
+        self.remarks: list[str] = []  # what did not work, but changes no result
         self._board: TensorBoardLog | None = None
 
     @property
     def folder(self) -> Path:
-        """Folder of the cell's files; final after `load`."""
+        """Folder of the cell's files; final after `locate`."""
         return cell_folder_of(self.experiment, self.record)
 
     @contextmanager
@@ -77,15 +80,21 @@ class CellRun(SetupObserver):
     def note_points(self, description: dict[str, object]) -> None:
         self.record.init_points = description
 
+    def locate(self) -> Dataset:
+        """Find out which scene of which data set the cell is about, without reading it."""
+        record = self.record
+        self.skips = instantiate(self.cfg.skip)
+        dataset: Dataset = instantiate(loader_of(self.cfg, self.skips))
+        place = dataset.describe(self.cfg.scene)
+        record.scene, record.dataset, record.group = place.scene, place.dataset, place.group
+        self.progress.rename(record.title)
+        return dataset
+
     def load(self) -> None:
         """Load the scene without its images, make the method, and compute the cell's key."""
         cfg, record = self.cfg, self.record
         with self.stage("load"):
-            self.skips = instantiate(cfg.skip)
-            dataset: Dataset = instantiate(loader_of(cfg, self.skips))
-            place = dataset.describe(cfg.scene)
-            record.scene, record.dataset, record.group = place.scene, place.dataset, place.group
-            self.progress.rename(record.title)
+            dataset = self.locate()
             self.scene = dataset.load(cfg.scene)
             self.method = instantiate(cfg.method.method)
             record.config = relevant_config(cfg, self.method)
@@ -96,9 +105,8 @@ class CellRun(SetupObserver):
         """Set the method up and train it."""
         self.scorer = instantiate(self.cfg.metrics)
         self._describe_scene()
-        cache = Path(self.cfg.results) / "cache" / "priors"
         training = set_up(
-            self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=cache, observer=self
+            self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=self._prior_cache(), observer=self
         )  # fmt: skip
         with self.stage("train"):
             self._train(training)
@@ -115,7 +123,7 @@ class CellRun(SetupObserver):
         try:
             self.log = train(method, context.budget.iterations, on_line, plateau, self.checkpoint.after_step, log)
         except TrainingError:
-            self.checkpoint.discard()  # training from it would end at the same iteration
+            self._discard(self.checkpoint)  # training from it would end at the same iteration
             raise
 
     def write(self) -> None:
@@ -136,17 +144,41 @@ class CellRun(SetupObserver):
                 cameras.write_cameras(part / cameras.FILE, scene)
                 write_views(part / "views.csv", scores)
                 write_log(part / "log.csv", self.log)
-                if self._board is not None:
-                    images = {name: to_8bit(one.image) for name, one in renders.items()}
-                    self._board.results(record.iterations, record.scores, images)
             record.hashes = hashes(part)
             record.write(part)
-        self.checkpoint.discard()
+        self._discard(self.checkpoint)
+        if self._board is not None:
+            with self._remarked("scores and renders could not be written to the TensorBoard log"):
+                images = {name: to_8bit(one.image) for name, one in renders.items()}
+                self._board.results(record.iterations, record.scores, images)
 
     def close(self) -> None:
         """Close the TensorBoard log, if there is one."""
         if self._board is not None:
             self._board.close()
+
+    def _discard(self, checkpoint: Checkpoint) -> None:
+        with self._remarked("its checkpoint could not be removed"):
+            checkpoint.discard()
+
+    @contextmanager
+    def _remarked(self, what: str) -> Iterator[None]:
+        """Context of work beside the result: an error in it is a remark on the outcome."""
+        try:
+            yield
+        except Exception as error:
+            self.remarks.append(f"{what}: {error}")
+
+    def _prior_cache(self) -> Path | None:
+        """Folder of estimated priors; None, with a remark, if it cannot be written."""
+        folder = Path(self.cfg.results) / "cache" / "priors"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=folder):
+                return folder
+        except OSError as error:
+            self.remarks.append(f"depth priors were not cached: {error}")
+            return None
 
     def _fingerprint(self) -> str:
         """Fingerprint of the scene's files, and of those that its prior is read from."""
@@ -182,7 +214,7 @@ class CellRun(SetupObserver):
         made_with = {"settings, data or code": self.record.key, **same_bytes_on(self.record.environment)}
         checkpoint = Checkpoint(path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
-            checkpoint.discard()
+            self._discard(checkpoint)
         return checkpoint
 
     def _log_listener(self, after: int) -> Callable[[LogLine], None]:

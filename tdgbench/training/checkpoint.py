@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+import glob
+import hashlib
+import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 import torch
+from torch import Tensor
 
 from tdgbench.files import whole_file
 from tdgbench.training.loop import LogLine, TrainingLog
@@ -15,6 +21,9 @@ from tdgbench.training.method import Context, Method
 from tdgbench.training.skips.plateau import Plateau
 
 MAX_SHARE = 0.02  # of the time that writing takes
+DIGEST = "sha256"  # of the file of torch, behind which it is written
+CHUNK = 2**20  # bytes read at once
+PER_GAUSSIAN = ("rows", "density")  # parts of a model's state with one row per Gaussian
 
 
 @dataclass
@@ -36,21 +45,20 @@ class Checkpoint:
             raise ValueError(f"checkpoint is {self.seconds}; it must be 0 or more seconds of training, or null")
 
     def take_up(self, method: Method, context: Context, plateau: Plateau | None) -> TrainingLog:
-        """Load the stored state into a method that was just set up; returns the log so far, or an empty one."""
+        """Load the stored state into a method that was just set up; returns the log so far, or an empty one.
+
+        A file that is not whole, or that holds another state than this method has, is not used; nothing is loaded then.
+        """
         self._method, self._context, self._plateau = method, context, plateau
-        for partial in self.path.parent.glob(f".{self.path.stem}.*{self.path.suffix}"):
-            partial.unlink()  # of a process that was killed while it wrote
+        for partial in self.path.parent.glob(f".{glob.escape(self.path.stem)}.*{self.path.suffix}"):
+            with suppress(OSError):
+                partial.unlink()  # of a process that was killed while it wrote
         log = TrainingLog()
-        saved = self._read()
-        if saved is not None:
-            context.load_state_dict(saved["context"])
-            for name, model in method.models().items():
-                model.load_state_dict(saved["models"][name])
-            if plateau is not None:
-                plateau.load_state_dict(saved["plateau"])
-            lines = [LogLine(**line) for line in saved["lines"]]
-            at = saved["iterations"]
-            log = TrainingLog(lines, saved["seconds"], at, saved["ended"], [*saved["resumed"], at])
+        if os.path.lexists(self.path):
+            try:
+                log = self._load(self._read())
+            except Exception as error:  # torch documents no exception types for foreign files
+                self.notes.append(f"a checkpoint was not used: {error or type(error).__name__}")
         self._next = log.seconds + (self.seconds or 0.0)
         return log
 
@@ -67,37 +75,124 @@ class Checkpoint:
         self._next = log.seconds + max(self.seconds, took / MAX_SHARE)
 
     def discard(self) -> None:
-        """Remove the file."""
+        """Remove the file. Raises OSError if that is not possible."""
         self.path.unlink(missing_ok=True)
 
     def _write(self, log: TrainingLog) -> None:
-        content = {
-            "made_with": self.made_with,
-            "iterations": log.iterations,
-            "seconds": log.seconds,
-            "ended": log.ended,
-            "resumed": log.resumed,
-            "lines": [asdict(line) for line in log.lines],
+        content = {"made_with": self.made_with, **_progress(log), **self._state()}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(self.path) as part, part.open("wb") as file:
+            hashing = _HashingFile(file)
+            torch.save(content, cast(IO[bytes], hashing))
+            file.write(hashing.digest.digest())
+
+    def _state(self) -> dict[str, Any]:
+        """Everything that training changes, but for its log; tensors may share memory with the models."""
+        return {
             "context": self._context.state_dict(),
             "models": {name: model.state_dict() for name, model in self._method.models().items()},
             "plateau": None if self._plateau is None else self._plateau.state_dict(),
         }
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(self.path) as part:
-            torch.save(content, part)
 
-    def _read(self) -> dict[str, Any] | None:
-        """The stored state, or None if there is none of this training."""
-        if not self.path.exists():
-            return None
-        try:
-            saved: dict[str, Any] = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
-            before, at = saved["made_with"], saved["iterations"]
-        except Exception as error:  # torch documents no exception types for foreign files
-            self.notes.append(f"a checkpoint was not used: {type(error).__name__}: {error}")
-            return None
+    def _read(self) -> dict[str, Any]:
+        """The stored content. Raises ValueError if it is not whole or not of this training."""
+        if not self.path.is_file():
+            raise ValueError(f"{self.path} is not a file")
+        _check_digest(self.path)
+        saved: dict[str, Any] = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
+        before, at = saved["made_with"], saved["iterations"]
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]
         if differs:
-            self.notes.append(f"a checkpoint of iteration {at} was not used: other {', '.join(differs)}")
-            return None
+            raise ValueError(f"other {', '.join(differs)} (iteration {at})")
+        wanted = {"made_with": self.made_with, **_progress(TrainingLog()), **self._state()}
+        problem = _mismatch(saved, wanted, "", is_exact=True)
+        if problem is not None:
+            raise ValueError(f"its {problem} does not fit this training")
         return saved
+
+    def _load(self, saved: dict[str, Any]) -> TrainingLog:
+        """Load all of the stored content, or nothing of it if that raises an error."""
+        before = copy.deepcopy(self._state())
+        try:
+            lines = [LogLine(**line) for line in saved["lines"]]
+            self._load_state(saved)
+        except Exception:
+            self._load_state(before)
+            raise
+        at = saved["iterations"]
+        return TrainingLog(lines, saved["seconds"], at, saved["ended"], [*saved["resumed"], at])
+
+    def _load_state(self, saved: dict[str, Any]) -> None:
+        self._context.load_state_dict(saved["context"])
+        for name, model in self._method.models().items():
+            model.load_state_dict(saved["models"][name])
+        if self._plateau is not None:
+            self._plateau.load_state_dict(saved["plateau"])
+
+
+class _HashingFile:
+    """File to write to that hashes what is written."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.digest = file, hashlib.new(DIGEST)
+
+    def write(self, data: bytes) -> int:
+        self.digest.update(data)
+        return self._file.write(data)
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+def _check_digest(path: Path) -> None:
+    """Raise ValueError unless a file ends with the digest of all before it."""
+    digest = hashlib.new(DIGEST)
+    with path.open("rb") as file:
+        remaining = os.fstat(file.fileno()).st_size - digest.digest_size
+        while remaining > 0 and (chunk := file.read(min(CHUNK, remaining))):
+            digest.update(chunk)
+            remaining -= len(chunk)
+        if remaining != 0 or file.read() != digest.digest():
+            raise ValueError("it is damaged")
+
+
+def _progress(log: TrainingLog) -> dict[str, Any]:
+    """The log of a training as plain data."""
+    return {
+        "iterations": log.iterations,
+        "seconds": log.seconds,
+        "ended": log.ended,
+        "resumed": log.resumed,
+        "lines": [asdict(line) for line in log.lines],
+    }
+
+
+def _mismatch(saved: Any, wanted: Any, place: str, *, is_exact: bool) -> str | None:
+    """First place where a stored state has other names, types, shapes or infinite numbers; None if it fits.
+
+    is_exact: tensors must have the same number of rows; else the parts of a model must have equal numbers.
+    """
+    if isinstance(wanted, Tensor):
+        fits = isinstance(saved, Tensor) and saved.dtype == wanted.dtype and saved.ndim == wanted.ndim
+        fits = fits and saved.shape[not is_exact :] == wanted.shape[not is_exact :]
+        return None if fits and torch.isfinite(saved.sum(dtype=torch.float64)) else place
+    if type(saved) is not type(wanted):
+        return place
+    if isinstance(wanted, dict):
+        if saved.keys() != wanted.keys():
+            return place or "content"
+        parts = [(name, saved[name], wanted[name]) for name in wanted]
+    elif isinstance(wanted, list) and wanted and not isinstance(wanted[0], int):
+        if len(saved) != len(wanted):
+            return place
+        parts = [(number, *pair) for number, pair in enumerate(zip(saved, wanted, strict=True))]
+    else:
+        return None
+    for name, part, like in parts:
+        problem = _mismatch(part, like, f"{place}.{name}".lstrip("."), is_exact=is_exact and name not in PER_GAUSSIAN)
+        if problem is not None:
+            return problem
+    if isinstance(wanted, dict) and wanted.keys() >= set(PER_GAUSSIAN):
+        counts = {len(t) for part in PER_GAUSSIAN for t in saved[part].values() if isinstance(t, Tensor)}
+        return None if len(counts) == 1 and min(counts) > 0 else f"{place}.rows"
+    return None

@@ -118,7 +118,9 @@ def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
     kept = [p for p in (run.experiment / "cells/splat/folder/spoiled/colmap").iterdir() if p.name.startswith(".")]
     assert len(kept) == 1 and (kept[0] / "model.ply").exists()
     shutil.copy(source / "thermal" / "view007.png", scene / "thermal" / "view007.png")
-    assert run_cell(plain, "", progress).status == "ok"
+    restored = run_cell(plain, "", progress)
+    assert restored.status == "kept" and "restored" in restored.message
+    assert [r.status for r in read_all(run.experiment)] == ["ok"]
 
 
 def test_non_finite_training_is_recorded(run, monkeypatch):
@@ -153,9 +155,9 @@ def test_missing_scenes_write_nothing(run, tmp_path):
     assert not (run.experiment / "cells").exists()
 
 
-def test_wrong_option_is_an_error(run):
-    with pytest.raises(ValueError, match="overwrite is 'maybe'"):
-        run("overwrite=maybe")
+def test_a_wrong_option_fails_its_cell(run):
+    outcome = run("overwrite=maybe")
+    assert outcome.status == "failed" and "overwrite is 'maybe'" in outcome.message
 
 
 def test_a_cell_that_another_process_runs_is_not_run(run, tmp_path):

@@ -1,4 +1,7 @@
 import hashlib
+import io
+import os
+import random
 from pathlib import Path
 
 import pytest
@@ -137,3 +140,104 @@ def test_what_a_killed_writer_left_goes(small_gray_scene, tmp_path):
 def test_seconds_below_zero_are_refused(tmp_path):
     with pytest.raises(ValueError, match="checkpoint is -1"):
         Checkpoint(tmp_path / "a.pt", {}, -1)
+
+
+@pytest.fixture
+def stored(small_gray_scene, tmp_path):
+    """A fresh method, the checkpoint of another one after 12 iterations, and its content; `take_up` loads it."""
+    method, context, plateau = set_up(small_gray_scene, "msmg")
+    checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
+    checkpoint.take_up(method, context, plateau)
+    train(method, 12, plateau=plateau, on_step=checkpoint.after_step)
+    method, context, plateau = set_up(small_gray_scene, "msmg")
+    fresh = digest(method)
+
+    def take_up() -> list[str]:
+        """The notes of a checkpoint that is not used; the method has not changed."""
+        checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
+        assert checkpoint.take_up(method, context, plateau).iterations == 0
+        assert digest(method) == fresh
+        return checkpoint.notes
+
+    take_up.path = tmp_path / "a.pt"
+    return take_up
+
+
+def test_a_flipped_bit_anywhere_is_found(stored):
+    whole = stored.path.read_bytes()
+    rng = random.Random(14)
+    for place in [0, len(whole) - 1, *(rng.randrange(len(whole)) for _ in range(100))]:
+        stored.path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << rng.randrange(8))]) + whole[place + 1 :])
+        assert stored() == ["a checkpoint was not used: it is damaged"]
+
+
+@pytest.mark.parametrize("size", [0, 1, 31, 32, 33, 5000, -1])
+def test_a_truncated_checkpoint_is_not_used(stored, size):
+    stored.path.write_bytes(stored.path.read_bytes()[:size])
+    assert stored() == ["a checkpoint was not used: it is damaged"]
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path)])
+def test_what_is_no_file_is_not_used(stored, make):
+    stored.path.unlink()
+    make(stored.path)
+    assert stored()[0].startswith("a checkpoint was not used: ")
+
+
+def change(path, at, edit):
+    """Edit a stored value and write the file with a correct digest."""
+    content = torch.load(path, weights_only=True)
+    place = content
+    *way, last = at.split(".")
+    for name in way:
+        place = place[int(name) if isinstance(place, list) else name]
+    last = int(last) if isinstance(place, list) else last
+    value = edit(place[last])
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    path.write_bytes(buffer.getvalue() + hashlib.sha256(buffer.getvalue()).digest())
+
+
+OTHERS = {
+    "no models": ("models", lambda _: None),
+    "other model": ("models", lambda models: {"thermal": models["thermal"]}),
+    "other columns": ("models.rgb.rows._values", lambda rows: rows[:, 1:].clone()),
+    "other type": ("models.rgb.rows._values", lambda rows: rows.double()),
+    "fewer rows": ("models.rgb.rows._first", lambda rows: rows[1:].clone()),
+    "no rows": ("models.rgb.rows", lambda rows: {k: v if isinstance(v, int) else v[:0] for k, v in rows.items()}),
+    "a list": ("models.rgb.rows._values", lambda rows: rows.tolist()),
+    "not a number": ("models.rgb.rows._values", lambda rows: rows.index_fill(0, torch.tensor([3]), torch.nan)),
+    "infinite": ("models.rgb.rows._second", lambda rows: rows + torch.inf),
+    "coefficients": ("models.thermal.optimizer.coefficients", lambda one: one[:1].clone()),
+    "counts": ("models.thermal.density.grad_sum", lambda one: one[:1].clone()),
+    "no stream": ("context.generators", lambda states: states[:-1]),
+    "a broken stream": ("context.generators.0", lambda state: torch.full_like(state, 255)),
+    "no plateau": ("plateau", lambda _: {}),
+    "no iterations": ("iterations", lambda _: None),
+    "iterations in words": ("iterations", lambda _: "twelve"),
+    "lines": ("lines.0", lambda line: {**line, "colour": "red"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_state_of_another_shape_is_not_used(stored, name):
+    change(stored.path, *OTHERS[name])
+    notes = stored()
+    assert len(notes) == 1 and notes[0].startswith("a checkpoint was not used: ") and "damaged" not in notes[0]
+
+
+def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene, tmp_path):
+    wanted, method = [], None
+    for number in range(2):
+        method, context, plateau = set_up(small_gray_scene, "tdg")
+        checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
+        log = checkpoint.take_up(method, context, plateau)
+        assert len(checkpoint.notes) == number
+        train(method, ITERATIONS, plateau=plateau, on_step=checkpoint.after_step, log=log)
+        wanted.append(digest(method))
+        change(tmp_path / "a.pt", "context.generators.0", lambda state: torch.full_like(state, 255))
+    assert wanted[0] == wanted[1]

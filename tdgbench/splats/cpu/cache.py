@@ -2,6 +2,8 @@
 
 Numba checks only the file that defines a kernel, but a kernel bakes in helpers and constants of other files. Its
 folder name therefore holds a fingerprint of the whole package `tdgbench.splats`, the only one that kernels import from.
+
+A cache that cannot be read or written never ends a run: kernels are then compiled again.
 """
 
 from __future__ import annotations
@@ -10,11 +12,18 @@ import hashlib
 import os
 import re
 import shutil
+import stat
+import tempfile
 import time
 import uuid
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 
 PACKAGE = Path(__file__).resolve().parents[1]
 UNUSED_DAYS = 30  # after which the cache of another state of the sources is removed
@@ -35,7 +44,10 @@ def _fingerprint() -> str:
 
 
 def cache_dir(lanes: int) -> Path:
-    """Folder of the machine code of these sources for registers of `lanes` floats."""
+    """Folder of the machine code of these sources for registers of `lanes` floats.
+
+    Raises RuntimeError if the environment names no folder for caches and the user has no home folder.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(home) / "tdgbench" / "numba" / f"{_fingerprint()}-{lanes}"
 
@@ -43,16 +55,80 @@ def cache_dir(lanes: int) -> Path:
 def open_cache(lanes: int) -> Path:
     """Create the folder, mark it as used now, and remove its unused siblings; returns the folder.
 
-    A read-only or full disk is no error here: Numba then reports what it cannot write.
+    If it cannot be written, a temporary one takes its place, with a warning, in XDG_CACHE_HOME as well: other
+    libraries keep their caches there, and processes that this one starts need no second warning.
     """
-    folder = cache_dir(lanes)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-        remove_unused(folder)
-    except OSError:
-        pass
+        folder = cache_dir(lanes)
+        _prepare(folder)
+    except (OSError, RuntimeError) as error:
+        home = _temporary_home()
+        os.environ["XDG_CACHE_HOME"] = str(home)
+        folder = cache_dir(lanes)
+        with suppress(OSError):
+            _prepare(folder)
+        warnings.warn(
+            f"compiled kernels are kept in {home}, as their cache cannot be used ({error}); "
+            "set XDG_CACHE_HOME to a folder that can be written",
+            stacklevel=2,
+        )
     return folder
+
+
+def _prepare(folder: Path) -> None:
+    """Create a cache folder and look after its siblings. Raises OSError if no file can be written to it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        os.utime(folder)
+    with suppress(OSError):
+        remove_unused(folder)
+
+
+def _temporary_home() -> Path:
+    """A folder for caches that only this user can write: machine code in it is run."""
+    home = Path(tempfile.gettempdir()) / f"tdgbench-{os.getuid()}"
+    with suppress(OSError):
+        home.mkdir(mode=0o700, exist_ok=True)
+        status = home.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022:
+            return home
+    return Path(tempfile.mkdtemp(prefix="tdgbench-"))
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of one kernel, in which damaged files and a full disk cost no more than compiling again."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # what reading a damaged file raises depends on the damage
+            self._forget()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Empty the index, which numba reads before it saves."""
+        with suppress(OSError):
+            self.flush()
+
+
+def kernel_cache(function: Callable[..., Any], folder: Path) -> KernelCache | None:
+    """Cache of a kernel in a folder; None if the folder cannot be used."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder)
+    try:
+        cache = KernelCache(function)
+    except RuntimeError:  # numba found no place that can be written
+        return None
+    finally:
+        numba.config.CACHE_DIR = previous
+    # Numba's other places are shared by all states of the sources.
+    return cache if Path(cache.cache_path).is_relative_to(folder) else None
 
 
 def remove_unused(folder: Path, days: float = UNUSED_DAYS) -> None:

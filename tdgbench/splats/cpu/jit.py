@@ -7,10 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import llvmlite.binding as llvm
-import numba
 from numba import njit
 
-from tdgbench.splats.cpu.cache import open_cache
+from tdgbench.splats.cpu.cache import kernel_cache, open_cache
 
 # Fast-math without reassociation: float sums keep the order in which they are written, so that results do not
 # depend on how the compiler unrolls, and the exp2 rounding trick survives.
@@ -58,11 +57,9 @@ def kernel(
         }
         if inline:
             return njit(forceinline=True, _nrt=allocates, **options)(function)
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(CACHE_DIR)
-        try:
-            return njit(cache=True, **options)(function)
-        finally:
-            numba.config.CACHE_DIR = previous
+        compiled, cache = njit(**options)(function), kernel_cache(function, CACHE_DIR)
+        if cache is not None:
+            compiled._cache = cache
+        return compiled
 
     return decorate

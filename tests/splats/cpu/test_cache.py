@@ -1,9 +1,19 @@
 """The cache follows every source that machine code depends on, and old caches go."""
 
 import ast
+import errno
+import importlib
+import importlib.util
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
+
+import numba
+import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from tdgbench.splats.cpu import cache
 from tests.helpers.paths import ROOT
@@ -65,7 +75,87 @@ def test_only_unused_caches_are_removed(monkeypatch, tmp_path):
     assert (folder / "kernel.nbc").exists() and time.time() - folder.stat().st_mtime < 60  # marked as used
 
 
-def test_a_folder_that_cannot_be_created_is_no_error(monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("")
+USE = """
+import torch
+from tdgbench.splats.cpu import jit
+import numpy as np
+
+@jit.kernel()
+def double(x):
+    return 2 * x
+
+assert double(3) == 6
+print(jit.CACHE_DIR, torch.hub.get_dir())
+"""
+
+
+def test_without_a_usable_cache_a_temporary_one_is_used(tmp_path):
+    """Said once; other libraries' caches are there too."""
+    home, temporary, script = tmp_path / "file", tmp_path / "temporary", tmp_path / "script.py"
+    home.touch()
+    script.write_text(USE)
+    temporary.mkdir()
+    env = {k: v for k, v in os.environ.items() if k != "TORCH_HOME"}
+    env |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "TMPDIR": str(temporary), "PYTHONPATH": str(ROOT)}
+    run = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr.count("their cache cannot be used") == 1 and str(home) in run.stderr
+    assert list(temporary.rglob("script.double-*.nbc"))
+    assert all(Path(path).is_relative_to(temporary) for path in run.stdout.split())
+
+
+def test_a_temporary_cache_of_another_user_is_not_used(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert not cache.open_cache(8).exists()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    foreign = tmp_path / f"tdgbench-{os.getuid()}"
+    foreign.mkdir()
+    foreign.chmod(0o777)
+    with pytest.warns(UserWarning, match="set XDG_CACHE_HOME to a folder that can be written"):
+        folder = cache.open_cache(8)
+    assert folder.is_dir() and not folder.is_relative_to(foreign)
+
+
+KERNEL = """
+def double(x):
+    return 2 * x
+"""
+
+
+def compiled(tmp_path):
+    """A kernel as a new process sees it: number of times it was loaded from the cache."""
+    source = tmp_path / "kernels.py"
+    source.write_text(KERNEL)
+    spec = importlib.util.spec_from_file_location("kernels", source)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    function = numba.njit(module.double)
+    function._cache = cache.kernel_cache(module.double, tmp_path / "cache")
+    assert function(3) == 6
+    return sum(function.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", [b"", b"\x80\x05", None], ids=["empty", "foreign", "truncated"])
+def test_a_damaged_cache_is_compiled_again(tmp_path, suffix, damage):
+    assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
+    (file,) = tmp_path.rglob(f"*{suffix}")
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2] if damage is None else damage)
+    assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
+
+
+def test_a_full_disk_costs_only_the_cache(tmp_path, monkeypatch):
+    def full(self, name, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(IndexDataCacheFile, "_save_data", full)
+        assert compiled(tmp_path) == 0
+    assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
+
+
+def test_places_that_other_sources_share_are_not_used(tmp_path):
+    (tmp_path / "cache").touch()  # numba then takes __pycache__
+    function = importlib.import_module("tdgbench.splats.cpu.cache").remove_unused
+    assert cache.kernel_cache(function, tmp_path / "cache") is None

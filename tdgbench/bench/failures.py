@@ -1,0 +1,105 @@
+"""Failures of cells: which of them the machine caused, and what a reader can do about them."""
+
+from __future__ import annotations
+
+import errno
+import traceback
+from urllib.error import URLError
+
+import torch
+
+from tdgbench.bench.record import Failure
+from tdgbench.priors import PriorError
+from tdgbench.scenes import SceneError
+from tdgbench.training.errors import TrainingError
+
+EXPECTED_ERRORS = (SceneError, PriorError, TrainingError)  # their message says enough without its type
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
+_TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+_LOST = (
+    errno.EIO, errno.ENODEV, errno.ENXIO, errno.ENOTCONN, errno.ESTALE, errno.EREMOTEIO, errno.EHOSTDOWN,
+    errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH, errno.ETIMEDOUT, errno.ENOLCK, errno.EBUSY, errno.EAGAIN,
+)  # fmt: skip
+# RuntimeErrors of torch and of the standard library that have no type of their own.
+_MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "ALLOC_FAILED")
+_DEVICE_TEXTS = ("CUDA error", "CUDA driver", "cuDNN error", "CUBLAS_STATUS", "can't start new thread")
+
+REMEDIES = {
+    "memory": "out of memory: use smaller images (data.width=…), a smaller budget, or fewer workers",
+    "full": "the disk is full: free some space and run again",
+    "read-only": "make it readable and writable, or choose another folder (results=DIR)",
+    "files": "too many open files: raise the limit (ulimit -n)",
+    "lost": "the device, the disk or the network failed: run again",
+}
+
+
+def of_environment(error: BaseException) -> bool:
+    """Whether disk, memory, device or network caused an error, and not the cell: running again may work.
+
+    >>> of_environment(OSError(errno.ENOSPC, "No space left on device")), of_environment(ValueError("seed=x"))
+    (True, False)
+    """
+    return _environment_kind(error) is not None
+
+
+def describe(error: BaseException, stage: str) -> Failure:
+    """The failure of a cell in a stage, for its record; to be called while the error is handled."""
+    training = error if isinstance(error, TrainingError) else None
+    return Failure(
+        stage=stage,
+        error=f"{type(error).__name__}: {_text(error)}",
+        traceback=traceback.format_exc(),
+        iteration=None if training is None else training.iteration,
+        tensor=None if training is None else training.tensor,
+        of_environment=of_environment(error),
+    )
+
+
+def message(error: BaseException) -> str:
+    """What went wrong and, where it is known, the remedy; the error's type unless its text says enough.
+
+    >>> message(MemoryError("Unable to allocate 8 GiB"))[:51]
+    'MemoryError: Unable to allocate 8 GiB (out of memor'
+    """
+    return _text(error) if isinstance(error, EXPECTED_ERRORS) else f"{type(error).__name__}: {_text(error)}"
+
+
+def _text(error: BaseException) -> str:
+    """The text of an error, with the remedy."""
+    kind = _environment_kind(error)
+    text = str(error)
+    if isinstance(error, SystemExit):
+        text = f"its code ended the process with status {error.code}; it must raise an error instead"
+    return text if kind is None else f"{text} ({REMEDIES[kind]})" if text else REMEDIES[kind]
+
+
+def _environment_kind(error: BaseException) -> str | None:
+    """Key of `REMEDIES` for an error or for what it was raised from; None for an error of the cell itself."""
+    seen: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in seen:
+        kind = _kind(cause)
+        if kind is not None:
+            return kind
+        seen.append(cause)
+        cause = cause.__cause__
+    return None
+
+
+def _kind(error: BaseException) -> str | None:
+    if isinstance(error, MemoryError | torch.OutOfMemoryError):
+        return "memory"
+    if isinstance(error, OSError):
+        kinds = {"full": _FULL, "read-only": _READ_ONLY, "files": _TOO_MANY_FILES, "lost": _LOST}
+        known = [kind for kind, numbers in kinds.items() if error.errno in numbers]
+        if error.errno == errno.ENOMEM:
+            return "memory"
+        is_network = isinstance(error, URLError | ConnectionError | TimeoutError)
+        return known[0] if known else "lost" if is_network else None
+    if isinstance(error, RuntimeError):
+        if any(text in str(error) for text in _MEMORY_TEXTS):
+            return "memory"
+        return "lost" if any(text in str(error) for text in _DEVICE_TEXTS) else None
+    return None

@@ -1,0 +1,58 @@
+"""What is stored of a cell: its readable record, the record of a failure, a result that a failure hid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tdgbench.bench.hashes import hashes
+from tdgbench.bench.key import as_json
+from tdgbench.bench.paths import hidden_folder
+from tdgbench.bench.record import FILE, Failure, Record, read_record, schema_problems
+from tdgbench.files import put_in_place, whole_folder
+
+
+def readable_record(folder: Path) -> Record | None:
+    """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
+    path = folder / FILE
+    try:
+        if not path.is_file() or schema_problems(path.read_text(encoding="utf-8")):
+            return None
+        return read_record(folder)
+    except (ValueError, OSError, RecursionError):
+        return None
+
+
+def write_failure(folder: Path, record: Record, failure: Failure) -> None:
+    """Put the record of a failure in the place of what is in a cell's folder; a finished result is hidden beside it.
+
+    A finished result stays where it is if the environment failed and settings, data and code may be those of the
+    result. The caller must hold the cell's lock.
+    """
+    record.status, record.failure = "failed", failure
+    existing = readable_record(folder)
+    if existing is not None and existing.status == "ok":
+        if failure.of_environment and record.key in ("", existing.key):
+            return
+        put_in_place(folder, hidden_folder(folder, existing.key))
+    record.scores, record.train_scores, record.hashes = {}, {}, {}
+    for name in ("config", "environment", "init_points", "prior"):
+        setattr(record, name, as_json(getattr(record, name)))
+    with whole_folder(folder) as part:
+        record.write(part)
+
+
+def restore(folder: Path, record: Record, existing: Record | None) -> bool:
+    """Put the hidden result of the record's key back into a cell's folder, if its files are whole.
+
+    existing: the record in the folder; a failure of the same key stays. The caller must hold the cell's lock.
+    """
+    hidden = hidden_folder(folder, record.key)
+    kept = readable_record(hidden)
+    if kept is None or kept.status != "ok" or kept.key != record.key:
+        return False
+    if existing is not None and existing.key == record.key:
+        return False
+    if not kept.hashes or not kept.hashes.items() <= hashes(hidden).items():
+        return False
+    put_in_place(hidden, folder)
+    return True

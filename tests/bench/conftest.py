@@ -1,0 +1,28 @@
+"""A tiny cell, to see what becomes of failures."""
+
+from __future__ import annotations
+
+import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tests.helpers.configs import QUICK, config
+
+
+@pytest.fixture
+def tiny_cell(tmp_path, data_root):
+    """Run a tiny cell into the test's results folder: `tiny_cell(*overrides, variant=…, **settings)`."""
+
+    def of(*overrides, variant="", **settings):
+        options = ("method=splat", "scene=turntable", f"data.root={data_root}", f"results={tmp_path / 'results'}")
+        cfg = config(*QUICK, *options, *overrides)
+        OmegaConf.set_struct(cfg, False)
+        for key, value in settings.items():
+            OmegaConf.update(cfg, key.replace("__", "."), value)
+        return run_cell(cfg, variant, CellProgress(Console(quiet=True), 12))
+
+    of.experiment = tmp_path / "results" / "single"
+    of.folder = of.experiment / "cells" / "splat" / "synthetic" / "turntable" / "colmap" / "seed0"
+    return of

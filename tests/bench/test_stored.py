@@ -1,0 +1,130 @@
+"""No stale result stands for a failure, and nothing finished is lost."""
+
+import errno
+import json
+import os
+
+import pytest
+
+from methods.splat import Splat
+from tdgbench.bench import cell
+from tdgbench.bench.lock import cell_lock
+from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.record import read_all, schema_problems
+from tdgbench.bench.run import CellRun
+from tests.helpers.cells import fails, hidden, statuses
+
+
+def test_no_stale_result_stands_for_a_failure(tiny_cell, monkeypatch):
+    """Good, broken, good, broken: the failure is what the tables see each time."""
+    for _ in range(3):
+        assert tiny_cell("overwrite=always").status == "ok" and statuses(tiny_cell.experiment) == ["ok"]
+        with monkeypatch.context() as patch:
+            patch.setattr(Splat, "step", fails(ValueError("broken")))
+            outcome = tiny_cell("overwrite=always")
+        assert outcome.status == "failed" and "could not be written" not in outcome.message
+        assert statuses(tiny_cell.experiment) == ["failed"]
+        assert len(hidden(tiny_cell.folder)) == 1
+        assert [path.name for path in tiny_cell.folder.iterdir()] == ["record.json"]
+
+
+def test_no_stale_result_stands_where_the_record_of_a_failure_cannot_be_written(tiny_cell, monkeypatch):
+    assert tiny_cell().status == "ok"
+
+    def full(self, folder):
+        raise OSError(errno.ENOSPC, "full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Splat, "step", fails(ValueError("broken")))
+        patch.setattr(cell.Record, "write", full)
+        outcome = tiny_cell("budget.iterations=11")
+    assert outcome.status == "failed" and "its record could not be written" in outcome.message
+    assert statuses(tiny_cell.experiment) == [] and len(hidden(tiny_cell.folder)) == 1
+
+
+def test_settings_of_a_hidden_result_bring_it_back_if_it_is_whole(tiny_cell, monkeypatch):
+    assert tiny_cell().status == "ok"
+    before = {p.name: p.read_bytes() for p in tiny_cell.folder.iterdir() if p.is_file()}
+
+    def fail():
+        with monkeypatch.context() as patch:
+            patch.setattr(Splat, "step", fails(ValueError("broken")))
+            assert tiny_cell("budget.iterations=11", "retry_failed=true").status == "failed"
+
+    fail()
+    outcome = tiny_cell()
+    assert (outcome.status, outcome.message) == ("kept", "restored: its settings are those of an earlier result")
+    assert before == {p.name: p.read_bytes() for p in tiny_cell.folder.iterdir() if p.is_file()}
+    fail()
+    (model,) = tiny_cell.folder.parent.glob(".*/model.ply")
+    model.write_bytes(model.read_bytes()[:-1])
+    assert tiny_cell().status == "ok" and statuses(tiny_cell.experiment) == ["ok"]
+
+
+def spoil_with_folder(path):
+    path.unlink()
+    path.mkdir()
+    (path / "a").touch()
+
+
+def spoil_with_fifo(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.write_bytes(b"\xff\xfe"),
+        lambda path: path.write_text("[" * 100_000),
+        lambda path: path.write_text("[1]"),
+        lambda path: path.write_text(path.read_text().replace('"ok"', '"fine"')),
+        lambda path: path.write_text(path.read_text().replace('"schema": 1', '"schema": 7')),
+        spoil_with_folder,
+        spoil_with_fifo,
+    ],
+    ids=["bytes", "deep", "list", "status", "schema", "folder", "fifo"],
+)
+@pytest.mark.parametrize("works", [True, False])
+def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, spoil, works):
+    assert tiny_cell().status == "ok"
+    spoil(tiny_cell.folder / "record.json")
+    if not works:
+        monkeypatch.setattr(Splat, "setup", fails(ValueError("broken")))
+    outcome = tiny_cell()
+    assert outcome.status == ("ok" if works else "failed") and "could not" not in outcome.message
+    assert statuses(tiny_cell.experiment) == [outcome.status]
+
+
+def test_a_failed_replacement_is_finished_before_the_cell_is_looked_up(tiny_cell):
+    """A kill between two renames leaves the complete result hidden: it is found and not run again."""
+    assert tiny_cell().status == "ok"
+    tiny_cell.folder.rename(tiny_cell.folder.with_name(".seed0.part-new"))
+    assert tiny_cell().status == "kept" and hidden(tiny_cell.folder) == []
+    tiny_cell.folder.rename(tiny_cell.folder.with_name(".seed0.part-old"))
+    assert tiny_cell().status == "kept" and hidden(tiny_cell.folder) == []
+
+
+def test_a_failure_beside_a_running_process_removes_nothing_of_its(tiny_cell, monkeypatch):
+    def load(self):
+        raise ValueError("broken")
+
+    monkeypatch.setattr(CellRun, "load", load)
+    tiny_cell.folder.parent.mkdir(parents=True)
+    part = tiny_cell.folder.with_name(".seed0.part-1")
+    part.mkdir()
+    with cell_lock(tiny_cell.experiment, tiny_cell.folder) as acquired:
+        assert acquired
+        outcome = tiny_cell()
+    assert "another process is running the cell" in outcome.message and part.exists()
+
+
+def test_old_records_of_failures_are_read(tiny_cell, monkeypatch):
+    monkeypatch.setattr(Splat, "setup", fails(ValueError("broken")))
+    assert tiny_cell().status == "failed"
+    path = tiny_cell.folder / "record.json"
+    content = json.loads(path.read_text())
+    del content["failure"]["of_environment"]
+    path.write_text(json.dumps(content))
+    assert schema_problems(path.read_text()) == [] and "in an earlier run" in tiny_cell().message
+    assert cell_folder_of(tiny_cell.experiment, read_all(tiny_cell.experiment)[0]) == tiny_cell.folder
