@@ -85,6 +85,7 @@ def test_two_folders_of_one_registered_scene(folder, tmp_path):
     for name in ("Hand", "hands"):
         shutil.copytree(folder, tmp_path / "root" / "ThermalMix" / name)
     dataset = RegisteredDataset(str(tmp_path / "root"), ReadOptions())
+    assert dataset.missing(["Hand", "Face"]) == ["Face"]  # loading it says what is wrong, and only that
     with pytest.raises(SceneError, match=r"Hand and .*hands are both the scene Hand; keep one of them"):
         dataset.load("Hand")
 

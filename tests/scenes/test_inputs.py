@@ -76,6 +76,6 @@ def test_arrays(tmp_path):
 
 @pytest.mark.parametrize("name", ["", " ", ".", "..", "a\nb", "a\0b", "\x1b[31m", "é" * 101])
 def test_view_names_that_no_file_could_have(name):
-    with pytest.raises(SceneError, match="^here gives a view the name"):
+    with pytest.raises(SceneError, match=r"^here gives a view the name"):
         check_view_name(name, "here")
     assert check_view_name("a b é $%_[red]", "here")
