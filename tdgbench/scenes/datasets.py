@@ -53,7 +53,7 @@ class RegisteredDataset:
         return [s.name for s in registry.SCENES if self.dataset in (None, s.dataset)]
 
     def missing(self, names: list[str]) -> list[str]:
-        return [name for name in names if self._find(name) is None]
+        return [name for name in names if not self._is_there(name)]
 
     def describe(self, name: str | int | None) -> Description:
         name = scene_name(name)
@@ -88,6 +88,13 @@ class RegisteredDataset:
                 f"{scene.name} is a scene of {registry.DATASETS[scene.dataset]}: use dataset={scene.dataset}"
             )
         return scene
+
+    def _is_there(self, name: str) -> bool:
+        """Whether a scene can be loaded, or loading says why not."""
+        try:
+            return self._find(name) is not None
+        except SceneError:
+            return True
 
     def _find(self, name: str) -> Path | None:
         scene = self._registered(name)

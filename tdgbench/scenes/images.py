@@ -87,6 +87,8 @@ def opened_image(path: Path) -> Iterator[Image.Image]:
             yield image
     except (SceneError, MemoryError):
         raise
+    except Image.DecompressionBombError as error:
+        raise SceneError(f"{path} is too large an image ({error}); an image may have {MAX_PIXELS} pixels") from error
     except Exception as error:  # Pillow's decoders raise many kinds
         raise SceneError(f"{path} cannot be read as an image: {error}; copy or export it again") from error
 

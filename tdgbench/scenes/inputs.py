@@ -83,7 +83,9 @@ def read_array(path: Path) -> np.ndarray:
     """Real numbers of an .npy file. Raises SceneError; a shape that the file is too short for takes no memory."""
     try:
         values = np.load(regular_file(path), mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError) as error:
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # parsers of the header raise many kinds
         raise SceneError(f"{path} cannot be read as an .npy array: {error}; write it with numpy.save") from error
     if not isinstance(values, np.memmap) or values.dtype.kind not in "fiu":
         what = str(values.dtype) if isinstance(values, np.ndarray) else type(values).__name__

@@ -62,8 +62,8 @@ def find_images(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
         for path in listed(folder / sub):
             if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
                 continue
+            check_view_name(path.stem, f"{path.parent}: the file {path.name!r}")
             regular_file(path)
-            check_view_name(path.stem, f"the file {path!s:.1000}")
             if path.stem in paths:
                 raise SceneError(f"{path} and {paths[path.stem]} are both view {path.stem}; keep one of them")
             paths[path.stem] = path
@@ -193,6 +193,7 @@ def _fingerprint(folder: Path, images: list[Path], model: Path) -> str:
     digest = hashlib.sha256()
     extra = [folder / "temperature.json"] if is_there(folder / "temperature.json") else []
     for path in sorted([*images, *(p for p in listed(model) if p.is_file()), *extra]):
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode("utf-8", "surrogateescape"))
-        digest.update(hash_of(path))
+        content = hash_of(path)
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+        digest.update(content)
     return digest.hexdigest()[:16]

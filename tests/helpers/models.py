@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from pathlib import Path
 
 import pycolmap
@@ -36,3 +37,10 @@ def copied(folder: Path, to: Path) -> Path:
     """A copy of a folder that a test may change; what was there before is gone."""
     shutil.rmtree(to, ignore_errors=True)
     return shutil.copytree(folder, to)
+
+
+def put(path: Path, at: int, form: str, *values: float) -> None:
+    """Write numbers, packed as `struct` says, into a file."""
+    data = bytearray(path.read_bytes())
+    struct.pack_into(form, data, at, *values)
+    path.write_bytes(data)

@@ -1,3 +1,4 @@
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -63,3 +64,34 @@ def test_a_map_that_changed_is_read_again(small_scene, tmp_path):
     np.save(tmp_path / f"{name}.npy", np.full((36, 48), 2.0, np.float32))
     assert prior.identity(small_scene)["files"] != before["files"]
     assert estimate_all(prior, small_scene, tmp_path / "cache")[0][name].values[0, 0] == 2.0
+
+
+def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):
+    view = small_scene.train[0]
+    prior, path = FilePrior(str(tmp_path), "depth"), tmp_path / f"{view.name}.npy"
+
+    def refused(message):
+        with pytest.raises(PriorError, match=message):
+            prior.estimate(small_scene, view).check(view)
+
+    os.mkfifo(path)
+    refused(r"view001\.npy is a FIFO, not a file")
+    with pytest.raises(PriorError, match=r"view001\.npy is a FIFO, not a file"):
+        prior.identity(small_scene)
+    path.unlink()
+    path.symlink_to(path)
+    refused(r"view001\.npy cannot be used: Too many levels")
+    path.unlink()
+    for values, message in (
+        (np.array([object()]), r"view001\.npy cannot be read as an \.npy array"),
+        (np.array(["a"]), r"view001\.npy holds <U1"),
+        (np.full((36, 48), np.nan), "no finite value"),
+        (np.ones((36, 48, 3)), r"is \(36, 48, 3\), its image \(36, 48\)"),
+    ):
+        np.save(path, values)
+        refused(message)
+    path.write_bytes(path.read_bytes()[:100])
+    refused(r"view001\.npy cannot be read as an \.npy array")
+    path.unlink()
+    path.with_suffix(".png").write_bytes(b"\x89PNG")
+    refused(r"view001\.png cannot be read as an image")

@@ -1,8 +1,10 @@
 import shutil
+from pathlib import Path
 
 import pytest
 
 from tdgbench.scenes import FolderDataset, MissingScenesError, ReadOptions, RegisteredDataset, SceneError
+from tests.helpers.scenes import small_dataset
 
 
 def test_registered_scenes(folder, tmp_path):
@@ -22,3 +24,81 @@ def test_a_folder_of_scenes(folder, tmp_path):
     assert dataset.names() == ["scene"] and dataset.load("scene").name == "scene"
     with pytest.raises(MissingScenesError, match="other not found"):
         dataset.load("other")
+
+
+@pytest.fixture
+def scenes(folder, tmp_path):
+    """A folder of scenes whose names YAML reads as numbers or truth values, and of a hidden one."""
+    for name in ("1", "2", "1_0", "007", "1e3", "a b", ".hidden"):
+        shutil.copytree(folder, tmp_path / "root" / name)
+    return FolderDataset(str(tmp_path / "root"), ReadOptions())
+
+
+def test_names_of_digits(scenes):
+    assert scenes.describe(1).scene == "1" and scenes.load(2).name == "2" and scenes.load("1_0").name == "1_0"
+    assert scenes.load("a b").name == "a b"
+    for value, quoted in ((10, "1_0"), (7, "007"), (1000.0, "1e3")):
+        with pytest.raises(SceneError, match=rf"scene={value} is read as a number.*quote it: scene=\"'{quoted}'\""):
+            scenes.describe(value)
+    with pytest.raises(MissingScenesError, match="11 not found"):
+        scenes.load(11)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (True, "scene=True is read as a truth value, not as a name; quote it: scene=\"'true'\""),
+        (0.5, "scene=0.5 is read as a number, not as a name; quote it: scene=\"'NAME'\""),
+        (["1", "2"], "is read as a list, not as a name"),
+        ({"a": 1}, "is read as a mapping, not as a name"),
+        ("a\nb", "has a name that cannot be printed; rename its folder"),
+        ("", "has a name that cannot be printed; rename its folder"),
+        ("\udcff", "is not UTF-8; rename it"),
+    ],
+)
+def test_what_is_no_name(scenes, tmp_path, value, message):
+    for dataset in (scenes, RegisteredDataset(str(tmp_path), ReadOptions()), small_dataset(tmp_path)):
+        with pytest.raises(SceneError) as error:
+            dataset.describe(value)
+        assert message in str(error.value)
+        str(error.value).encode()
+
+
+def test_hidden_scenes_are_never_found(scenes, folder, tmp_path):
+    assert scenes.names() == ["007", "1", "1_0", "1e3", "2", "a b"]
+    for act in (scenes.describe, scenes.load):
+        with pytest.raises(SceneError, match=r"the scene \.hidden begins with a dot.*; rename its folder"):
+            act(".hidden")
+    alone = FolderDataset(str(tmp_path / "root" / ".hidden"), ReadOptions())
+    assert alone.names() == []
+    for act in (alone.describe, alone.load):
+        with pytest.raises(SceneError, match=r"the scene \.hidden begins with a dot"):
+            act(None)
+    shutil.copytree(folder, tmp_path / "paper" / "ThermalMix" / ".Hand")
+    registered = RegisteredDataset(str(tmp_path / "paper"), ReadOptions())
+    assert registered.missing(["Hand"]) == ["Hand"]
+    with pytest.raises(SceneError, match="begins with a dot"):
+        registered.load(".Hand")
+
+
+def test_two_folders_of_one_registered_scene(folder, tmp_path):
+    for name in ("Hand", "hands"):
+        shutil.copytree(folder, tmp_path / "root" / "ThermalMix" / name)
+    dataset = RegisteredDataset(str(tmp_path / "root"), ReadOptions())
+    assert dataset.missing(["Hand", "Face"]) == ["Face"]  # loading it says what is wrong, and only that
+    with pytest.raises(SceneError, match=r"Hand and .*hands are both the scene Hand; keep one of them"):
+        dataset.load("Hand")
+
+
+def test_a_folder_that_may_not_be_read_keeps_no_other_from_being_found(scenes, monkeypatch):
+    real = Path.is_dir
+
+    def refuse(path):
+        if "007" in path.parts:
+            raise PermissionError(13, "Permission denied")
+        return real(path)
+
+    monkeypatch.setattr(Path, "is_dir", refuse)
+    assert scenes.names() == ["1", "1_0", "1e3", "2", "a b"]
+    with pytest.raises(SceneError, match=r"007/thermal cannot be used: no permission to read it"):
+        scenes.load("007")

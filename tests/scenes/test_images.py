@@ -1,11 +1,13 @@
 import json
+import struct
+import zlib
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import Radiometry, is_gray, read_image, read_radiometry, resize
+from tdgbench.scenes.images import Radiometry, image_size, is_gray, read_image, read_radiometry, resize
 from tdgbench.scenes.scene import TemperatureRange
 
 RANGE = Radiometry(TemperatureRange(10.0, 60.0), degC_per_count=0.01, degC_at_zero=-273.15)
@@ -53,7 +55,7 @@ def test_radiometry_file(tmp_path):
     assert read_radiometry(path) == Radiometry(TemperatureRange(16.8, 48.3))
     for bad in ('{"min": 3}', '{"min": 5, "max": 4}', "[]", "nonsense"):
         path.write_text(bad)
-        with pytest.raises(SceneError, match=r"temperature\.json must hold"):
+        with pytest.raises(SceneError, match=r"temperature\.json must hold finite"):
             read_radiometry(path)
 
 
@@ -62,3 +64,72 @@ def test_resize_averages_areas():
     expected = image.reshape(3, 2, 4, 2, 3).mean(axis=(1, 3))
     assert np.allclose(resize(image, 4, 3), expected, atol=1e-6)
     assert resize(image, 8, 6) is image
+
+
+def test_decompression_bombs_are_refused_before_decoding(tmp_path, recwarn):
+    """The header is believed by a decoder; the second is beyond Pillow's own limit, the first is not."""
+    path = tmp_path / "bomb.png"
+    for width, message in ((10000, r"bomb\.png is 10000×10000 px"), (50000, r"bomb\.png is too large an image")):
+        path.write_bytes(b"\x89PNG\r\n\x1a\n")
+        for kind, content in ((b"IHDR", struct.pack(">IIBBBBB", width, width, 8, 0, 0, 0, 0)), (b"IDAT", b"")):
+            with path.open("ab") as file:
+                file.write(struct.pack(">I", len(content)) + kind + content)
+                file.write(struct.pack(">I", zlib.crc32(kind + content)))
+        for read in (image_size, read_image):
+            with pytest.raises(SceneError, match=message + ".* an image may have 89478485 pixels"):
+                read(path)
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp"])
+def test_cut_images_are_named(tmp_path, suffix):
+    path = tmp_path / f"cut{suffix}"
+    noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+    Image.fromarray(noise).save(path)
+    assert image_size(path) == (60, 40)
+    whole = path.read_bytes()
+    for size in (0, 4, 30, len(whole) // 2, len(whole) - 200):
+        path.write_bytes(whole[:size])
+        with pytest.raises(SceneError, match=rf"cut\{suffix} cannot be read as an image"):
+            read_image(path)
+
+
+def test_one_picture_per_file(tmp_path):
+    frames = [Image.new("L", (6, 4), value) for value in (10, 20)]
+    for name in ("a.png", "a.tiff"):
+        frames[0].save(tmp_path / name, save_all=True, append_images=frames[1:])
+        with pytest.raises(SceneError, match=r"a\.\w+ holds 2 pictures; a view is one"):
+            read_image(tmp_path / name)
+    preview = Image.new("L", (3, 2))
+    frames[0].save(tmp_path / "b.tiff", save_all=True, append_images=[preview])
+    assert np.allclose(read_image(tmp_path / "b.tiff"), 10 / 255)
+
+
+def test_modes_of_pixels(tmp_path):
+    for mode, suffix, channels in (("CMYK", ".tiff", 3), ("LAB", ".tiff", 3), ("P", ".png", 3), ("LA", ".png", 1)):
+        path = tmp_path / f"c{suffix}"
+        Image.new(mode, (6, 4)).save(path)
+        assert read_image(path).shape == (4, 6, channels)
+
+
+def test_only_images_are_parsed(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
+    with pytest.raises(SceneError, match=r"a\.png cannot be read as an image: cannot identify"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"min": NaN, "max": 3}', '{"min": 1, "max": Infinity}', '{"min": -300, "max": 3}', '{"min": 1, "max": 1e300}',
+        '{"min": true, "max": 3}', '{"min": 1, "max": 2, "degC_per_count": NaN}', "null", "[" * 100000,
+        '{"min": 1, "max": 2, "degC_per_count": 0}', '{"min": 1, "max": 2, "degC_at_zero": -Infinity}', "\udcff",
+        '{"min": 1, "max": 1' + "0" * 5000 + "}",
+    ],
+    ids=range(12),
+)  # fmt: skip
+def test_temperatures_that_cannot_be(tmp_path, content):
+    path = tmp_path / "temperature.json"
+    path.write_bytes(content.encode("utf-8", "surrogateescape"))
+    with pytest.raises(SceneError, match=r"temperature\.json must hold finite numbers `min` < `max`"):
+        read_radiometry(path)

@@ -1,6 +1,8 @@
+import os
 import shutil
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -111,3 +113,82 @@ def test_the_real_scene(arco_folder):
     assert scene.train[0].camera.K[0, 0] == pytest.approx(422.5)
     shipped = load(arco_folder, split="folder")
     assert (len(shipped.train), len(shipped.test)) == (35, 5)
+
+
+def fifo(path):
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+
+
+def loop(path):
+    path.unlink(missing_ok=True)
+    path.symlink_to(path.name)
+
+
+def subfolder(path):
+    path.unlink(missing_ok=True)
+    path.mkdir()
+
+
+@pytest.mark.parametrize("make", [fifo, loop, subfolder])
+@pytest.mark.parametrize(
+    "file",
+    ["thermal/view001.png", "rgb/view001.png", "temperature.json", "depth/view001.npy", "sparse/0/points3D.bin",
+     "sparse/0/frames.bin"],
+)  # fmt: skip
+def test_inputs_are_regular_files(folder, file, make):
+    make(folder / file)
+    with pytest.raises(SceneError) as error:
+        load(folder)
+    assert str(folder / file) in str(error.value)
+    assert "replace it by the file itself" in str(error.value) or "symbolic links" in str(error.value)
+
+
+def test_rgb_must_be_a_folder(folder):
+    shutil.rmtree(folder / "rgb")
+    (folder / "rgb").symlink_to("rgb")
+    with pytest.raises(SceneError, match=r"rgb (is no folder|cannot be used)"):
+        load(folder)
+
+
+def test_an_empty_thermal_folder(folder):
+    shutil.rmtree(folder / "thermal")
+    (folder / "thermal").mkdir()
+    with pytest.raises(SceneError, match=r"thermal holds no image; put one of each view there \(\.png"):
+        load(folder)
+
+
+@pytest.mark.parametrize("name", [b"v\xff.png", b"a\nb.png"])
+def test_image_names_that_results_cannot_have(folder, name):
+    shutil.copy(folder / "thermal" / "view001.png", os.fsencode(folder / "thermal") + b"/" + name)
+    with pytest.raises(SceneError, match="rename it") as error:
+        load(folder)
+    assert b"\n" not in str(error.value).encode()
+
+
+def test_a_small_image_of_a_huge_camera_is_refused_before_its_distortion_is_followed(folder, monkeypatch):
+    model = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
+    model.cameras[1].model, model.cameras[1].params = pycolmap.CameraModelId.SIMPLE_RADIAL, [8000, 4500, 4500, 0.1]
+    model.cameras[1].width, model.cameras[1].height = 9000, 9000
+    model.write_binary(str(folder / "sparse" / "0"))
+    with pytest.raises(SceneError, match=r"is 48×36, but its camera is 9000×9000: the aspect ratios differ; export"):
+        load(folder)
+
+
+def test_depth_maps_are_checked(folder):
+    path = folder / "depth" / "view001.npy"
+    for values in (np.full((36, 48), np.nan), np.ones(7), np.ones((2, 36, 48))):
+        np.save(path, values)
+        with pytest.raises(SceneError, match=r"view001\.npy is no depth map: it must hold finite numbers"):
+            _ = next(v for v in load(folder).views if v.name == "view001").true_depth
+
+
+def test_a_width_of_nothing(folder):
+    with pytest.raises(SceneError, match=r"data\.width=0: view view\d+ is 0×1 px"):
+        load(folder, width=0)
+
+
+def test_a_file_of_the_model_s_folder_that_is_not_utf_8(folder):
+    (folder / "sparse" / "0" / os.fsdecode(b"\xff.ini")).write_text("x")
+    with pytest.raises(SceneError, match=r"udcff\.ini' is not UTF-8; rename it"):
+        load(folder)

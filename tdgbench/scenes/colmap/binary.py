@@ -46,7 +46,7 @@ class _Cursor:
     """A place in a file. `row` says what is being read, for messages."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at, self.row = path, read_bytes(path), 0, "its count"
+        self.path, self.data, self.at, self.row = path, read_bytes(path), 0, "the file"
 
     def damaged(self, what: str) -> DamagedModelError:
         return DamagedModelError(self.path, what)
