@@ -16,6 +16,7 @@ from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
+from tdgbench.bench.options import check_options
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Failure, Record, read_record
 from tdgbench.bench.run import CellRun
@@ -25,7 +26,6 @@ from tdgbench.splats.cpu import pool
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.method import training_device
 
-OVERWRITE = ("only-missing", "always", "never")
 Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
 EXPECTED_ERRORS = (SceneError, PriorError, TrainingError)  # their message says enough without its type
 
@@ -46,10 +46,9 @@ class Outcome:
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     """Run the cell that a resolved configuration describes. A failure of the cell is an outcome, not an exception.
 
-    Raises ValueError for an unknown `overwrite`.
+    Raises OptionError for a configuration that describes no cell.
     """
-    if cfg.overwrite not in OVERWRITE:
-        raise ValueError(f"overwrite is {cfg.overwrite!r}; it must be one of {', '.join(OVERWRITE)}")
+    check_options(cfg)
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record = Record(
