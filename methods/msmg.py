@@ -7,11 +7,12 @@ all Gaussians. This scales the gradients that density control tests, and so limi
 from __future__ import annotations
 
 import torch
+from pydantic import NonNegativeFloat
 
 from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
 from tdgbench.training.losses import photometric, thermal
-from tdgbench.training.method import Context, Step, rgb_tensor, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, rgb_tensor, thermal_tensor
 from tdgbench.training.model import SplatModel
 
 
@@ -26,7 +27,12 @@ class MSMG:
     needs_prior = False
 
     def __init__(
-        self, lambda_ssim: float, lambda_smooth: float, smooth: str, weight_rgb: float, weight_thermal: float
+        self,
+        lambda_ssim: Share,
+        lambda_smooth: NonNegativeFloat,
+        smooth: SmoothnessReading,
+        weight_rgb: NonNegativeFloat,
+        weight_thermal: NonNegativeFloat,
     ) -> None:
         self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
         self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal

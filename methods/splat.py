@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import torch
+from pydantic import NonNegativeFloat
 
 from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
 from tdgbench.training.losses import thermal
-from tdgbench.training.method import Context, Step, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor
 from tdgbench.training.model import SplatModel
 
 
@@ -24,7 +25,9 @@ class Splat:
     needs_rgb = False
     needs_prior = False
 
-    def __init__(self, lambda_ssim: float, lambda_smooth: float, smooth: str, weight: float) -> None:
+    def __init__(
+        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
+    ) -> None:
         self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
 
     def setup(self, context: Context) -> None:

@@ -15,8 +15,10 @@ The released code (HannahHaensen/TDg, commit b881cee) differs; the options `dept
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
+from pydantic import NonNegativeFloat
 from torch import Tensor
 
 from tdgbench.priors import DepthPrior
@@ -25,13 +27,11 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
-from tdgbench.training.method import Context, Step, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor
 from tdgbench.training.model import SplatModel
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
 RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
-DEPTHS = ("written", "released")
-DECAYS = ("linear", "switch")
 
 
 class TDg:
@@ -43,21 +43,17 @@ class TDg:
 
     def __init__(
         self,
-        lambda_ssim: float,
-        lambda_smooth: float,
-        smooth: str,
-        lambda_depth: float,
-        depth: str,
-        decay: str,
-        decay_end: float,
+        lambda_ssim: Share,
+        lambda_smooth: NonNegativeFloat,
+        smooth: SmoothnessReading,
+        lambda_depth: NonNegativeFloat,
+        depth: Literal["written", "released"],
+        decay: Literal["linear", "switch"],
+        decay_end: NonNegativeFloat,
     ) -> None:
         """smooth: see `smoothness`. depth: `written` (eq. 3, with its gradient) or `released` (without gradient).
         decay: `linear` (eq. 7) or `switch`. decay_end: t_end as a share of all iterations.
-
-        Raises ValueError for another value of `depth` or `decay`.
         """
-        if depth not in DEPTHS or decay not in DECAYS:
-            raise ValueError(f"depth is {depth!r} and decay {decay!r}; they must be among {DEPTHS} and {DECAYS}")
         self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
         self.lambda_depth, self.depth, self.decay, self.decay_end = lambda_depth, depth, decay, decay_end
 

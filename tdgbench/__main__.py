@@ -1,52 +1,57 @@
-"""`tdgbench` and `python -m tdgbench`: run a tool, or compose a configuration with Hydra and run its job."""
+"""`tdgbench` and `python -m tdgbench`: run a command, and turn what ends it early into one line and an exit status."""
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
-import hydra
-from omegaconf import DictConfig
-
-from tdgbench import __version__
-from tdgbench.experiments.experiment import experiment_of
-from tdgbench.resources import conf_folder
+from tdgbench.signals import Interrupted, interruptible
 from tdgbench.terminal import guard_streams, say
-from tdgbench.tools import TOOLS
-from tdgbench.usage import usage
 
-DEMO = "+experiment=demo"
+TRACEBACK = "HYDRA_FULL_ERROR"  # environment variable that asks for tracebacks
 
 
 def main() -> int:
     """Run what the command line asks for; return the exit status.
 
-    The first word chooses a tool. Without one, Hydra takes the arguments. No arguments: the demo.
+    0: done. 1: something failed. 2: no such tool. 130 and 143: ended by Ctrl-C and SIGTERM.
     """
     guard_streams()
-    words = sys.argv[1:]
+    wants_traceback = bool(os.environ.get(TRACEBACK))
     if str(Path.cwd()) not in sys.path and not sys.flags.safe_path:
         sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
-    if words and words[0] in TOOLS:
-        return TOOLS[words[0]].run(words[1:])
-    if words and "=" not in words[0] and words[0][:1] not in "-+~":
-        say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
-        return 2
-    if {"--help", "-h"} & set(words):
-        say(usage())
-    elif "--version" in words:
-        say(f"tdgbench {__version__}")
-    else:
-        if not words:
-            sys.argv.append(DEMO)
-        run_experiment()
-    return 0
+    with interruptible() as interruption:
+        try:
+            from tdgbench.command import run  # its imports take seconds, in which Ctrl-C works
+
+            interruption.begin()
+            return run(sys.argv[1:])
+        except (Exception, Interrupted) as error:
+            interruption.end()
+            if interruption.signal is not None:
+                say(f"interrupted by {interruption.signal.name}{_kept()}", stderr=True)
+                return interruption.status
+            if wants_traceback:
+                raise
+            say(_in_words(error), "error:", stderr=True)
+            return 1
 
 
-@hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")
-def run_experiment(cfg: DictConfig) -> None:
-    """Run the experiment that the composed configuration names."""
-    experiment_of(cfg).run(cfg)
+def _in_words(error: BaseException) -> str:
+    from tdgbench.experiments.experiment import in_words
+
+    return in_words(error, sys.argv[1:])
+
+
+def _kept() -> str:
+    """What is kept of an interrupted run, if it has begun."""
+    callback = getattr(sys.modules.get("tdgbench.experiments.experiment"), "ExperimentCallback", None)
+    if callback is None or callback.folder is None:
+        return ""
+    from tdgbench.bench.kept import kept
+
+    return f"; {kept(callback.folder)}"
 
 
 if __name__ == "__main__":

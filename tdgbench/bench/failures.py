@@ -8,12 +8,13 @@ from urllib.error import URLError
 
 import torch
 
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.record import Failure
 from tdgbench.priors import PriorError
 from tdgbench.scenes import SceneError
 from tdgbench.training.errors import TrainingError
 
-EXPECTED_ERRORS = (SceneError, PriorError, TrainingError)  # their message says enough without its type
+EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError)  # their message says enough without its type
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)

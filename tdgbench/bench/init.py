@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import PointCloud, Scene, SceneError
 
@@ -38,7 +39,7 @@ class RandomPoints:
     kind = ""
     where = ""
 
-    def __init__(self, count: int, seed: int) -> None:
+    def __init__(self, count: PositiveInt, seed: NonNegativeInt) -> None:
         if count < 1:
             raise ValueError(f"random initial points need count ≥ 1, not {count}")
         self.count, self.seed = count, seed
@@ -67,7 +68,7 @@ class CubeAroundCameras(RandomPoints):
 
     kind = "random"
 
-    def __init__(self, count: int, half_side: float, seed: int) -> None:
+    def __init__(self, count: PositiveInt, half_side: PositiveFloat, seed: NonNegativeInt) -> None:
         super().__init__(count, seed)
         if half_side <= 0:
             raise ValueError(f"init=random needs half_side > 0, not {half_side}")

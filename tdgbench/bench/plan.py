@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
+from pydantic import TypeAdapter
 
 from tdgbench.files import write_text
 
 FILE = "experiment.json"
-# Keys that are part of a cell's path or do not concern it.
-IN_THE_PATH = ("method", "dataset", "scene", "init", "seed", "name", "results")
+OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
+IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's path or do not concern it
 
 
 @dataclass
@@ -37,28 +42,77 @@ class Plan:
         >>> Plan(variant_keys=["budget"]).variant(["method=tdg", "budget=demo"])
         'budget=demo'
         """
-        chosen = [o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=")[0] in self.variant_keys]
-        return ",".join(sorted(chosen))
+        return ",".join(sorted(_with_keys(overrides, self.variant_keys)))
+
+    def title(self, overrides: list[str]) -> str:
+        """Overrides of a job that distinguish its cell from all others.
+
+        >>> Plan(variant_keys=["budget"]).title(["method=tdg", "budget=demo", "threads=1"])
+        'method=tdg budget=demo'
+        """
+        return " ".join(_with_keys(overrides, [*OF_A_CELL, *self.variant_keys]))
 
 
-def read_plan(experiment: Path) -> Plan:
-    """Read the plan in an experiment's folder; the default plan if there is none."""
-    path = experiment / FILE
-    return Plan(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Plan()
+def read_plan(folder: Path) -> Plan:
+    """Read the plan in a folder; the default plan if there is none. Raises ValueError, naming the file, if broken."""
+    path = folder / FILE
+    try:
+        return TypeAdapter(Plan).validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return Plan()
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"{path} is not the plan of a sweep ({reason}); run the sweep again, or delete it") from error
+
+
+def plan_of_job(sweep_folder: Path) -> Plan:
+    """The plan of a job's sweep. Raises ValueError without one: the cells of several jobs might share a folder."""
+    if not (sweep_folder / FILE).exists():
+        raise ValueError(f"{sweep_folder / FILE} is missing, the plan of the sweep; run the sweep again")
+    return read_plan(sweep_folder)
 
 
 def swept(config: DictConfig) -> dict[str, list[str]]:
-    """Swept keys and their values, from the command line or else from the experiment file."""
-    params = OmegaConf.select(config, "hydra.sweeper.params") or {}
-    written = [f"{k}={v}" for k, v in params.items()] + list(config.hydra.overrides.task)
+    """Swept keys and their values as text, from the command line or else from the experiment file.
+
+    The values of a key are empty if the sweeper chooses them.
+    """
     values: dict[str, list[str]] = {}
-    for override in OverridesParser.create().parse_overrides(written):
+    for override in _overrides(config):
         if override.is_sweep_override():
-            values[override.key_or_group] = [_as_text(v) for v in override.sweep_iterator()]
+            discrete = override.is_discrete_sweep()
+            values[override.key_or_group] = [_as_text(v) for v in override.sweep_iterator()] if discrete else []
         else:
             values.pop(override.key_or_group, None)
     return values
 
 
+def number_of_jobs(config: DictConfig) -> int | None:
+    """Number of jobs of a run or sweep; None if its sweeper decides."""
+    return math.prod(len(values) for values in swept(config).values()) or None
+
+
+def compose_jobs(config: DictConfig) -> None:
+    """Compose the configuration of every job of a sweep, so that a wrong choice fails before the first one."""
+    loader = GlobalHydra.instance().config_loader()
+    for job in BasicSweeper.split_arguments(_overrides(config), None)[0]:
+        loader.load_sweep_config(config, job)
+
+
+def _with_keys(overrides: list[str], keys: Sequence[str]) -> list[str]:
+    """Overrides of the given keys, without the signs before them."""
+    return [o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=")[0] in keys]
+
+
+def _overrides(config: DictConfig) -> list[Override]:
+    params = OmegaConf.select(config, "hydra.sweeper.params") or {}
+    written = [f"{k}={v}" for k, v in params.items()] + list(config.hydra.overrides.task)
+    hydra = GlobalHydra.instance()
+    return OverridesParser.create(hydra.config_loader() if hydra.is_initialized() else None).parse_overrides(written)
+
+
 def _as_text(value: object) -> str:
+    """A value as the text that the job's configuration holds: without the quotes of the command line."""
+    if isinstance(value, QuotedString):
+        return value.text
     return value if isinstance(value, str) else Override._get_value_element_as_str(value)  # type: ignore[arg-type]

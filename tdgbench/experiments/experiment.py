@@ -5,22 +5,42 @@ A new experiment is one class that `job._target_` of one file in `conf/experimen
 
 from __future__ import annotations
 
+import tempfile
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from hydra.errors import HydraException
 from hydra.experimental.callback import Callback
 from hydra.utils import get_class
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
-from tdgbench.terminal import say
+from tdgbench.bench.cell import EXPECTED_ERRORS
+from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
+from tdgbench.bench.plan import compose_jobs
+from tdgbench.bench.signature import Problem
+from tdgbench.terminal import guard_streams, say
 
 
 class Experiment(ABC):
     """An experiment, made without arguments. Its options are in `cfg.job`; it writes to <results>/<name>/.
 
     `run` and `end` raise SystemExit(1) if something failed that does not stop the rest.
+
+    options: dataclass or function whose signature states the options in `cfg.job`; None: they are not checked.
     """
+
+    options: ClassVar[Callable[..., Any] | None] = None
+
+    def check(self, cfg: DictConfig) -> None:
+        """Raise OptionError for options that are not allowed."""
+        check_options(cfg)
+        options = type(self).options
+        if options is not None:
+            check_experiment_options(cfg, options)
 
     def start(self, cfg: DictConfig) -> None:  # noqa: B027 (optional)
         """Plan. Called once, before the first job; a sweep has one job per combination of swept options."""
@@ -41,14 +61,28 @@ def experiment_of(cfg: DictConfig) -> Experiment:
     return kind()
 
 
+def run_job(cfg: DictConfig) -> None:
+    """Do one job of the configured experiment."""
+    guard_streams()  # of a launcher's process
+    experiment_of(cfg).run(names_to_text(cfg))
+
+
 class ExperimentCallback(Callback):
-    """Calls `start` and `end` of the configured experiment, for single runs and sweeps and with every launcher."""
+    """Calls `start` and `end` of the configured experiment, for single runs and sweeps and with every launcher.
+
+    folder: of the experiment that this process has begun.
+    """
+
+    folder: ClassVar[Path | None] = None
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        experiment_of(config).start(config)
+        _start(config)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        experiment_of(config).start(config)
+        if config.hydra.sweeper.get("max_batch_size") is not None:  # else Hydra composes all jobs before the first
+            with _status_1_on_error():
+                compose_jobs(config)
+        _start(config)
 
     def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
         _end(config, Path(config.hydra.run.dir))
@@ -57,9 +91,51 @@ class ExperimentCallback(Callback):
         _end(config, Path(config.hydra.sweep.dir))
 
 
+def _start(cfg: DictConfig) -> None:
+    with _status_1_on_error():
+        experiment = experiment_of(names_to_text(cfg))
+        experiment.check(cfg)
+        check_results_folder(Path(cfg.results) / cfg.name)
+        ExperimentCallback.folder = Path(cfg.results) / cfg.name
+        experiment.start(cfg)
+
+
 def _end(cfg: DictConfig, jobs: Path) -> None:
+    with _status_1_on_error():
+        experiment_of(cfg).end(names_to_text(cfg), jobs)
+
+
+@contextmanager
+def _status_1_on_error() -> Iterator[None]:
+    """Errors end the run with status 1: Hydra would print a warning, go on, and end with 0."""
     try:
-        experiment_of(cfg).end(cfg, jobs)
-    except Exception as error:  # Hydra would print a warning and exit with status 0
-        say(f"{type(error).__name__}: {error}", "error:")
+        yield
+    except Exception as error:
+        say(in_words(error), "error:", stderr=True)
         raise SystemExit(1) from error
+
+
+def check_results_folder(folder: Path) -> None:
+    """Raise OptionError unless files can be written to a folder, which need not exist yet."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists() or path.is_symlink())
+    try:
+        with tempfile.TemporaryFile(dir=there) as file:
+            file.write(bytes(4096))
+            file.flush()
+    except OSError as error:
+        reason = f"{there} cannot be written to ({error.strerror}); choose another folder with results=DIR"
+        raise OptionError([Problem("results", f"the results go to {folder}, but {reason}")]) from error
+
+
+def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
+    """The message of an error that ends a run or a job.
+
+    words: the command line, which errors of an unexpected type are told with.
+    """
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        cause = error.__cause__
+        return "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
+    if isinstance(error, (OptionError, OSError, *EXPECTED_ERRORS)):
+        return str(error)
+    command = f" in: {' '.join(words)}" if words else ""
+    return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from pydantic import NonNegativeInt, PositiveInt
 
 from tdgbench.priors.prior import DepthPrior, PriorError
 from tdgbench.scenes import Scene, View
@@ -22,7 +23,15 @@ class MarigoldPrior:
     to average. resolution: longest side in px at which the network runs; None means the model's default.
     """
 
-    def __init__(self, model: str, steps: int | None, ensemble: int, resolution: int | None, device: str, seed: int):
+    def __init__(
+        self,
+        model: str,
+        steps: PositiveInt | None,
+        ensemble: PositiveInt,
+        resolution: PositiveInt | None,
+        device: str,
+        seed: NonNegativeInt,
+    ) -> None:
         self.model, self.steps, self.ensemble, self.resolution = model, steps, ensemble, resolution
         self.device, self.seed = device, seed
 

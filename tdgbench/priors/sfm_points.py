@@ -7,6 +7,7 @@ Planes are linear in inverse depth. Needs no network.
 from __future__ import annotations
 
 import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
@@ -25,7 +26,9 @@ class SfmPointsPrior:
     a point is hidden if it lies more than this share behind the nearest point within 2 cells.
     """
 
-    def __init__(self, grid_width: int, edge: float, smoothness: float, occlusion: float) -> None:
+    def __init__(
+        self, grid_width: PositiveInt, edge: PositiveFloat, smoothness: PositiveFloat, occlusion: NonNegativeFloat
+    ) -> None:
         self.grid_width, self.edge, self.smoothness, self.occlusion = grid_width, edge, smoothness, occlusion
 
     def identity(self, scene: Scene) -> dict[str, object]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
+from pydantic import NonNegativeFloat, NonNegativeInt
 from scipy.ndimage import gaussian_filter
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
@@ -18,7 +19,15 @@ class SyntheticPrior:
     white and smooth errors, as shares of the map's range.
     """
 
-    def __init__(self, kind: Kind, blur_px: float, noise: float, bumps: float, bump_px: float, seed: int) -> None:
+    def __init__(
+        self,
+        kind: Kind,
+        blur_px: NonNegativeFloat,
+        noise: NonNegativeFloat,
+        bumps: NonNegativeFloat,
+        bump_px: NonNegativeFloat,
+        seed: NonNegativeInt,
+    ) -> None:
         self.kind = kind
         self.blur_px, self.noise, self.bumps, self.bump_px, self.seed = blur_px, noise, bumps, bump_px, seed
 

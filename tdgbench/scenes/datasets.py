@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
@@ -44,7 +44,9 @@ class RegisteredDataset:
     Description(scene='Lion', dataset='ThermalMix', group='360')
     """
 
-    def __init__(self, root: str, options: ReadOptions, dataset: str | None = None) -> None:
+    def __init__(
+        self, root: str, options: ReadOptions, dataset: Literal["rgbt_scenes", "thermalmix"] | None = None
+    ) -> None:
         self.root = Path(root)
         self.options = options
         self.dataset = dataset

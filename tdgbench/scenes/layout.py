@@ -11,8 +11,10 @@ import hashlib
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.errors import SceneError
@@ -24,6 +26,7 @@ from tdgbench.scenes.validate import check_camera
 
 LAYOUT = "<scene>/{rgb,thermal}/[train|test]/<view>.png, <scene>/sparse/0 (COLMAP), [<scene>/temperature.json]"
 ASPECT_TOLERANCE = 0.01
+WIDEST = 16384  # px, of resized images
 
 
 @dataclass(frozen=True)
@@ -35,9 +38,9 @@ class ReadOptions:
     an error.
     """
 
-    split: str = "eighty_twenty"
-    width: int | None = None
-    channels: int | str = "auto"
+    split: Literal["eighty_twenty", "every_8th", "folder"] = "eighty_twenty"
+    width: Annotated[int, Field(ge=1, le=WIDEST)] | None = None
+    channels: Literal["auto", 1, 3] = "auto"
     skip_unpaired: bool = False
 
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
@@ -25,22 +27,22 @@ from tdgbench.splats.state import TrainingState
 class DensityRules:
     """When and how the number of Gaussians changes. Iterations count from 1."""
 
-    start: int  # the first round is after this iteration
-    stop: int  # the last round is before this iteration
-    every: int  # iterations between rounds
-    grad_threshold: float  # mean image-plane gradient of the centre, in units of half the image
-    clone_max_scale: float  # × extent: smaller Gaussians are cloned, larger ones split
-    split_into: int
-    split_shrink: float  # children's scale = parent's / (this × split_into)
-    min_opacity: float
-    max_world_scale: float  # × extent; larger ones are pruned after the first opacity reset
-    max_screen_radius: int  # px
+    start: NonNegativeInt  # the first round is after this iteration
+    stop: NonNegativeInt  # the last round is before this iteration
+    every: PositiveInt  # iterations between rounds
+    grad_threshold: NonNegativeFloat  # mean image-plane gradient of the centre, in units of half the image
+    clone_max_scale: NonNegativeFloat  # × extent: smaller Gaussians are cloned, larger ones split
+    split_into: PositiveInt
+    split_shrink: PositiveFloat  # children's scale = parent's / (this × split_into)
+    min_opacity: Annotated[float, Field(ge=0, lt=1)]
+    max_world_scale: PositiveFloat  # × extent; larger ones are pruned after the first opacity reset
+    max_screen_radius: NonNegativeInt  # px
     screen_radius_prune: bool
-    opacity_reset_every: int
-    opacity_reset_to: float
-    round_recovery: int  # × every: no round in the last iterations of a training, which the model needs to recover
-    reset_recovery: int  # × every: the same for opacity resets
-    max_gaussians: int | None = None  # no growth beyond this
+    opacity_reset_every: PositiveInt
+    opacity_reset_to: Annotated[float, Field(gt=0, lt=1)]
+    round_recovery: NonNegativeInt  # × every: no round in a training's last iterations; the model needs them to recover
+    reset_recovery: NonNegativeInt  # × every: the same for opacity resets
+    max_gaussians: PositiveInt | None = None  # no growth beyond this
 
     def is_round(self, iteration: int, iterations: int) -> bool:
         """Whether a training of so many iterations clones, splits and prunes at an iteration.

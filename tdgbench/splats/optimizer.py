@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import (
@@ -36,14 +37,14 @@ MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can 
 class LearningRates:
     """Learning rates of the parameters. That of the means falls log-linearly and is in units of the scene extent."""
 
-    position_initial: float
-    position_final: float
-    position_steps: int  # iterations
-    sh_dc: float
-    sh_rest: float
-    opacity: float
-    log_scale: float
-    quaternion: float
+    position_initial: PositiveFloat
+    position_final: PositiveFloat
+    position_steps: PositiveInt  # iterations
+    sh_dc: NonNegativeFloat
+    sh_rest: NonNegativeFloat
+    opacity: NonNegativeFloat
+    log_scale: NonNegativeFloat
+    quaternion: NonNegativeFloat
 
     def position(self, iteration: int) -> float:
         """Rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant.

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field, PositiveInt
 
 from tdgbench.splats.density import DensityRules
 from tdgbench.splats.optimizer import LearningRates
@@ -14,16 +17,12 @@ class Budget:
     """Iterations and the schedules that depend on them."""
 
     name: str
-    iterations: int
-    sh_degree: int
-    sh_every: int  # iterations after which the SH degree in use rises by one
+    iterations: PositiveInt
+    sh_degree: Annotated[int, Field(ge=0, le=3)]
+    sh_every: PositiveInt  # iterations after which the SH degree in use rises by one
     rates: LearningRates
     density: DensityRules
     plateau: PlateauRule | None = None  # rule for stopping early; None: never
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise ValueError(f"budget.iterations is {self.iterations}; it must be 1 or more")
 
     def active_degree(self, iteration: int) -> int:
         """SH degree in use at an iteration (1-based)."""

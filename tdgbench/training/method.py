@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from tdgbench.priors import DepthPrior
@@ -17,6 +18,9 @@ from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
+
+Share = Annotated[float, Field(ge=0, le=1)]
+SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
 
 
 class ViewOrder:

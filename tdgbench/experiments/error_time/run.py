@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 import torch
 from omegaconf import DictConfig
+from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 from rich.console import Console
 
 from tdgbench import terminal
@@ -18,22 +21,47 @@ from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_clo
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 
-PARTS = ("kernels", "training", "growth")
 KERNEL_COLUMNS = {  # those on the terminal, and their titles there
     "setting": "setting", "forward_ms": "fwd ms", "both_ms": "+ bwd ms", "both_ratio": "ratio", "image_error": "image",
     "depth_error": "depth", "gradient_error": "gradient", "non_dominated": "best",
 }  # fmt: skip
 
 
+class RunOptions(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
+    """A link of the chain of trainings: see `training.Run`."""
+
+    label: str
+    method: str
+    share: PositiveFloat = 1.0
+    options: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class ErrorTimeOptions:
+    """Options in `cfg.job`; `conf/experiment/error_time.yaml` says what they are."""
+
+    methods: dict[str, Any]
+    parts: Annotated[list[Literal["kernels", "training", "growth"]], Field(min_length=1)]
+    counts: list[PositiveInt]
+    width: PositiveInt
+    height: PositiveInt
+    repetitions: PositiveInt
+    slow: bool
+    model: str | None
+    scenes: list[str | None]
+    samples: Annotated[int, Field(ge=2)]
+    runs: list[RunOptions]
+    largest: PositiveInt
+
+
 class ErrorTime(Experiment):
     """Run time against error."""
 
+    options = ErrorTimeOptions
+
     def run(self, cfg: DictConfig) -> None:
-        """Measure the parts in `cfg.job.parts`. Raises SystemExit(1) if a training failed, ValueError for an unknown
-        part."""
-        unknown = set(cfg.job.parts) - set(PARTS)
-        if unknown:
-            raise ValueError(f"job.parts: there is no {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+        """Measure the parts in `cfg.job.parts`. Raises SystemExit(1) if a training failed."""
+        self.check(cfg)
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
         console, folder = terminal.console(), Path(cfg.results) / cfg.name

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 from omegaconf import DictConfig
+from pydantic import Field, NonNegativeInt
 from rich.console import Console
 from rich.table import Table
 
@@ -22,17 +25,29 @@ from tdgbench.terminal import console, say
 SUCCESS = ("ok", "kept", "elsewhere")
 
 
+@dataclass(frozen=True)
+class SkipAblationOptions:
+    """Options in `cfg.job`: what to run; skips outside of `skips` are off in all cells."""
+
+    scenes: Annotated[list[str], Field(min_length=1)]
+    skips: list[str]
+    seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
+
+
 class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
+    options = SkipAblationOptions
+
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
+        self.check(cfg)
 
         def report(outcome: Outcome) -> None:
             if outcome.status not in SUCCESS:
                 say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
 
-        outcomes = run_variants(cfg, CellProgress(console(stderr=True), int(cfg.budget.iterations)), report)
+        outcomes = run_variants(cfg, CellProgress(console(stderr=True), cfg.budget.iterations), report)
         folder = Path(cfg.results) / cfg.name
         rows = skip_rows(read_all(folder))
         if not rows.empty:

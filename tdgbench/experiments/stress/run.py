@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -17,11 +18,21 @@ from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
 
 
+@dataclass(frozen=True)
+class StressOptions:
+    """Options in `cfg.job`. cases: run only cases whose family or name contains this."""
+
+    cases: str | None
+
+
 class Stress(Experiment):
     """The numerical stress suite."""
 
+    options = StressOptions
+
     def run(self, cfg: DictConfig) -> None:
         """Run the cases that `cfg.job.cases` chooses. Raises SystemExit(1) if any case is a surprise."""
+        self.check(cfg)
         out = console()
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)

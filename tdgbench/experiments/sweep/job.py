@@ -1,4 +1,4 @@
-"""One job of a sweep: run its cell, and write the outcome for the summary at the end."""
+"""One job of a sweep: run its cell, and write the outcome for the summary at the end. No failure ends the sweep."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from pydantic import TypeAdapter
 
 from tdgbench.bench.cell import Outcome, run_cell
-from tdgbench.bench.plan import read_plan
+from tdgbench.bench.plan import plan_of_job
 from tdgbench.bench.progress import CellProgress
+from tdgbench.experiments.experiment import in_words
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
@@ -23,21 +26,36 @@ WORDS = {
     "failed": "failed",
     "elsewhere": "running in another process",
 }
+_SCHEMA = TypeAdapter(Outcome)
 
 
 def run_job(cfg: DictConfig) -> None:
     """Run a cell, print its outcome in one line, and write the outcome to the job's folder."""
     hydra = HydraConfig.get()
-    if cfg.threads is None:
-        cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
-    variant = read_plan(Path(cfg.results) / cfg.name).variant(list(hydra.overrides.task))
-    outcome = run_cell(cfg, variant, CellProgress(console(stderr=True), int(cfg.budget.iterations)))
+    outcome = _outcome(cfg, hydra)
     folder = Path(hydra.runtime.output_dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
+    except OSError as error:
+        say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
     if outcome.status != "missing":
         remark = f" ({outcome.message})" if outcome.status == "ok" and outcome.message else ""
         say(f"{outcome.title}: {WORDS[outcome.status]}{remark}", stderr=True)
+
+
+def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
+    """Outcome of the job's cell; a job that describes no cell has failed."""
+    overrides = list(hydra.overrides.task)
+    title = " ".join(overrides)
+    try:
+        plan = plan_of_job(Path(hydra.sweep.dir))
+        title = plan.title(overrides)
+        if cfg.threads is None:
+            cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
+        return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
+    except Exception as error:
+        return Outcome("failed", title or "the cell", in_words(error))
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
@@ -58,10 +76,23 @@ def worker_threads(launcher: DictConfig, cores: int) -> int | None:
     return None
 
 
-def read_outcomes(hydra_folder: Path) -> list[Outcome]:
-    """Outcomes of the jobs of a run or sweep, in the order of the jobs."""
-    found = []
-    for path in hydra_folder.rglob(OUTCOME):
-        number = path.parent.name
-        found.append((int(number) if number.isdigit() else -1, Outcome(**json.loads(path.read_text(encoding="utf-8")))))
+def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
+    """Outcomes of the jobs of a run or sweep, in the order of the jobs.
+
+    jobs: their number, where it is known. One that left no readable outcome has failed.
+    """
+    found = [(_number(path), _read(path)) for path in hydra_folder.rglob(OUTCOME)]
+    silent = sorted(set(range(jobs or 0)) - {number for number, _ in found})[: max(0, (jobs or 0) - len(found))]
+    found += [(number, Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}")) for number in silent]
     return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
+
+
+def _number(path: Path) -> int:
+    return int(path.parent.name) if path.parent.name.isdigit() else -1
+
+
+def _read(path: Path) -> Outcome:
+    try:
+        return _SCHEMA.validate_json(path.read_bytes())
+    except (OSError, ValueError) as error:
+        return Outcome("failed", f"job {path.parent.name}", f"{path} is no outcome: {str(error).splitlines()[0]}")

@@ -26,19 +26,21 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
     dataset = instantiate(cfg.dataset.loader)
     options = swept(cfg)
     try:
-        scenes = [dataset.describe(name) for name in options.get("scene", [cfg.scene])]
+        scenes = [dataset.describe(name) for name in options.get("scene") or [cfg.scene]]
         missing = dataset.missing([one.scene for one in scenes])
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
     if missing:
         say(dataset.explain_missing(missing), "error:", stderr=True)
-    Plan(
+    plan = Plan(
         table=cfg.table,
         scenes=[vars(one) for one in scenes],
         methods=options.get("method", [cfg.method.name]),
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH],
-    ).write(Path(cfg.results) / cfg.name)
-    per_scene = math.prod(len(values) for key, values in options.items() if key != "scene")
+    )
+    plan.write(Path(cfg.results) / cfg.name)  # for the tables
+    plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
+    per_scene = math.prod(len(values) or 1 for key, values in options.items() if key != "scene")
     return CellCount(per_scene * len(scenes), per_scene * len(missing))

@@ -7,6 +7,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tdgbench.bench.cell import Outcome
+from tdgbench.bench.plan import number_of_jobs
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.finish import finish
 from tdgbench.experiments.sweep.job import read_outcomes, run_job
@@ -25,4 +26,4 @@ class Sweep(Experiment):
         run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
-        finish(cfg, read_outcomes(jobs))
+        finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, NonNegativeInt
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.layout import Description, ReadOptions, read_scene
@@ -26,11 +29,11 @@ class SyntheticDataset:
         self,
         root: str,
         options: ReadOptions,
-        width: int = 160,
-        height: int = 120,
-        views: int = 40,
-        points: int = 4000,
-        seed: int = 0,
+        width: Annotated[int, Field(ge=8, le=4096)] = 160,
+        height: Annotated[int, Field(ge=8, le=4096)] = 120,
+        views: Annotated[int, Field(ge=2, le=1000)] = 40,
+        points: NonNegativeInt = 4000,
+        seed: NonNegativeInt = 0,
     ) -> None:
         self.root = Path(root)
         self.options = options

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
+
 from tdgbench.training.skips.skip import Skip
 
 if TYPE_CHECKING:
@@ -18,14 +20,10 @@ class PlateauRule:
     A window is `rounds` times all training views, so that every view has equal weight in it.
     """
 
-    rounds: int
-    patience: int  # windows
-    gain: float  # relative
-    after: int  # earliest iteration
-
-    def __post_init__(self) -> None:
-        if self.rounds < 1 or self.patience < 1 or self.gain < 0:
-            raise ValueError(f"budget.plateau needs rounds, patience ≥ 1 and gain ≥ 0, not {self}")
+    rounds: PositiveInt
+    patience: PositiveInt  # windows
+    gain: NonNegativeFloat  # relative
+    after: NonNegativeInt  # earliest iteration
 
 
 @dataclass

@@ -1,0 +1,241 @@
+"""Every option is checked once, where it enters: before the first job, and by each job for what is swept."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pkgutil import resolve_name
+from typing import Annotated, Any, Literal
+
+from omegaconf import DictConfig, ListConfig, Node, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
+
+from tdgbench.bench.signature import STRICT, Problem, model_problems, not_finite, signature_problems
+from tdgbench.splats.backends import backend_names
+from tdgbench.training.skips.registry import find_skips
+
+TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
+LONGEST_NAME = 120  # bytes
+MOST_THREADS = 1024
+EXPERIMENT = "job"  # its class checks the options beside `_target_`
+
+
+class OptionError(ValueError):
+    """Options that are not allowed; the message names all of them, with their values and choices."""
+
+    def __init__(self, problems: list[Problem]) -> None:
+        super().__init__("; ".join(dict.fromkeys(map(str, problems))))
+
+
+def check_options(cfg: DictConfig) -> None:
+    """Check a composed configuration, except `hydra` and the options of the experiment itself.
+
+    Options of tdgbench are checked against the models below, those of a `_target_` against its signature. Raises
+    OptionError, which names all problems.
+    """
+    unresolved: list[Problem] = []
+    plain = _resolved(cfg, "", unresolved)
+    problems = unresolved or [*_model_problems(plain), *_object_problems(cfg, plain, ""), *not_finite(plain, "")]
+    first: dict[str, Problem] = {}
+    for problem in problems:
+        name = _typed_name(cfg, problem.option)
+        first.setdefault(name, problem._replace(option=name))
+    if first:
+        raise OptionError(list(first.values()))
+
+
+def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> None:
+    """Check the options in `cfg.job` against the signature of a dataclass or function. Raises OptionError."""
+    problems: list[Problem] = []
+    given = {k: v for k, v in _resolved(cfg.job, EXPERIMENT, problems).items() if k != "_target_"}
+    problems = problems or signature_problems(options, given, EXPERIMENT)
+    if problems:
+        raise OptionError(problems)
+
+
+def names_to_text(cfg: DictConfig) -> DictConfig:
+    """Replace names that were read as whole numbers by text, in place; returns the configuration.
+
+    >>> names_to_text(OmegaConf.create({"name": 2024, "scene": "orbit"})).name
+    '2024'
+    """
+    for option in TEXTS:
+        value = OmegaConf.select(cfg, option, throw_on_resolution_failure=False)
+        if isinstance(value, int) and not isinstance(value, bool):
+            OmegaConf.update(cfg, option, str(value))
+    return cfg
+
+
+def _folder_name(name: str) -> str:
+    bad = not name or name.startswith(".") or "/" in name or "\\" in name or not name.isprintable()
+    if bad or len(name.encode("utf-8", "replace")) > LONGEST_NAME:
+        rule = f"printable, without slashes, not beginning with a dot, at most {LONGEST_NAME} bytes"
+        raise ValueError(f"must be the name of one folder: {rule}")
+    return name
+
+
+def _backend(name: str) -> str:
+    choices = ["auto", *backend_names()]
+    if name not in choices:
+        raise ValueError(f"must be {', '.join(choices[:-1])} or {choices[-1]}")
+    return name
+
+
+def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
+    known = find_skips()
+    unknown = [name for name in allowed if name not in ("_target_", "otherwise", *known)]
+    if unknown:
+        raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(known)}")
+    return allowed
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(**STRICT, extra="forbid")
+
+
+class _PlugIn(BaseModel):
+    """A group whose choices may come from elsewhere, with keys of their own."""
+
+    model_config = ConfigDict(**STRICT, extra="allow")
+
+
+class _Dataset(_PlugIn):
+    default_scene: str | None = None
+    loader: dict[str, Any]
+
+
+class _Init(_PlugIn):
+    name: str
+    points: dict[str, Any]
+
+
+class _Prior(_PlugIn):
+    name: str
+    estimator: dict[str, Any]
+
+
+class _Method(_PlugIn):
+    name: str
+    label: str | None = None
+    order: int | None = None
+    compared_with: str | None = None
+    paper_iterations: PositiveInt | None = None
+    method: dict[str, Any]
+
+
+class _Backend(_Group):
+    name: Annotated[str, AfterValidator(_backend)]
+
+
+class _Log(_PlugIn):
+    writer: dict[str, Any] | None
+
+
+class _Data(_Group):
+    """Options of all data sets; their values are checked by the loader that they go to."""
+
+    root: Annotated[str, Field(min_length=1)]
+    split: Any
+    width: Any
+    channels: Any
+    skip_unpaired: Any
+
+
+class _Options(_Group):
+    """`conf/config.yaml`."""
+
+    dataset: _Dataset
+    init: _Init
+    prior: _Prior
+    method: _Method
+    backend: _Backend
+    budget: dict[str, Any]
+    metrics: dict[str, Any]
+    skip: Annotated[dict[str, Any], AfterValidator(_skips)]
+    log: _Log
+    job: dict[str, Any]
+    name: Annotated[str, AfterValidator(_folder_name)]
+    table: Literal["main", "ablation", "readings"]
+    scene: Annotated[str, Field(min_length=1)] | None
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    overwrite: Literal["only-missing", "always", "never"]
+    retry_failed: bool
+    checkpoint: NonNegativeFloat | None  # seconds
+    threads: Annotated[int, Field(ge=1, le=MOST_THREADS)] | None
+    results: Annotated[str, Field(min_length=1)]
+    data: _Data
+
+
+def _model_problems(plain: dict[str, Any]) -> list[Problem]:
+    try:
+        _Options.model_validate({k: v for k, v in plain.items() if k != "hydra"})
+    except ValidationError as error:
+        return model_problems(error, "")
+    return []
+
+
+def _object_problems(cfg: DictConfig | ListConfig, plain: Any, name: str) -> Iterator[Problem]:
+    """Problems of every `_target_` in a configuration."""
+    if isinstance(plain, list):
+        for index, one in enumerate(plain):
+            yield from _object_problems(cfg, one, f"{name}[{index}]")
+    if not isinstance(plain, dict):
+        return
+    for key, one in plain.items():
+        yield from _object_problems(cfg, one, f"{name}.{key}" if name else key)
+    if "_target_" not in plain or name == EXPERIMENT:
+        return
+    try:
+        target = _import(str(plain["_target_"]))
+    except Exception as error:  # a plug-in's module may raise anything
+        yield Problem(f"{name}._target_", f"cannot be imported ({type(error).__name__}: {error})", plain["_target_"])
+        return
+    given = {k: v for k, v in plain.items() if not (k.startswith("_") or (isinstance(v, dict) and "_target_" in v))}
+    nested = [k for k, v in plain.items() if isinstance(v, dict) and "_target_" in v]
+    yield from signature_problems(target, given, name, elsewhere=nested, partial=bool(plain.get("_partial_")))
+
+
+def _import(path: str) -> Any:
+    """Import `package.module.name`."""
+    module, _, name = path.rpartition(".")
+    try:
+        return resolve_name(f"{module}:{name}")
+    except ModuleNotFoundError as error:
+        if not module.startswith(str(error.name)):
+            raise
+        return resolve_name(path)  # `package.module.Class.name`
+
+
+def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) -> Any:
+    """A configuration as plain data without `hydra`; values that cannot be resolved become problems."""
+    keys: list[Any] = [k for k in cfg if name or k != "hydra"] if isinstance(cfg, DictConfig) else list(range(len(cfg)))
+    plain: dict[Any, Any] = {}
+    for key in keys:
+        path = f"{name}[{key}]" if isinstance(cfg, ListConfig) else f"{name}.{key}" if name else str(key)
+        try:
+            value = cfg[key]
+        except MissingMandatoryValue:
+            problems.append(Problem(path, f"is missing; set it with {path}=VALUE"))
+        except OmegaConfBaseException as error:
+            problems.append(Problem(path, str(error).splitlines()[0]))
+        else:
+            plain[key] = _resolved(value, path, problems) if isinstance(value, DictConfig | ListConfig) else value
+    return plain if isinstance(cfg, DictConfig) else list(plain.values())
+
+
+def _typed_name(cfg: DictConfig, name: str) -> str:
+    """The option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
+    node = _node(cfg, name)
+    refers = None if node is None else re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(node._value()))
+    return _typed_name(cfg, refers.group(1)) if refers and _node(cfg, refers.group(1)) is not None else name
+
+
+def _node(cfg: DictConfig, name: str) -> Node | None:
+    """An option as it is written, interpolations included; None where there is none of that name."""
+    node: Node | None = cfg
+    for part in name.split("."):
+        if not isinstance(node, DictConfig) or node._is_none() or node._is_interpolation() or node._is_missing():
+            return None
+        node = node._get_node(part, validate_access=False)  # type: ignore[assignment]
+    return node

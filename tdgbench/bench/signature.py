@@ -1,0 +1,171 @@
+"""Check options against the signature of what they configure: a class named by `_target_`, or a dataclass of options.
+
+The annotations say what is allowed: `Literal["paper", "reference"]`, `PositiveInt`, `Annotated[float, Field(le=1)]`.
+Types that YAML does not have are not checked. No number may be infinite or NaN.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import types
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+SCALARS = (int, float, bool, str, type(None), Any)
+STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class Problem(NamedTuple):
+    """What is wrong with one option."""
+
+    option: str  # its dotted name
+    what: str
+    value: Any = None  # shown unless it is None, a list or a dictionary
+
+    def __str__(self) -> str:
+        """`data.width=0: must be at least 1`."""
+        shown = "" if self.value is None or isinstance(self.value, dict | list) else f"={as_typed(self.value)}"
+        return f"{self.option}{shown}: {self.what}"
+
+
+def signature_problems(
+    target: Callable[..., Any],
+    options: Mapping[str, Any],
+    name: str,
+    elsewhere: Collection[str] = (),
+    partial: bool = False,
+) -> list[Problem]:
+    r"""Problems of the options that a class or function is called with.
+
+    options: by parameter. name: of the options as a whole. elsewhere: parameters whose values are checked elsewhere.
+    partial: parameters may be missing.
+
+    >>> def resize(width: int, mode: Literal["fast", "good"] = "good"): ...
+    >>> print(*signature_problems(resize, {"mode": "best", "depth": 2}, "image"), sep="\n")
+    image.width: is missing
+    image.mode=best: must be fast or good
+    image.depth=2: is no option; there are width, mode
+    """
+    parameters = inspect.signature(target).parameters
+    named = [p for p in parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+    others = next((p for p in parameters.values() if p.kind is p.VAR_KEYWORD), None)
+    hints = _hints(target)
+    missing = [p.name for p in named if p.default is p.empty and p.name not in {*options, *elsewhere} and not partial]
+    problems = [Problem(f"{name}.{one}", "is missing") for one in missing]
+    for option in [*options, *elsewhere]:
+        parameter, value = parameters.get(option, others), options.get(option)
+        if parameter is None or parameter.kind is parameter.VAR_POSITIONAL:
+            known = ", ".join(p.name for p in named)
+            problems.append(Problem(f"{name}.{option}", f"is no option; there are {known}", value))
+        elif option in options:
+            problems += type_problems(hints.get(parameter.name, Any), value, f"{name}.{option}")
+    return problems
+
+
+def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
+    """Problems of a value that should be of an annotated type.
+
+    >>> [str(problem) for problem in type_problems(int, 2.5, "seed")]
+    ['seed=2.5: must be a whole number']
+    """
+    if not _is_plain(hint):
+        return list(not_finite(value, name))
+    try:
+        _adapter(hint).validate_python(value)
+    except ValidationError as error:
+        return model_problems(error, name)
+    return list(not_finite(value, name))
+
+
+def model_problems(error: ValidationError, name: str) -> list[Problem]:
+    """Problems that pydantic found in the options below `name`."""
+    return [_problem(one, name) for one in error.errors(include_url=False)]
+
+
+def not_finite(value: Any, name: str) -> Iterator[Problem]:
+    """Infinite numbers and NaN in a value, its lists and dictionaries included."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield Problem(name, "must be finite", value)
+    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from not_finite(one, _path(name, (key,)))
+
+
+def as_typed(value: Any) -> str:
+    """A value as on the command line.
+
+    >>> as_typed(None), as_typed(True), as_typed("a b"), as_typed("")
+    ('null', 'true', 'a b', "''")
+    """
+    if isinstance(value, str):
+        return value if value else "''"
+    return str(value) if isinstance(value, float) else json.dumps(value, default=str)
+
+
+@cache
+def _hints(target: Callable[..., Any]) -> dict[str, Any]:
+    """Annotations of a signature; none where they name what is imported for type checkers only."""
+    try:
+        return get_type_hints(target.__init__ if isinstance(target, type) else target, include_extras=True)  # type: ignore[misc]
+    except NameError:
+        return {}
+
+
+@cache
+def _adapter(hint: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(hint, config=STRICT)
+
+
+def _is_plain(hint: Any) -> bool:
+    """Whether a type is made of what YAML has."""
+    if hint in SCALARS or (isinstance(hint, type) and issubclass(hint, BaseModel)):
+        return True
+    origin = get_origin(hint)
+    if origin is Annotated:
+        return _is_plain(get_args(hint)[0])
+    return origin is Literal or (origin in (Union, types.UnionType, list, dict) and all(map(_is_plain, get_args(hint))))
+
+
+def _problem(error: ErrorDetails, name: str) -> Problem:
+    kind, value, limits = error["type"], error["input"], error.get("ctx", {})
+    what = MESSAGES[kind].format(**limits) if kind in MESSAGES else error["msg"].removeprefix("Value error, ")
+    if kind == "literal_error":
+        what = f"must be {limits['expected'].replace(chr(39), '')}"
+    elif kind == "greater_than" and isinstance(limits["gt"], int):
+        what = f"must be at least {limits['gt'] + 1}"
+    elif kind == "missing":
+        value = None
+    elif kind == "string_type" and isinstance(value, int | float):
+        what += f"; put it in quotes: \"{_path(name, error['loc'])}='TEXT'\""
+    return Problem(_path(name, error["loc"]), what, value)
+
+
+MESSAGES = {  # by pydantic's type of error
+    "missing": "is missing",
+    "extra_forbidden": "is no option",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "finite_number": "must be finite",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "list_type": "must be a list, as [a,b]",
+    "dict_type": "must be a group of options",
+    "model_type": "must be a group of options",
+    "greater_than_equal": "must be at least {ge}",
+    "greater_than": "must be above {gt:g}",
+    "less_than_equal": "must be at most {le}",
+    "less_than": "must be below {lt}",
+    "too_short": "must not be empty",
+}
+
+
+def _path(name: str, parts: tuple[int | str, ...]) -> str:
+    for part in parts:
+        name = f"{name}[{part}]" if isinstance(part, int) else f"{name}.{part}" if name else str(part)
+    return name

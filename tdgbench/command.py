@@ -1,0 +1,42 @@
+"""The command line: its first word chooses a tool; without one, Hydra composes a configuration and runs its job."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import hydra
+from omegaconf import DictConfig
+
+from tdgbench import __version__
+from tdgbench.experiments.experiment import run_job
+from tdgbench.resources import conf_folder
+from tdgbench.terminal import say
+from tdgbench.tools import TOOLS
+from tdgbench.usage import usage
+
+DEMO = "+experiment=demo"
+
+
+def run(words: list[str]) -> int:
+    """Run a command line; no words: the demo. Returns the exit status; errors are raised."""
+    if words and words[0] in TOOLS:
+        return TOOLS[words[0]].run(words[1:])
+    if words and "=" not in words[0] and words[0][:1] not in "-+~":
+        say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
+        return 2
+    if {"--help", "-h"} & set(words):
+        say(usage())
+    elif "--version" in words:
+        say(f"tdgbench {__version__}")
+    else:
+        sys.argv[1:] = words or [DEMO]  # where Hydra reads them
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing tracebacks
+        run_experiment()
+    return 0
+
+
+@hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")
+def run_experiment(cfg: DictConfig) -> None:
+    """Run one job of the experiment that the composed configuration names."""
+    run_job(cfg)

@@ -1,0 +1,85 @@
+"""Ctrl-C and SIGTERM end a run in one line. Nothing heavy is imported here, so that they do so from its start on."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from tdgbench.terminal import say
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+REPEAT_SECONDS = 5.0  # a library may swallow the exception, e.g. in a destructor; then it is raised again
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asks the run to end."""
+
+
+class Interruption:
+    """The signal that asked the run to end, if one did."""
+
+    def __init__(self) -> None:
+        self.signal: signal.Signals | None = None
+        self.before = {one: signal.getsignal(one) for one in SIGNALS if signal.getsignal(one) is not signal.SIG_IGN}
+        self._has_begun = False
+
+    @property
+    def status(self) -> int:
+        """Exit status that names the signal: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 128 + (self.signal or 0)
+
+    def begin(self) -> None:
+        """Call once everything is imported: from now on a signal raises Interrupted.
+
+        Until then it ends the process: imports turn exceptions into others, and there is nothing to lose. pycolmap's
+        import replaces the handlers by glog's, which end the process with a stack trace on SIGTERM.
+        """
+        import pycolmap  # noqa: F401 (now, and not later)
+
+        self._has_begun = True
+        self.handle()
+
+    def handle(self) -> None:
+        """Handle the signals, unless the process was started with them ignored."""
+        _set(dict.fromkeys(self.before, self._interrupt))
+
+    def end(self) -> None:
+        """Stop repeating; without a signal, restore the handlers. After one, the next ends the process at once."""
+        if self.signal is None:
+            _set(self.before)
+        elif hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.signal = signal.Signals(number)
+        _set(dict.fromkeys(self.before, signal.SIG_DFL))
+        if not self._has_begun:
+            say(f"interrupted by {self.signal.name}", stderr=True)
+            os._exit(self.status)
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self._repeat)
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS, REPEAT_SECONDS)
+        raise Interrupted(self.signal.name)
+
+    def _repeat(self, number: int, frame: FrameType | None) -> None:
+        raise Interrupted(self.signal.name if self.signal else "")
+
+
+@contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Context in which the first SIGINT or SIGTERM ends the work, and a second one the process at once."""
+    interruption = Interruption()
+    interruption.handle()
+    try:
+        yield interruption
+    finally:
+        interruption.end()
+
+
+def _set(handlers: Mapping[signal.Signals, Any]) -> None:
+    for one, handler in handlers.items():
+        signal.signal(one, handler)
