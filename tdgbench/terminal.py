@@ -1,0 +1,104 @@
+"""Print to the terminal. Printing never raises: what cannot be printed does not change the outcome of a run."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import Any, TextIO, cast
+
+from rich.console import Console
+from rich.text import Text
+
+UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
+
+
+def console(stderr: bool = False) -> Console:
+    """A console on standard output, or on standard error. Its prints never raise."""
+    return Console(file=cast(TextIO, _guarded("stderr" if stderr else "stdout")), stderr=stderr)
+
+
+def say(text: str, label: str = "", style: str = "red", stderr: bool = False) -> None:
+    """Print plain text (no markup) without wrapping it; `label`, if any, comes first, in a style of rich."""
+    line = Text.assemble((label, style), " " if label else "", printable(text))
+    console(stderr).print(line, highlight=False, soft_wrap=True)
+
+
+def printable(text: str) -> str:
+    r"""The text with control characters, which a terminal would obey, as escapes; line feeds and tabs stay.
+
+    >>> printable("a scene\x1b[2J")
+    'a scene\\x1b[2J'
+    """
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
+
+
+def guard_streams() -> None:
+    """Guard `sys.stdout` and `sys.stderr`, also against the interpreter's last flush, which would set the exit status.
+
+    Closed standard streams become the null device, so that no file of the run gets their number.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+    sys.stdout, sys.stderr = cast(TextIO, _guarded("stdout")), cast(TextIO, _guarded("stderr"))
+
+
+class GuardedStream:
+    """A text stream whose `write` and `flush` never raise; the first failure is reported on standard error.
+
+    stream: None if it was closed before the process began.
+    """
+
+    def __init__(self, name: str, stream: TextIO | None) -> None:
+        self.name, self._stream, self._broken = name, stream or _closed_stream(), False
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=UNPRINTABLE)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        if not self._broken:
+            try:
+                self._stream.write(text)
+            except (OSError, ValueError) as error:  # ValueError: the stream was closed
+                self._give_up(error)
+        return len(text)
+
+    def writelines(self, lines: list[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        if not self._broken:
+            try:
+                self._stream.flush()
+            except (OSError, ValueError) as error:
+                self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        """Discard what is buffered and all that follows; report it, unless this is standard error itself."""
+        self._broken = True
+        try:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._stream.fileno())
+            os.close(null)
+        except (OSError, ValueError):  # no file is behind the stream
+            self._stream = io.StringIO()
+        if self.name == "stdout":
+            reason = error.strerror if isinstance(error, OSError) else "it is closed"
+            say(f"nothing more is printed to standard output: {reason}", "note:", "yellow", stderr=True)
+
+
+def _closed_stream() -> TextIO:
+    stream = io.StringIO()
+    stream.close()
+    return stream
+
+
+def _guarded(name: str) -> GuardedStream:
+    stream = getattr(sys, name)
+    return stream if isinstance(stream, GuardedStream) else GuardedStream(name, stream)
