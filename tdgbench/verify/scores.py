@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.facts import metric_settings
+from tdgbench.verify.findings import reason
 from tdgbench.verify.pictures import Pictures
 from tdgbench.verify.stored_cell import Row
 
@@ -46,7 +48,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictur
     Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
     only weights of a backbone were missing.
     """
-    scorer = _scorer(record)
+    convention = _convention(record)
     metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
     if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
         metrics = [one for one in metrics if isinstance(one, ImageMetric)]
@@ -54,7 +56,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictur
     scene = _scene(record, pictures)
     for name in pictures.cameras:
         try:
-            shown = _shown(pictures, scene, name, scorer.settings)
+            shown = _shown(pictures, scene, name, convention)
         except ValueError as error:
             yield str(error)
             continue
@@ -79,7 +81,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictur
 def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[float | None, str]:
     """The value of a metric from files, None without one; and a problem, if a stored value cannot be computed again."""
     if stored is None:  # whether the files give it without weights, which may not have been there
-        bare = Convention(shown.convention.ssim_border, _without_weights)
+        bare = Convention(shown.convention.ssim_border, partial(_unusable, "no weights"))
         shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
     try:
         return metric.score(shown), ""
@@ -87,27 +89,23 @@ def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[flo
         return None, "" if stored is None else f"{metric.name} cannot be computed again: {error}"
 
 
-def _without_weights(image: np.ndarray, target: np.ndarray) -> float:
-    raise BackboneUnavailableError("no weights")
-
-
-def _scorer(record: Record) -> Scorer:
-    """Scorer with the recorded settings; it downloads nothing. Raises ValueError for settings that are unusable."""
+def _convention(record: Record) -> Convention:
+    """The recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
     settings = metric_settings(record)
     weights = settings["lpips"]["weights"]
-    if weights is not None:
-        try:
+    try:
+        if weights is not None:
             check_regular(Path(weights))
-        except (OSError, ValueError) as error:
-            scorer = Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], _LPIPS_OFF)
-            message = f"metrics.lpips.weights: {weights} is not there" if isinstance(error, OSError) else str(error)
-            scorer.__dict__["_lpips"] = BackboneUnavailableError(message)
-            return scorer
+    except (OSError, ValueError) as error:
+        return Convention(
+            settings["ssim_border"], partial(_unusable, f"metrics.lpips.weights={weights}: {reason(error)}")
+        )
     options = LPIPSOptions(settings["lpips"]["net"], weights, download=False)
-    return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], options)
+    return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], options).settings
 
 
-_LPIPS_OFF = LPIPSOptions("vgg", None, download=False)
+def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
+    raise BackboneUnavailableError(why)
 
 
 def _scene(record: Record, pictures: Pictures) -> Scene:
