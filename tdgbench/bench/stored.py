@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import stat
 import warnings
 from pathlib import Path
@@ -45,6 +47,18 @@ def read_text(path: Path) -> str:
         raise
     except OSError as error:
         raise ValueError(f"it cannot be read: {error.strerror}") from error
+
+
+def read_table(path: Path) -> list[list[str]]:
+    """Rows of a CSV file, all as long as the first one. Raises ValueError for anything else."""
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=True))
+    except csv.Error as error:
+        raise ValueError(str(error)) from error
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(rows[0]):
+            raise ValueError(f"row {number} has {len(row)} fields, the first one {len(rows[0])}")
+    return rows
 
 
 def read_picture(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:

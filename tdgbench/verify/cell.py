@@ -6,11 +6,12 @@ from pathlib import Path
 
 from tdgbench.bench.hashes import cell_files
 from tdgbench.bench.record import FILE
+from tdgbench.bench.scores import read_views
 from tdgbench.verify import facts, files
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import Pictures
 from tdgbench.verify.scores import mean_problems, score_problems
-from tdgbench.verify.stored_cell import read_all_cameras, read_cell, read_log, read_views
+from tdgbench.verify.stored_cell import read_all_cameras, read_cell, read_log
 
 
 def verify_cell(folder: Path) -> list[str]:
@@ -27,7 +28,7 @@ def verify_cell(folder: Path) -> list[str]:
     found.check("its files", files.file_problems, folder, record.hashes)
     found.check("its settings", facts.setting_problems, record)
     cameras = found.read("cameras.json", read_all_cameras, folder)
-    rows = found.read("views.csv", read_views, folder)
+    rows = found.read("views.csv", read_views, folder / "views.csv")
     log = found.read("log.csv", read_log, folder)
     if log is not None:
         found.check("log.csv", facts.log_problems, record, log)

@@ -11,11 +11,12 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 
 from tdgbench.bench.key import cell_key
 from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.scores import Row
 from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.scoring.lpips import Net, Range
 from tdgbench.scoring.scored_view import Border
 from tdgbench.splats.ply import count_rows
-from tdgbench.verify.stored_cell import Cameras, Row
+from tdgbench.verify.stored_cell import Cameras
 
 TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
 IGNORE = ConfigDict(extra="ignore", strict=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.scores import Row
 from tdgbench.bench.stored import check_regular
 from tdgbench.scenes import Scene
 from tdgbench.scenes.scene import TemperatureRange
@@ -20,7 +21,6 @@ from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredV
 from tdgbench.verify.facts import metric_settings
 from tdgbench.verify.findings import reason
 from tdgbench.verify.pictures import Pictures
-from tdgbench.verify.stored_cell import Row
 
 TOLERANCE = 1e-6  # of means
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,11 +12,11 @@ import numpy as np
 from tdgbench.bench import cameras
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import FILE, Record, schema_problems
-from tdgbench.bench.stored import MAX_PIXELS, read_text
+from tdgbench.bench.scores import finite_number
+from tdgbench.bench.stored import MAX_PIXELS, read_table, read_text
 from tdgbench.scenes import Camera
-from tdgbench.text import from_csv, shortened
+from tdgbench.text import shortened
 
-Row = dict[str, float | None]
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 Cameras = dict[str, dict[str, Camera]]
 
@@ -79,52 +76,10 @@ def read_all_cameras(folder: Path) -> Cameras:
     return found
 
 
-def read_views(folder: Path) -> dict[str, Row]:
-    """Scores by view and metric from views.csv, None for n/a.
-
-    Raises ValueError for a file of any other form: a repeated view or column, a row that is too short, no number.
-    """
-    rows = _table(folder / "views.csv")
-    if not rows or not rows[0] or rows[0][0] != "view" or len(set(rows[0])) != len(rows[0]):
-        raise ValueError("its first line is not `view` and the names of metrics")
-    found: dict[str, Row] = {}
-    for row in rows[1:]:
-        name = from_csv(row[0])
-        if name in found:
-            raise ValueError(f"it has two rows of {name}")
-        places = zip(rows[0][1:], row[1:], strict=True)
-        found[name] = {
-            metric: None if text == "n/a" else _number(text, f"{metric} of {name}") for metric, text in places
-        }
-    return found
-
-
 def read_log(folder: Path) -> list[dict[str, float]]:
     """Rows of log.csv: iteration, seconds, loss, train_psnr, gaussians. Raises ValueError for any other file."""
     names = ["iteration", "seconds", "loss", "train_psnr", "gaussians"]
-    rows = _table(folder / "log.csv")
+    rows = read_table(folder / "log.csv")
     if not rows or rows[0][: len(names)] != names:
         raise ValueError(f"its first line does not begin with {','.join(names)}")
-    return [{name: _number(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]
-
-
-def _table(path: Path) -> list[list[str]]:
-    """Rows of a CSV file, all as long as the first one."""
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=True))
-    except csv.Error as error:
-        raise ValueError(str(error)) from error
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(rows[0]):
-            raise ValueError(f"row {number} has {len(row)} fields, the first one {len(rows[0])}")
-    return rows
-
-
-def _number(text: str, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{what} is {shortened(text, 60)!r}, which is no finite number")
-    return value
+    return [{name: finite_number(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]
