@@ -136,7 +136,7 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(found))
+        write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
         write_text(folder / "averages.csv", to_csv(all_averages()))
     return found
 
@@ -186,4 +186,4 @@ def to_csv(table: pd.DataFrame) -> str:
             table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
     if "bold" in table:
         table["bold"] = table["bold"].map({True: "true", False: "false"})
-    return as_csv(table, numbers=NUMBERS)
+    return as_csv(table, as_is=NUMBERS)
