@@ -6,8 +6,8 @@ import csv
 import math
 from pathlib import Path
 
+from tdgbench.bench.reading import read_table
 from tdgbench.bench.renders import render_images, render_views
-from tdgbench.bench.stored import read_table
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.text import csv_text, from_csv, shortened

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import Record
-from tdgbench.bench.stored import read_picture
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, THERMAL
 

@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.reading import MAX_PIXELS, read_picture
 from tdgbench.bench.renders import render_model
-from tdgbench.bench.stored import MAX_PIXELS, read_picture
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import Record
-from tdgbench.bench.stored import check_regular
 from tdgbench.tables.results import method_label, planned_iterations
 
 

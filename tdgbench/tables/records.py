@@ -12,9 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 from tdgbench.bench import plan as plans
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan, read_plan
+from tdgbench.bench.reading import read_text
 from tdgbench.bench.record import FILE, READ_STAGE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
-from tdgbench.bench.stored import read_text
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
 from tdgbench.bench.hashes import cell_files, sha256
-from tdgbench.bench.stored import check_regular
+from tdgbench.bench.reading import check_regular
 
 MUST = ("renders", "targets")
 MAY = ("renders_rgb", "targets_rgb")  # of test views with an RGB image

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import render_model
-from tdgbench.bench.stored import read_picture
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.splats import Gaussians

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
-from tdgbench.bench.stored import check_regular
 from tdgbench.scenes import Scene
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import METRICS, LPIPSOptions, RenderedImages, Scorer

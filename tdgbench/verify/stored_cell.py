@@ -11,9 +11,9 @@ import numpy as np
 
 from tdgbench.bench import cameras
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import MAX_PIXELS, read_table, read_text
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import finite_number
-from tdgbench.bench.stored import MAX_PIXELS, read_table, read_text
 from tdgbench.scenes import Camera
 from tdgbench.text import shortened
 
