@@ -8,11 +8,22 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    with_config,
+)
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
+from tdgbench.bench.reading import read_text
 from tdgbench.files import write_text
+from tdgbench.text import one_line, shortened
 
 FILE = "record.json"
 SCHEMA = 1
@@ -21,10 +32,15 @@ SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
 STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")
 DESCRIBES_MACHINE = ("python", "packages", "cpu", "cores", "threads", "git")
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
+READ_STAGE = "read"  # of the failure that stands for a record that cannot be read
+COMPLETE = {"complete": True}  # validation context that also demands fields that tables do without
+LARGEST = 2**63 - 1
+MOST_SHOWN = 60  # characters of a wrong value
 
 Status = Literal["ok", "failed"]
 Text = Annotated[str, Field(min_length=1)]
-Count = Annotated[int, Field(ge=0)]
+Integer = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
+Count = Annotated[int, Field(ge=0, le=LARGEST)]
 Seconds = Annotated[float, Field(ge=0)]
 Megabytes = Annotated[float, Field(ge=0)]
 Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
@@ -33,9 +49,11 @@ Scores = dict[str, float | None]
 
 
 def _has(names: tuple[str, ...]) -> BeforeValidator:
-    """Validator of an object that must have these fields, defaults notwithstanding."""
+    """Validator of an object that, to be complete, must have these fields, defaults notwithstanding."""
 
-    def check(content: Any) -> Any:
+    def check(content: Any, info: ValidationInfo) -> Any:
+        if info.context is not COMPLETE:
+            return content
         missing = [name for name in names if name not in content] if isinstance(content, dict) else []
         if missing:
             raise PydanticCustomError("missing", "lacks {names}", {"names": ", ".join(missing)})
@@ -80,7 +98,7 @@ class Failure:
     stage: str
     error: str  # type and message
     traceback: str
-    iteration: int | None = None  # of the first number that was not finite
+    iteration: Integer | None = None  # of the first number that was not finite
     tensor: str | None = None
     of_environment: bool = False  # disk, memory, device: the next run tries again
 
@@ -95,7 +113,7 @@ class Record:
     dataset: str
     scene: str
     init: str
-    seed: int
+    seed: Integer
     experiment: str
     variant: str
     group: str = ""
@@ -106,7 +124,9 @@ class Record:
     split: str = ""
     convention: str = ""
     iterations: Count = 0
-    resumed: list[Annotated[int, Field(ge=1)]] = field(default_factory=list)  # iterations of the checkpoints used
+    resumed: list[Annotated[int, Field(ge=1, le=LARGEST)]] = field(
+        default_factory=list
+    )  # iterations of the checkpoints used
     channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
     temperature: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of image values 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
@@ -130,6 +150,29 @@ class Record:
     schema: Annotated[int, _among(SCHEMA)] = SCHEMA
 
     @property
+    def why_failed(self) -> str:
+        """Why the cell has no scores, in one line; empty for a finished cell.
+
+        >>> Record("tdg", "paper", "Truck", "colmap", 0, "", "", failure=Failure("train", "no memory", "")).why_failed
+        'failed in train: no memory'
+        """
+        if self.failure is None:
+            return ""
+        error = (self.failure.error.splitlines() or [""])[0]
+        return error if self.failure.stage == READ_STAGE else f"failed in {self.failure.stage}: {error}"
+
+    def setting(self, name: str) -> Any:
+        """Value of a setting by its dotted name; None if the record has none.
+
+        >>> Record("tdg", "", "a", "", 0, "", "", config={"budget": {"iterations": 9}}).setting("budget.iterations")
+        9
+        """
+        value: Any = self.config
+        for part in name.split("."):
+            value = value.get(part) if isinstance(value, dict) else None
+        return value
+
+    @property
     def title(self) -> str:
         """Name of the cell in messages.
 
@@ -145,24 +188,51 @@ class Record:
 
 
 def read_record(folder: Path) -> Record | None:
-    """Read the record in a cell's folder; None without one. Raises ValueError, naming the file, if it is broken."""
+    """Read the record in a cell's folder; None without one.
+
+    Raises ValueError, naming the file, for anything else: types are checked, and whether status and failure agree.
+    """
     path = folder / FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("schema") != SCHEMA:
-            raise ValueError(f"its schema is {content.get('schema')}, this version reads {SCHEMA}")
-        failure = content.pop("failure")
-        return Record(**content, failure=None if failure is None else Failure(**failure))
+        return _validator().validate_json(read_text(path), strict=True)
     except FileNotFoundError:
         return None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except ValidationError as error:
+        problem = _describe(dict(error.errors(include_url=False)[0]))
+        raise ValueError(f"{path} is not a record: {problem}; delete its folder to run the cell again") from error
+    except ValueError as error:
         raise ValueError(f"{path} is not a record: {error}; delete its folder to run the cell again") from error
 
 
 def read_all(experiment: Path) -> list[Record]:
-    """Read every record below <experiment>/cells, in the order of their paths, hidden folders excepted."""
-    records = (read_record(path.parent) for path in record_files(experiment))
-    return [record for record in records if record is not None]
+    """Read every record below <experiment>/cells, in the order of their paths, hidden folders excepted.
+
+    A record that cannot be read is one of a failed cell, with the reason; its cell's names are those of its folders.
+    """
+    return [record for _, record in read_each(experiment)]
+
+
+def read_each(experiment: Path) -> list[tuple[Path, Record]]:
+    """The cell's folder and record for each record of `read_all`."""
+    found = []
+    for path in record_files(experiment):
+        try:
+            record = read_record(path.parent)
+        except ValueError as error:
+            record = _unreadable(experiment, path.parent, str(error))
+        if record is not None:  # None: its cell was moved away just now
+            found.append((path.parent, record))
+    return found
+
+
+def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
+    """Record of a failed cell in the place of one that cannot be read."""
+    *_, method, dataset, scene, init, last = ("", "", "", "", *folder.relative_to(experiment / "cells").parts)
+    seed, _, variant = last.removeprefix("seed").partition(",")
+    number = int(seed) if seed.isascii() and seed.isdigit() and len(seed) < 19 else 0
+    record = Record(method or "unknown", dataset, scene, init, number, experiment.name, variant, status="failed")
+    record.failure = Failure(READ_STAGE, f"its record cannot be read: {error}", "")
+    return record
 
 
 def record_files(experiment: Path) -> list[Path]:
@@ -178,7 +248,7 @@ def schema_problems(text: str) -> list[str]:
     '$: lacks dataset, scene, i'
     """
     try:
-        _validator().validate_json(text, strict=True)
+        _validator().validate_json(text, strict=True, context=COMPLETE)
     except ValidationError as error:
         return [_describe(dict(one)) for one in error.errors(include_url=False)]
     return []
@@ -187,18 +257,32 @@ def schema_problems(text: str) -> list[str]:
 @cache
 def _validator() -> TypeAdapter[Record]:
     required = _has(_not_added_later(Record))
-    return TypeAdapter(Annotated[Record, required, AfterValidator(_check_status)])
+    return TypeAdapter(Annotated[Record, BeforeValidator(_check_schema), required, AfterValidator(_check_status)])
 
 
-def _check_status(record: Record) -> Record:
-    """A failed cell has a failure; a finished one has scores and times instead."""
+def _check_schema(content: Any, info: ValidationInfo) -> Any:
+    """Every record states its schema and its failure, if only as null."""
+    if info.context is COMPLETE or not isinstance(content, dict):
+        return content
+    if content.get("schema") != SCHEMA:
+        problem = f"its schema is {content.get('schema')}, this version reads {SCHEMA}"
+        raise PydanticCustomError("schema", "{problem}", {"problem": problem})
+    if "failure" not in content:
+        raise PydanticCustomError("missing", "lacks failure")
+    return content
+
+
+def _check_status(record: Record, info: ValidationInfo) -> Record:
+    """A failed cell has a failure; a finished one has its training time and, to be complete, scores and all times."""
     if record.status == "failed":
         problem = "" if record.failure is not None else "status is failed, but failure is null"
     elif record.failure is not None:
         problem = "status is ok, but failure is not null"
     else:
-        lacking = [f"scores.{name}" for name in SCORES_OF_A_RESULT if name not in record.scores]
-        lacking += [f"seconds.{name}" for name in STAGES_OF_A_RESULT if name not in record.seconds]
+        complete = info.context is COMPLETE
+        lacking = [f"scores.{name}" for name in SCORES_OF_A_RESULT if complete and name not in record.scores]
+        stages = STAGES_OF_A_RESULT if complete else ("train",)
+        lacking += [f"seconds.{name}" for name in stages if name not in record.seconds]
         problem = f"status is ok, but it lacks {', '.join(lacking)}" if lacking else ""
     if problem:
         raise PydanticCustomError("status", "{problem}", {"problem": problem})
@@ -209,4 +293,5 @@ def _describe(error: dict[str, Any]) -> str:
     """One line: where, what, and the value unless it is an object or an array."""
     place = ".".join(["$", *(str(part) for part in error["loc"])])
     value = error["input"]
-    return f"{place}: {error['msg']}" + ("" if isinstance(value, dict | list) else f", not {value!r}")
+    shown = "" if isinstance(value, dict | list) else f", not {shortened(repr(value), MOST_SHOWN)}"
+    return f"{place}: {one_line(error['msg'])}{shown}"

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 
+from tdgbench.bench.reading import read_table
 from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
+from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.training.method import Method
+
+Row = dict[str, float | None]
 
 
 def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
@@ -28,4 +33,34 @@ def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
         writer = csv.writer(file)
         writer.writerow(["view", *METRICS])
         for name, values in scores.items():
-            writer.writerow([name, *("n/a" if values[m] is None else values[m] for m in METRICS)])
+            writer.writerow([csv_text(name), *("n/a" if values[m] is None else values[m] for m in METRICS)])
+
+
+def read_views(path: Path) -> dict[str, Row]:
+    """Scores by view and metric from views.csv, None for n/a.
+
+    Raises ValueError for a file of any other form (a repeated view or column, a row that is too short, no number), and
+    FileNotFoundError where there is none.
+    """
+    rows = read_table(path)
+    if not rows or not rows[0] or rows[0][0] != "view" or len(set(rows[0])) != len(rows[0]):
+        raise ValueError("its first line is not `view` and the names of metrics")
+    found: dict[str, Row] = {}
+    for row in rows[1:]:
+        name = from_csv(row[0])
+        if name in found:
+            raise ValueError(f"it has two rows of {name}")
+        places = zip(rows[0][1:], row[1:], strict=True)
+        found[name] = {m: None if text == "n/a" else finite_number(text, f"{m} of {name}") for m, text in places}
+    return found
+
+
+def finite_number(text: str, what: str) -> float:
+    """A number from a CSV field. Raises ValueError, naming it by `what`, if it is none or not finite."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {shortened(text, 60)!r}, which is no finite number")
+    return value

@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from tdgbench.files import whole_file
+from tdgbench.text import shortened
 
 DPI = 110
+LONGEST = 80  # characters of a title or a label
+
+
+def plain(text: str) -> str:
+    r"""Text as it is, for a title or a label: matplotlib would read `$` as mathematics and hide what begins with `_`.
+
+    >>> print(plain("$x$"), plain("_a"))
+    \$x\$  _a
+    """
+    line = shortened(text, LONGEST).replace("$", r"\$")
+    return f" {line}" if line.startswith("_") else line
+
+
+@contextmanager
+def any_font() -> Iterator[None]:
+    """Draw without warnings of characters that the font lacks."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph|Matplotlib currently does not support")
+        yield
 
 
 def save_figure(figure: Figure, target: Path) -> None:
     """Write a figure as PNG."""
-    with whole_file(target) as part:
+    with whole_file(target) as part, any_font():
         figure.savefig(part, dpi=DPI)

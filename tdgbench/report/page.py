@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tdgbench.bench.record import Record
+from tdgbench.bench.record import READ_STAGE, Record
 from tdgbench.files import write_text
 from tdgbench.report.published import published_section
 from tdgbench.report.scene import scene_section
@@ -15,12 +16,13 @@ from tdgbench.report.strip import place_name
 from tdgbench.tables.build import Tables
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.readings import changes_as_text
+from tdgbench.terminal import printable
 
 FILE = "report.html"
 
 
 def write_report(experiment: Path, tables: Tables) -> Path:
-    """Write the page of an experiment from its files on disk; return its path."""
+    """Write the page of an experiment from its files on disk; return its path. What is unusable there is n/a."""
     records = tables.records
     cells = finished_cells(experiment, records)
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
@@ -28,7 +30,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
     environment = Environment(
         loader=PackageLoader("tdgbench.report", "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
+        trim_blocks=True, lstrip_blocks=True, finalize=_visible,
     )  # fmt: skip
     html = environment.get_template("page.html.j2").render(
         name=experiment.resolve().name,
@@ -40,6 +42,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
         skips=[{"title": cell.record.title, "skips": cell.record.skips} for cell in cells],
         failures=[(r.title, r.failure.stage, r.failure.error) for r in records if r.failure is not None],
+        problems=tables.problems,
         environments=_environments(records),
     )
     path = experiment / FILE
@@ -47,17 +50,24 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     return path
 
 
+def _visible(value: Any) -> Any:
+    """Text without control characters, which HTML forbids, and without changes of direction; SVG as it is."""
+    return printable(value) if type(value) is str else value
+
+
 def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
-    """The distinct machines and versions that the cells ran on."""
+    """The distinct machines and versions that the cells ran on; records that could not be read say nothing of them."""
     found = []
     for record in records:
+        if record.failure is not None and record.failure.stage == READ_STAGE:
+            continue
         e = record.environment
-        packages = ", ".join(f"{name} {version}" for name, version in e.get("packages", {}).items() if version)
-        git = e.get("git") or {}
-        commit = git.get("commit", "not from a checkout") + (" with changes" if git.get("dirty") else "")
+        packages = ", ".join(f"{name} {version}" for name, version in _entries(e, "packages") if version)
+        git = dict(_entries(e, "git"))
+        commit = str(git.get("commit", "not from a checkout")) + (" with changes" if git.get("dirty") else "")
         rows = [
             ("processor", f"{e.get('cpu')}, {e.get('cores')} cores, {e.get('threads')} threads"),
-            ("GPU", ", ".join(f"{name} {value}" for name, value in (e.get("gpu") or {}).items()) or "none"),
+            ("GPU", ", ".join(f"{name} {value}" for name, value in _entries(e, "gpu")) or "none"),
             ("platform", f"{e.get('platform')}, Python {e.get('python')}"),
             ("packages", packages),
             ("commit", commit),
@@ -66,3 +76,9 @@ def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
         if rows not in found:
             found.append(rows)
     return found
+
+
+def _entries(environment: dict[str, Any], name: str) -> list[tuple[str, Any]]:
+    """Entries of a part of an environment; none where it is null or no object."""
+    part = environment.get(name)
+    return list(part.items()) if isinstance(part, dict) else []

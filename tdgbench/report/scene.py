@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.report import views
+from tdgbench.report.figures import any_font, plain
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import measure
@@ -20,60 +21,109 @@ CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians
 
 
 def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
-    """Pictures of the middle test view from each method's first cell, and the curves of all cells."""
+    """Pictures of the middle test view from each method's first cell, and the curves of all cells.
+
+    What cannot be read or drawn is n/a, with the reason in `problems`.
+    """
     first: dict[str, Cell] = {}
     for cell in cells:
         first.setdefault(method_label(cell.record, with_init=True), cell)
-    names = sorted(p.stem for p in (next(iter(first.values())).folder / "renders").glob("*.png"))
-    view = names[len(names) // 2]
-    strips = [_strip(methods.label(column), cell, view) for column, cell in first.items()]
+    names = sorted({p.stem for cell in first.values() for p in (cell.folder / "renders").glob("*.png")})
+    view = names[len(names) // 2] if names else ""
+    strips = [_Strip(cell, view) for cell in first.values()]
+    curves = _Curves(cells)
     temperature = next(iter(first.values())).record.temperature
     return {
         "dataset": dataset,
         "scene": name,
-        "view": view,
-        "methods": strips,
+        "view": view or "n/a",
+        "methods": [strip.section(methods.label(column)) for strip, column in zip(strips, first, strict=True)],
         "temperature": None if temperature is None else [f"{t:g}" for t in temperature],
         "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
-        "curves": _curves(cells),
+        "curves": curves.svg(),
+        "problems": [*(problem for strip in strips for problem in strip.problems), *curves.problems],
     }
 
 
-def _strip(label: str, cell: Cell, view: str) -> dict[str, Any]:
-    truth_picture, truth = views.thermal(cell.folder / "targets" / f"{view}.png")
-    picture, image = views.thermal(cell.folder / "renders" / f"{view}.png")
-    depth, camera = views.depth_of(cell.folder, view)
-    others = list(read_cameras(cell.folder / "cameras.json", "train").values())
-    covered = views.coverage(depth, camera, others)
-    known = depth[np.isfinite(depth)]
-    low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
-    psnr, described = cell.record.scores.get("psnr"), measure("psnr")
-    return {
-        "label": label,
-        "psnr": "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}",
-        "truth": views.embedded(truth_picture),
-        "render": views.embedded(picture),
-        "error": views.embedded(views.colored(views.error_map(image, truth), views.ERROR, 0, views.ERROR_RANGE)),
-        "depth": views.embedded(views.colored(depth, views.DEPTH, low, high)),
-        "depth_range": f"{low:.3g} to {high:.3g}",
-        "coverage": views.embedded(views.colored(covered, views.COVERAGE, 0, len(others))),
-        "train_views": len(others),
-    }
+class _Strip:
+    """Pictures of one test view of a cell."""
+
+    def __init__(self, cell: Cell, view: str) -> None:
+        self.cell, self.view, self.problems = cell, view, list[str]()
+
+    def section(self, label: str) -> dict[str, Any]:
+        """Pictures as data URIs, empty where they are n/a, and what is written below them."""
+        psnr, described = self.cell.record.scores.get("psnr"), measure("psnr")
+        found = {
+            "label": label, "psnr": "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}",
+            **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""), "depth_range": "n/a",
+            "train_views": "n/a",
+        }  # fmt: skip
+        for draw in (self._pictures, self._depth):
+            try:
+                found |= draw()
+            except Exception as error:  # whatever is on disk, the page is written
+                self.problems.append(f"{self.cell.record.title}: {describe(error)}")
+        return found
+
+    def _pictures(self) -> dict[str, Any]:
+        truth_picture, truth = views.thermal(self.cell.folder / "targets" / f"{self.view}.png")
+        picture, image = views.thermal(self.cell.folder / "renders" / f"{self.view}.png")
+        error = views.colored(views.error_map(image, truth), views.ERROR, 0, views.ERROR_RANGE)
+        return {
+            "truth": views.embedded(truth_picture), "render": views.embedded(picture), "error": views.embedded(error),
+        }  # fmt: skip
+
+    def _depth(self) -> dict[str, Any]:
+        depth, camera = views.depth_of(self.cell.folder, self.view)
+        others = list(read_cameras(self.cell.folder / "cameras.json", "train").values())
+        covered = views.coverage(depth, camera, others)
+        known = depth[np.isfinite(depth)]
+        low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
+        return {
+            "depth": views.embedded(views.colored(depth, views.DEPTH, low, high)),
+            "depth_range": f"{low:.3g} to {high:.3g}",
+            "coverage": views.embedded(views.colored(covered, views.COVERAGE, 0, len(others))),
+            "train_views": len(others),
+        }
 
 
-def _curves(cells: list[Cell]) -> str:
-    """Loss, PSNR and number of Gaussians along training, as SVG."""
-    figure = Figure(figsize=(10, 2.6), layout="constrained")
-    logs = [(cell.label, pd.read_csv(cell.folder / "log.csv")) for cell in cells]
-    for axes, (column, title) in zip(figure.subplots(1, len(CURVES)), CURVES.items(), strict=True):
-        for label, log in logs:
-            axes.plot(log["seconds"], log[column], linewidth=1, label=methods.label(label))
-        axes.set_xlabel("seconds of training")
-        axes.set_title(title, fontsize=9)
-        axes.grid(linewidth=0.3)
-    figure.axes[0].legend(fontsize=7)
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
+class _Curves:
+    """Loss, PSNR and number of Gaussians along the training of cells."""
+
+    def __init__(self, cells: list[Cell]) -> None:
+        self.problems: list[str] = []
+        self.logs: list[tuple[str, pd.DataFrame]] = []
+        for cell in cells:
+            log = cell.log()
+            if log is None or not {"seconds", *CURVES} <= set(log.columns):
+                self.problems.append(f"{cell.record.title}: log.csv is missing or no log, so its curves are n/a")
+            else:
+                self.logs.append((cell.label, log))
+
+    def svg(self) -> str:
+        """The curves as SVG."""
+        figure = Figure(figsize=(10, 2.6), layout="constrained")
+        for axes, (column, title) in zip(figure.subplots(1, len(CURVES)), CURVES.items(), strict=True):
+            for label, log in self.logs:
+                axes.plot(log["seconds"], log[column], linewidth=1, label=plain(methods.label(label)))
+            axes.set_xlabel("seconds of training")
+            axes.set_title(title, fontsize=9)
+            axes.grid(linewidth=0.3)
+        if self.logs:
+            figure.axes[0].legend(fontsize=7)
+        buffer = io.StringIO()
+        with any_font():
+            figure.savefig(buffer, format="svg", metadata={"Date": None})
+        text = buffer.getvalue()
+        return text[text.index("<svg") :]
+
+
+def describe(error: Exception) -> str:
+    """An error in words, for the page.
+
+    >>> describe(ValueError("it is a FIFO")), describe(KeyError("a"))
+    ('it is a FIFO', "KeyError: 'a'")
+    """
+    return str(error) if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {error}"

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from PIL import Image
 
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import Record
-from tdgbench.report.figures import save_figure
+from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, THERMAL
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
-    """Draw renders of an experiment's finished cells; False if there are none."""
+    """Draw renders of an experiment's finished cells; False if there are none. A picture that is unusable is n/a."""
     done = [r for r in records if r.status == "ok"]
     scenes = list(dict.fromkeys((r.dataset, r.scene, r.split) for r in done))
     methods = list(dict.fromkeys(r.method for r in done))
@@ -30,20 +32,38 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
             axis.set_axis_off()
         for m, method in enumerate(methods):
             group = [r for r in done if (r.dataset, r.scene, r.split, r.method) == (*place, method)]
-            if not group:
-                continue
-            truth, image = _pair(cell_folder_of(experiment, group[0]))
-            row[0].imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
-            row[0].set_title(f"{place_name(place, scenes)}: ground truth", fontsize=8)
-            row[1 + m].imshow(image, vmin=0, vmax=1, cmap=THERMAL)
-            row[1 + m].set_title(f"{method} {group[0].scores['psnr']:.1f} dB", fontsize=8)
-            error = np.abs(image - truth)
-            error = error.mean(axis=2) if error.ndim == 3 else error
-            row[1 + len(methods) + m].imshow(error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
-            row[1 + len(methods) + m].set_title(f"{method} error (0 to {ERROR_RANGE})", fontsize=8)
+            if group:
+                panels = _Panels(row[0], row[1 + m], row[1 + len(methods) + m])
+                panels.draw(group[0], cell_folder_of(experiment, group[0]), place_name(place, scenes))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
+
+
+class _Panels(NamedTuple):
+    """Axes of one cell."""
+
+    truth: Axes
+    render: Axes
+    error: Axes
+
+    def draw(self, record: Record, folder: Path, name: str) -> None:
+        """Draw the middle test view of a cell; n/a where its pictures cannot be read."""
+        psnr = record.scores.get("psnr")
+        value = "n/a" if psnr is None else f"{psnr:.1f} dB"
+        self.render.set_title(f"{plain(record.method)} {value}", fontsize=8)
+        try:
+            truth, image = _pair(folder)
+        except (OSError, ValueError):
+            self.render.set_title(f"{plain(record.method)} {value}: picture n/a", fontsize=8)
+            return
+        error = np.abs(image - truth)
+        error = error.mean(axis=2) if error.ndim == 3 else error
+        self.truth.imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
+        self.truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
+        self.render.imshow(image, vmin=0, vmax=1, cmap=THERMAL)
+        self.error.imshow(error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
+        self.error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", fontsize=8)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:
@@ -57,7 +77,14 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
 
 
 def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Ground truth and render of the middle test view, in [0, 1]."""
+    """Ground truth and render of the middle test view, in [0, 1]. Raises ValueError where there is none."""
     names = sorted(p.name for p in (folder / "renders").glob("*.png"))
+    if not names:
+        raise ValueError(f"{folder / 'renders'} holds no picture")
     name = names[len(names) // 2]
-    return tuple(np.asarray(Image.open(folder / sub / name)).astype(np.float32) / 255 for sub in ("targets", "renders"))  # type: ignore[return-value]
+    truth, image = (
+        read_picture(folder / sub / name).squeeze().astype(np.float32) / 255 for sub in ("targets", "renders")
+    )
+    if truth.shape != image.shape:
+        raise ValueError(f"{folder}: targets/{name} and renders/{name} differ in size")
+    return truth, image

@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.reading import MAX_PIXELS, read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
@@ -42,10 +43,9 @@ def embedded(pixels: np.ndarray) -> str:
 
 def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """A stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
-    stored = np.asarray(Image.open(path))
-    if stored.ndim == 3:
-        return stored, stored.astype(np.float64) / 255
-    return colored(stored / 255, THERMAL, 0, 1), stored[..., None].astype(np.float64) / 255
+    stored = read_picture(path)
+    values = stored.astype(np.float64) / 255
+    return (stored if stored.shape[2] == 3 else colored(stored[..., 0] / 255, THERMAL, 0, 1)), values
 
 
 def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -55,7 +55,10 @@ def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     """Expected z (H, W) of a cell's model from a test camera, NaN without a surface; and that camera."""
-    gaussians, camera = load_ply(folder / "model.ply"), read_cameras(folder / "cameras.json", "test")[view]
+    camera = read_cameras(folder / "cameras.json", "test")[view]
+    if not 0 < camera.width * camera.height <= MAX_PIXELS:
+        raise ValueError(f"the camera of {view} has {camera.width}×{camera.height} px")
+    gaussians = load_ply(folder / "model.ply")
     render = render_model(gaussians, camera, depth=True)
     alpha = 1 - render.transmittance
     return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan).numpy(), camera

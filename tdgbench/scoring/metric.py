@@ -16,6 +16,7 @@ class Metric(Measure, ABC):
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
+    verified_to: float | None = None  # largest error when computed again from a cell's files; None: they do not suffice
 
     @abstractmethod
     def score(self, shown: ScoredView) -> float:
@@ -29,6 +30,7 @@ class ImageMetric(Metric):
     of_images: Callable[[ImagePair], float]
     modality: Modality = "thermal"
     on_training_views: bool = False  # cheap enough to score every training view
+    verified_to: float | None = 1e-6
 
     def score(self, shown: ScoredView) -> float:
         return self.of_images(shown.pair(self.modality))

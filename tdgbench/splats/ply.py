@@ -15,6 +15,10 @@ from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 
 CHUNK_ROWS = 100_000  # written at once
+MAX_HEADER = 2**16  # bytes
+_SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
+_ALIASES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}
+PROPERTY_BYTES = {**_SIZES, **_ALIASES}
 
 
 def _columns(rest: int) -> list[str]:
@@ -59,8 +63,13 @@ def _rows(g: Gaussians) -> torch.Tensor:
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read a 3DGS model. Raises ValueError with the file's name if it is not one."""
+    """Read a 3DGS model.
+
+    Raises ValueError with the file's name if it is not one: not a regular file, without a column, shorter than its
+    header says, or with numbers that are not finite.
+    """
     try:
+        count_rows(path)
         vertex = PlyData.read(str(path))["vertex"]
         names = {p.name for p in vertex.properties}
         rest = sum(name.startswith("f_rest_") for name in names) // 3
@@ -69,22 +78,63 @@ def load_ply(path: Path) -> Gaussians:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
         if round((rest + 1) ** 0.5) ** 2 != rest + 1:
             raise ValueError(f"{rest} f_rest coefficients per channel are no whole SH degree")
+        columns = {name: _finite(vertex, name) for name in _columns(rest) if name not in ("nx", "ny", "nz")}
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
-    def stack(prefix: str, count: int) -> torch.Tensor:
-        columns = [np.asarray(vertex[f"{prefix}{i}"], np.float32) for i in range(count)]
-        return torch.from_numpy(np.stack(columns, axis=-1)) if count else torch.zeros(len(vertex.data), 0)
+    def stack(*names: str) -> torch.Tensor:
+        return torch.from_numpy(np.stack([columns[name] for name in names], axis=-1))
 
-    dc = stack("f_dc_", 3)[:, None]
-    sh = torch.cat([dc, stack("f_rest_", 3 * rest).reshape(len(dc), 3, rest).transpose(1, 2)], dim=1)
+    dc = stack(*(f"f_dc_{i}" for i in range(3)))[:, None]
+    sh = dc
+    if rest:
+        harmonics = stack(*(f"f_rest_{i}" for i in range(3 * rest)))
+        sh = torch.cat([dc, harmonics.reshape(len(dc), 3, rest).transpose(1, 2)], dim=1)
     if len(sh) and bool((sh == sh[..., :1]).all()):
         sh = sh[..., :1]
-    means = np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=-1)
     return Gaussians(
-        means=torch.from_numpy(means),
-        log_scales=stack("scale_", 3),
-        quats=stack("rot_", 4),
-        opacity_logits=torch.from_numpy(np.array(vertex["opacity"], np.float32)),
+        means=stack(*"xyz"),
+        log_scales=stack(*(f"scale_{i}" for i in range(3))),
+        quats=stack(*(f"rot_{i}" for i in range(4))),
+        opacity_logits=torch.from_numpy(columns["opacity"]),
         sh=sh.contiguous(),
     )
+
+
+def count_rows(path: Path) -> int:
+    """Number of Gaussians that a PLY file's header states; nothing else of the file is read.
+
+    Raises ValueError where `path` is not a regular file, its header is no PLY header of numbers only, or the file is
+    too short for the rows that the header states (so that nobody makes room for them).
+    """
+    if not path.is_file():
+        raise ValueError(f"{path.name} is missing or not a regular file")
+    with path.open("rb") as file:
+        header, end, _ = file.read(MAX_HEADER).partition(b"end_header")
+    if not header.startswith(b"ply") or not end:
+        raise ValueError("it has no PLY header")
+    lines = [line.split() for line in header.decode("ascii").splitlines()]
+    counts: dict[str, int] = {}
+    needed, ascii_text = len(header) + len(end) + 1, ["format", "ascii", "1.0"] in lines
+    for words in lines:
+        if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
+            counts[words[1]] = count = int(words[2])
+        elif words[:1] == ["property"]:
+            if len(words) != 3 or words[1] not in PROPERTY_BYTES or not counts:
+                raise ValueError(f"its header has the line {' '.join(words)!r}")
+            needed += count * (2 if ascii_text else PROPERTY_BYTES[words[1]])  # a digit and a space at least
+    if set(counts) != {"vertex"}:
+        raise ValueError(f"its elements are {', '.join(counts) or 'none'}, not vertex alone")
+    size = path.stat().st_size
+    if needed > size:
+        raise ValueError(f"it has {size} bytes, too few for the {counts['vertex']} rows that its header states")
+    return counts["vertex"]
+
+
+def _finite(vertex: PlyElement, name: str) -> np.ndarray:
+    """A column (N,) float32. Raises ValueError if it has infinite numbers or NaN."""
+    with np.errstate(over="ignore"):
+        values = np.array(vertex[name], np.float32)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} of row {int(np.argmin(np.isfinite(values)))} is not a finite number")
+    return values

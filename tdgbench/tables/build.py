@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.plan import Plan, read_plan
-from tdgbench.bench.record import Record, read_all
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
+from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.between_papers import all_averages, between_papers, with_others
 from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
 from tdgbench.tables.difference import difference
@@ -21,6 +22,7 @@ from tdgbench.tables.measures import ABLATION
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
+from tdgbench.tables.records import read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
 from tdgbench.tables.statistics import Comparison, compare, intervals, over_seeds
 from tdgbench.tables.verdicts import Verdict, verdict
@@ -45,11 +47,16 @@ class Tables:
     papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
+    problems: list[str] = field(default_factory=list)  # what could not be read
 
 
 def build_tables(experiment: Path) -> Tables:
-    """Build and write the tables of an experiment. Raises ValueError, naming the folder, if it is empty."""
-    records, plan = read_all(experiment), read_plan(experiment)
+    """Build and write the tables of an experiment. Raises ValueError, naming the folder, if it is empty.
+
+    A record that cannot be read gives n/a with the reason, and is one of the tables' `problems`.
+    """
+    results = read_results(experiment)
+    records, plan = results.records, results.plan
     if not records and not plan.scenes:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
     if plan.table == "ablation":
@@ -63,6 +70,7 @@ def build_tables(experiment: Path) -> Tables:
         tables.readings, tables.effects = readings(cells), effects(cells)
     if tables.difference is not None:
         tables.papers = between_papers()
+    tables.problems = results.problems
     _write(tables)
     return tables
 
@@ -128,7 +136,7 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", found.to_csv(index=False, lineterminator="\n"))
+        write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
         write_text(folder / "averages.csv", to_csv(all_averages()))
     return found
 
@@ -178,4 +186,4 @@ def to_csv(table: pd.DataFrame) -> str:
             table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
     if "bold" in table:
         table["bold"] = table["bold"].map({True: "true", False: "false"})
-    return table.to_csv(index=False, lineterminator="\n")
+    return as_csv(table, as_is=NUMBERS)

@@ -11,8 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import Record
-from tdgbench.tables.results import method_label
+from tdgbench.tables.results import method_label, planned_iterations
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Cell:
     @property
     def budget(self) -> int:
         """The planned number of iterations; on a plateau training ends before."""
-        return int(self.record.config.get("budget", {}).get("iterations", self.record.iterations))
+        return planned_iterations(self.record)
 
     @property
     def scene(self) -> tuple[str, str]:
@@ -46,16 +47,17 @@ class Cell:
     def setup(self) -> str:
         """All settings but method, prior, init, seed and number of iterations."""
         config = {k: v for k, v in self.record.config.items() if k not in ("method", "prior", "init", "seed", "budget")}
-        budget = {k: v for k, v in self.record.config.get("budget", {}).items() if k not in ("iterations", "name")}
+        whole = self.record.setting("budget")
+        budget = {k: v for k, v in whole.items() if k not in ("iterations", "name")} if isinstance(whole, dict) else {}
         place = [*self.scene, self.record.data, self.record.split]
         return json.dumps([*place, config, budget], sort_keys=True)
 
     def log(self) -> pd.DataFrame | None:
-        """log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if there is none."""
+        """log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if there is no such file."""
         return _read_csv(self.folder / "log.csv")
 
     def views(self) -> pd.DataFrame | None:
-        """views.csv: view and its scores, NaN for n/a; None if there is none."""
+        """views.csv: view and its scores, NaN for n/a; None if there is no such file."""
         return _read_csv(self.folder / "views.csv")
 
 
@@ -66,4 +68,11 @@ def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
 
 @cache
 def _read_csv(path: Path) -> pd.DataFrame | None:
-    return pd.read_csv(path) if path.exists() else None
+    """A table of numbers, but for its column `view`; None if the path is no CSV file."""
+    try:
+        check_regular(path)
+        table = pd.read_csv(path)
+    except (OSError, ValueError):  # pandas raises ValueError for what is no table
+        return None
+    numbers = [column for column in table.columns if column != "view"]
+    return table.assign(**{column: pd.to_numeric(table[column], errors="coerce") for column in numbers})

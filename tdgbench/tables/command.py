@@ -11,24 +11,44 @@ from pathlib import Path
 
 from tdgbench.tables.between_papers import all_averages, between_papers
 from tdgbench.tables.build import build_tables, write_claims
-from tdgbench.tables.show import show, show_averages, show_claims, show_papers
+from tdgbench.tables.records import read_results
+from tdgbench.tables.show import show, show_averages, show_claims, show_papers, show_problems
 from tdgbench.terminal import console, say
+from tdgbench.text import one_line
 
 
 def main(arguments: list[str]) -> int:
-    """Run the tool; return the exit status."""
+    """Run the tool; return the exit status: 1 if a folder has no tables, or if something in it cannot be read."""
     parser = argparse.ArgumentParser(prog="tdgbench tables", description=__doc__)
     parser.add_argument("what", nargs="+", metavar="[claims] DIR", help="folders results/<experiment>")
     what = parser.parse_args(arguments).what
+    if what[0] == "claims":
+        return _claims([Path(folder) for folder in what[1:]])
+    return max(_tables(Path(folder)) for folder in what)
+
+
+def _tables(experiment: Path) -> int:
     try:
-        if what[0] == "claims":
-            show_claims(write_claims([Path(folder) for folder in what[1:]]), console())
-            show_papers(between_papers(), console())
-            show_averages(all_averages(), console())
-            return 0
-        for folder in what:
-            show(build_tables(Path(folder)), console())
-    except ValueError as error:
-        say(f"tdgbench tables: {error}", stderr=True)
-        return 1
-    return 0
+        tables = build_tables(experiment)
+    except (ValueError, OSError) as error:
+        return _refused(error)
+    show(tables, console())
+    return int(bool(tables.problems))
+
+
+def _claims(experiments: list[Path]) -> int:
+    try:
+        claims = write_claims(experiments)
+    except (ValueError, OSError) as error:
+        return _refused(error)
+    show_claims(claims, console())
+    show_papers(between_papers(), console())
+    show_averages(all_averages(), console())
+    problems = [problem for folder in experiments for problem in read_results(folder).problems]
+    show_problems(problems, console())
+    return int(bool(problems))
+
+
+def _refused(error: Exception) -> int:
+    say(one_line(f"tdgbench tables: {error}"), stderr=True)
+    return 1

@@ -11,18 +11,42 @@ from tdgbench.tables.measures import GAUSSIANS, PUBLISHED, PUBLISHED_SCORES, dig
 from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.readings import COMPARED, widest_average, with_setup
 from tdgbench.tables.results import first_points, split_notes
+from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
-ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+ESCAPES = {
+    **{c: f"\\{c}" for c in "&%$#_{}"},
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
+    ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}", "…": r"\ldots{}", "–": "--", "—": "---",
+    "→": r"$\to$", "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "°": r"$^\circ$", "’": "'", "\N{NO-BREAK SPACE}": "~",
+}  # fmt: skip
+KNOWN_TO_PDFLATEX = range(0xC0, 0x100)  # accented letters of Latin-1, but for those that need another font encoding
+NEED_T1 = "ÐÞðþ÷"
 
 
 def escape(text: str) -> str:
-    """Text as LaTeX.
+    r"""Text as LaTeX, in one line. What pdflatex cannot print is given by its number.
 
-    >>> print(escape("50 % of a_b"))
-    50 \\% of a\\_b
+    >>> print(escape("50 % of a_b"), escape("[a]"), escape("é 熱"))
+    50 \% of a\_b {[}a] é \texttt{U+71B1}
     """
-    return "".join(ESCAPES.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+    found = "".join(_escaped(c) for c in text)
+    return (
+        f"{{{found[0]}}}{found[1:]}" if found[:1] in ("[", "*") else found
+    )  # else an argument of the `\\\\` before it
+
+
+def _escaped(c: str) -> str:
+    if c in ESCAPES:
+        return ESCAPES[c]
+    if (c.isascii() and c.isprintable()) or (ord(c) in KNOWN_TO_PDFLATEX and c not in NEED_T1):
+        return c
+    return " " if c.isspace() else rf"\texttt{{U+{ord(c):04X}}}"
+
+
+def comment(text: str) -> str:
+    """A line of LaTeX that is not printed."""
+    return f"% {one_line(text)}"
 
 
 def main_table(rows: pd.DataFrame) -> str:
@@ -41,7 +65,7 @@ def main_table(rows: pd.DataFrame) -> str:
     heads = [rf"\multicolumn{{{per_method}}}{{c}}{{{_method(m)}}}" for m in columns]
     rules = [rf"\cmidrule(lr){{{2 + i * per_method}-{1 + (i + 1) * per_method}}}" for i in range(len(columns))]
     lines = [
-        *(f"% {note}" for note in split_notes(rows)),
+        *(comment(note) for note in split_notes(rows)),
         rf"\begin{{tabular}}{{l{'c' * (width - 1)}}}",
         r"\toprule",
         f"Dataset & {' & '.join(heads)} \\\\",
@@ -73,8 +97,8 @@ def papers_table(rows: pd.DataFrame) -> str:
     )
     metrics = list(dict.fromkeys(rows["metric"]))
     lines = [
-        *(f"% {order}" for order in orders),
-        *(f"% {note}" for note in dict.fromkeys(rows["note"]) if note),
+        *(comment(order) for order in orders),
+        *(comment(note) for note in dict.fromkeys(rows["note"]) if note),
         rf"\begin{{tabular}}{{ll{'cc' * len(metrics)}}}",
         r"\toprule",
         f" & & {' & '.join(f'{measure(metric).latex_column} & spread' for metric in metrics)} \\\\",
@@ -103,7 +127,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
     """
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
     lines = [
-        *(f"% {how}" for how in first_points(rows)),
+        *(comment(how) for how in first_points(rows)),
         r"\begin{tabular}{lccccc}",
         r"\toprule",
         r" & Random & COLMAP & PSNR / SSIM & training views & RGB model \\",
@@ -132,12 +156,11 @@ def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
         numbers = [_spread(values, m) for m in COMPARED]
         lines.append(f"{_method(str(method))} & {length} & {' & '.join(numbers)} \\\\")
     lines += [r"\bottomrule", r"\end{tabular}", ""]
-    arrow = r"$\to$"
     lines += _head("Change", [*(measure(m).latex_column for m in PUBLISHED_SCORES), r"Time $\times$"])
     for (effect, lengths), group in changes.groupby(["effect", "iterations"], sort=False):
         values = group.set_index("metric")
         numbers = [_change(values, m) for m in PUBLISHED]
-        lines.append(f"{escape(str(effect))} & {str(lengths).replace('→', arrow)} & {' & '.join(numbers)} \\\\")
+        lines.append(f"{escape(str(effect))} & {escape(str(lengths))} & {' & '.join(numbers)} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 

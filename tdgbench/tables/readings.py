@@ -18,7 +18,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.measures import GAUSSIANS, OF_RECORDS, PUBLISHED, PUBLISHED_SCORES, digits, measure
 from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import metric_value
+from tdgbench.tables.results import metric_value, planned_iterations
 from tdgbench.tables.statistics import half_width
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables
@@ -64,7 +64,7 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
         if record.failure is not None:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
-        head = [record.method, int(record.config["budget"]["iterations"]), *place]
+        head = [record.method, planned_iterations(record), *place]
         values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, *(one.name for one in OF_RECORDS))}
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])

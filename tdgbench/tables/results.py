@@ -37,7 +37,7 @@ def method_label(record: Record, with_init: bool) -> str:
 def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """The value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
-        return np.nan, f"failed in {record.failure.stage}: {record.failure.error.splitlines()[0]}"
+        return np.nan, record.why_failed
     described = measure(metric)
     if isinstance(described, RecordMeasure):
         return described.of_record(record), ""
@@ -46,6 +46,12 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
     else:
         value = record.scores.get(metric)
     return (np.nan, record.missing.get(metric, "not scored")) if value is None else (value, "")
+
+
+def planned_iterations(record: Record) -> int:
+    """Iterations of a cell's budget; those that it made, where its record has no budget."""
+    planned = record.setting("budget.iterations")
+    return planned if isinstance(planned, int) else record.iterations
 
 
 def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
@@ -61,7 +67,7 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
     labels = {label for label, _, _ in by_place}
     scenes = _scenes(chosen, plan)
     of_paper = any(s["dataset"] in DATASETS.values() for s in scenes)
-    without_records = {*plan.methods, *(methods.paper_pair() if of_paper else ())} - {m.split(" ")[0] for m in labels}
+    without_records = {*plan.methods, *(methods.paper_pair() if of_paper else ())} - {r.method for r in chosen}
     rows = []
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:

@@ -7,8 +7,8 @@ from datetime import timedelta
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from tdgbench.tables import methods
 from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
@@ -20,6 +20,7 @@ from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, split_notes
 from tdgbench.tables.statistics import Comparison
 from tdgbench.tables.verdicts import in_words
+from tdgbench.text import one_line
 
 
 def show(tables: Tables, console: Console) -> None:
@@ -31,19 +32,17 @@ def show(tables: Tables, console: Console) -> None:
     else:
         _show_main(tables, console)
         for note in split_notes(tables.main):
-            console.print(note, highlight=False, soft_wrap=True)
+            _say(console, note)
     _show_reasons(tables, console)
+    show_problems(tables.problems, console)
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
-        console.print(
-            f"{int(known.sum())} of {len(known)} published numbers have one of ours beside them; "
-            f"differences: {tables.folder / 'difference.csv'}",
-            highlight=False,
-        )
+        counted = f"{int(known.sum())} of {len(known)} published numbers have one of ours beside them"
+        _say(console, f"{counted}; differences: {tables.folder / 'difference.csv'}", soft_wrap=False)
         for metric, group in tables.difference[known].groupby("metric", sort=False):
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
-            console.print(f"{text}; {in_words(group)}", highlight=False, soft_wrap=True)
+            _say(console, f"{text}; {in_words(group)}")
     if tables.papers is not None:
         show_papers(tables.papers, console)
     for comparison in tables.comparisons:
@@ -56,10 +55,9 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
     table = Table("claim", "published table", "our results", show_lines=True)
     for row in claims.to_dict("records"):
         sides = [
-            f"[{colors[row[side]]}]{row[side]}[/{colors[row[side]]}]: {escape(str(row[f'{side}_seen']))}"
-            for side in ("published", "ours")
+            Text.assemble((row[side], colors[row[side]]), f": {row[f'{side}_seen']}") for side in ("published", "ours")
         ]
-        table.add_row(escape(str(row["said"])), *sides)
+        table.add_row(Text(str(row["said"])), *sides)
     console.print(table)
 
 
@@ -68,11 +66,11 @@ def show_averages(averages: pd.DataFrame, console: Console) -> None:
     for source, group in averages.groupby("source", sort=False):
         counts = group["verdict"].value_counts()
         text = ", ".join(f"{counts[v]} {v}" for v in (FOLLOWS, OFF, UNKNOWN) if v in counts)
-        console.print(f"averages of {source}, held against their rows: {text}", highlight=False, soft_wrap=True)
+        _say(console, f"averages of {source}, held against their rows: {text}")
         for row in group[group["verdict"] == OFF].itertuples():
             mean = f"{row.mean:.4f} ± {row.tolerance:.4f}"
             text = f"  {row.method} {row.metric}: printed {row.printed}, mean of the rows {mean}"
-            console.print(text, highlight=False, soft_wrap=True)
+            _say(console, text)
 
 
 def show_papers(papers: pd.DataFrame, console: Console) -> None:
@@ -82,10 +80,26 @@ def show_papers(papers: pd.DataFrame, console: Console) -> None:
         places = digits(str(metric), widest["scene"])
         median, most = f"{group['spread'].median():.{places}f}", f"{widest['spread']:.{places}f} at {widest['scene']}"
         text = f"  {metric} of {method} differs between papers by {median} in the median scene, by {most}"
-        console.print(text, highlight=False, soft_wrap=True)
+        _say(console, text)
     for note in dict.fromkeys(papers["note"]):
         if note:
-            console.print(f"  {escape(note)}", highlight=False, soft_wrap=True)
+            _say(console, f"  {note}")
+
+
+def show_problems(problems: list[str], console: Console) -> None:
+    """Print what could not be read."""
+    for problem in problems:
+        console.print(Text.assemble(("warning:", "yellow"), " ", one_line(problem)), soft_wrap=True)
+
+
+def _say(console: Console, text: str, soft_wrap: bool = True) -> None:
+    """Print one line of plain text."""
+    console.print(Text(one_line(text)), soft_wrap=soft_wrap)
+
+
+def _name(name: object) -> Text:
+    """A name in a table: no markup, one line."""
+    return Text(one_line(str(name)))
 
 
 def _show_comparison(comparison: Comparison, console: Console) -> None:
@@ -93,19 +107,15 @@ def _show_comparison(comparison: Comparison, console: Console) -> None:
     (method, baseline), paired, speed = comparison
     for row in paired.itertuples():
         if not np.isnan(row.p):
-            console.print(
-                f"{methods.label(method)} is better in {row.metric} on {row.better} of {row.scenes} scenes "
-                f"(Wilcoxon p = {row.p:.3g})",
-                highlight=False,
-            )
+            better = f"is better in {row.metric} on {row.better} of {row.scenes} scenes (Wilcoxon p = {row.p:.3g})"
+            _say(console, f"{methods.label(method)} {better}", soft_wrap=False)
     if speed["published"].notna().any():
         both = speed.dropna()
         gap = (both["ours"] / both["published"] - 1).abs()
-        console.print(
-            f"time {methods.label(method)} / {methods.label(baseline)}: {both['ours'].mean():.2f}, "
-            f"published {both['published'].mean():.2f}; {int((gap < 0.1).sum())} of {len(both)} within 10 %",
-            highlight=False,
-        )
+        ours, published = f"{both['ours'].mean():.2f}", f"{both['published'].mean():.2f}"
+        within = f"{int((gap < 0.1).sum())} of {len(both)} within 10 %"
+        names = f"{methods.label(method)} / {methods.label(baseline)}"
+        _say(console, f"time {names}: {ours}, published {published}; {within}", soft_wrap=False)
 
 
 def _show_main(tables: Tables, console: Console) -> None:
@@ -123,9 +133,9 @@ def _show_main(tables: Tables, console: Console) -> None:
                 text = "n/a" if np.isnan(row.value) else _text(row.value, metric, scene)
                 if not np.isnan(row.std) and metric != HOURS.name:
                     text += f" ± {_text(row.std, metric, scene)}"
-                cells.append(f"[bold]{text}[/bold]" if row.bold else text)
+                cells.append(Text(text, "bold" if row.bold else ""))
             title = scene if method == columns[0] else ""
-            table.add_row(title, escape(method), *cells, end_section=method == columns[-1])
+            table.add_row(_name(title), _name(method), *cells, end_section=method == columns[-1])
     console.print(table)
 
 
@@ -143,10 +153,10 @@ def _show_ablation(tables: Tables, console: Console) -> None:
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
         texts = ["n/a" if np.isnan(values[m]) else _text(values[m], m, OVERALL) for m in ABLATION]
-        table.add_row(escape(str(method)), str(init), *texts)
+        table.add_row(_name(method), _name(init), *texts)
     console.print(table)
     for origin in first_points(tables.main):
-        console.print(origin, highlight=False, soft_wrap=True)
+        _say(console, origin)
 
 
 def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Console) -> None:
@@ -161,12 +171,12 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
         values = group.groupby("metric")["value"].mean()
         texts = [_text(values[m], m, str(scene)) if m in values else "n/a" for m in PUBLISHED]
         gaussians = f"{values[GAUSSIANS.name]:.{GAUSSIANS.digits}f}"
-        table.add_row(escape(method), str(iterations), escape(str(scene)), *texts, gaussians)
+        table.add_row(_name(method), str(iterations), _name(scene), *texts, gaussians)
     console.print(table)
     heads, rows = changes_as_text(effects)
     table = Table(*heads)
     for row in rows:
-        table.add_row(*(escape(text) for text in row))
+        table.add_row(*(_name(text) for text in row))
     console.print(table)
 
 
@@ -174,4 +184,4 @@ def _show_reasons(tables: Tables, console: Console) -> None:
     missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
     for reason, group in missing.groupby("reason", sort=False):
         metrics = ", ".join(dict.fromkeys(group["metric"]))
-        console.print(f"n/a ({len(group)} × {metrics}): {escape(str(reason))}", highlight=False, soft_wrap=True)
+        _say(console, f"n/a ({len(group)} × {metrics}): {reason}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from scipy import stats
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
+from tdgbench.bench.scores import read_views
 from tdgbench.tables.measures import HOURS, OF_RECORDS, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
@@ -73,13 +73,14 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Every number of a cell: scores by view, hours as one value."""
     found = {one.name: np.array([one.of_record(record)]) for one in OF_RECORDS if one.published}
-    path = cell_folder_of(experiment, record) / "views.csv"
-    if path.exists():
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        for metric in rows[0] if rows else []:
-            if metric != "view" and all(row[metric] != "n/a" for row in rows):
-                found[metric] = np.array([float(row[metric]) for row in rows])
+    try:
+        rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
+    except (FileNotFoundError, ValueError):  # `read_results` reports it
+        rows = []
+    for metric in rows[0] if rows else []:
+        values = [row[metric] for row in rows]
+        if None not in values:
+            found[metric] = np.array(values)
     return found
 
 

@@ -1,9 +1,16 @@
-from tdgbench.bench.hashes import hashes
+from tdgbench.bench.hashes import hashes, hashes_of_content
+from tdgbench.bench.record import FILE
+
+EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
 
 
-def test_hashes_of_pictures_and_models(tmp_path):
+def test_every_file_but_the_record_has_a_hash(tmp_path):
     (tmp_path / "renders").mkdir()
-    (tmp_path / "renders" / "v.png").write_bytes(b"")
-    (tmp_path / "log.csv").write_text("x")
-    empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
-    assert hashes(tmp_path) == {"renders/v.png": empty}
+    names = ["cameras.json", "log.csv", "model.ply", "renders/v.png", "views.csv"]
+    for name in (*names, FILE):
+        (tmp_path / name).write_bytes(b"")
+    assert hashes(tmp_path) == dict.fromkeys(names, EMPTY)
+
+
+def test_times_are_in_no_hash_that_equal_trainings_share():
+    assert hashes_of_content({"log.csv": "a", "views.csv": "b"}) == {"views.csv": "b"}

@@ -1,5 +1,7 @@
 import json
-from dataclasses import fields
+import os
+from dataclasses import asdict, fields
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +11,9 @@ from tests.helpers.records import record
 
 
 def test_round_trip(tmp_path):
-    written = record(scores={"psnr": 20.0, "lpips": None}, failure=Failure("train", "boom", "…", 7, "loss"))
+    written = record(
+        scores={"psnr": 20.0, "lpips": None}, status="failed", failure=Failure("train", "boom", "…", 7, "loss")
+    )
     written.write(tmp_path)
     assert read_record(tmp_path) == written and [p.name for p in tmp_path.iterdir()] == [FILE]
 
@@ -29,15 +33,50 @@ def test_reading_all_skips_hidden_folders(tmp_path):
     for name in ("a", ".b"):
         folder = tmp_path / "cells" / name
         folder.mkdir(parents=True)
-        record().write(folder)
+        record(seconds={"train": 1.0}).write(folder)
     assert len(read_all(tmp_path)) == 1 and read_all(tmp_path / "nothing") == []
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", json.dumps({"schema": 99, "failure": None})])
-def test_broken_records_are_named(tmp_path, content):
-    (tmp_path / FILE).write_text(content)
-    with pytest.raises(ValueError, match=r"record\.json is not a record"):
+def text(**changes) -> str:
+    return json.dumps({**asdict(record(seconds={"train": 1.0})), **changes})
+
+
+BROKEN = {
+    "nothing": "", "array": "[]", "object": "{}", "another schema": json.dumps({"schema": 99, "failure": None}),
+    "cut": text()[:-20], "bytes": b"\xff\xfe", "deep": "[" * 100_000, "deep field": text(config=None)[:-1] + "["
+    * 100_000, "number as text": text(scores={"psnr": "20"}), "infinite": text(scores={"psnr": float("inf")}),
+    "huge": text(gaussians={"thermal": 10**400}), 
+    "huge seed": text(seed=0).replace('"seed": 0', f'"seed": 1{"0" * 5000}'),
+    "list of scores": text(scores=[1]),
+    "stale failure": text(failure=asdict(Failure("train", "boom", ""))),
+    "failed without failure": text(status="failed"),
+    "no time": text(seconds={}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
+def test_broken_records_are_named_and_stand_for_failed_cells(tmp_path, content):
+    folder = tmp_path / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed3,a=1"
+    folder.mkdir(parents=True)
+    (folder / FILE).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match=r"record\.json is not a record: .*delete its folder"):
+        read_record(folder)
+    (stands,) = read_all(tmp_path)
+    assert stands.title == "tdg on synthetic/orbit, colmap, seed 3 [a=1]" and stands.status == "failed"
+    assert stands.why_failed.startswith("its record cannot be read: ") and str(folder / FILE) in stands.why_failed
+
+
+@pytest.mark.parametrize(
+    "make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path)], ids=["folder", "FIFO", "loop"]
+)
+def test_a_record_that_is_no_file_is_refused_by_its_type(tmp_path, make):
+    make(tmp_path / FILE)
+    with pytest.raises(ValueError, match=r"record\.json is not a record: it (is a|cannot be read)"):
         read_record(tmp_path)
+
+
+def test_settings_of_any_type_are_looked_up():
+    assert record(config={"budget": [1]}).setting("budget.iterations") is None
 
 
 def test_a_skip_in_a_record_has_the_fields_of_a_skip():
@@ -50,4 +89,5 @@ def test_the_schema_is_that_of_the_dataclass(small_results):
     content = json.loads(text)
     del content["density"]  # older records lack it
     assert schema_problems(json.dumps(content)) == []
+    assert schema_problems(json.dumps({**content, "seed": 10**400}))
     assert schema_problems("[]") == ["$: Input should be an object"]

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
 from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import Failure
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
-from tests.helpers.records import published_as_records, write_ablation
+from tdgbench.terminal import printable
+from tests.helpers.names import NAMES
+from tests.helpers.records import published_as_records, write, write_ablation
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 PROBE = """
@@ -90,6 +95,63 @@ def test_an_ablation(tmp_path):
     text = write_report(tmp_path, tables).read_text()
     assert "PSNR of the training views, dB ↑" in text and "random: somewhere" in text
     assert text.count('class="note undecided"') == 8 and "40.00" in text
+
+
+class Text(HTMLParser):
+    """Texts and attributes of a page, and the tags that it opens."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.texts, self.tags, self.attributes = set[str](), list[str](), set[str]()
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes |= {name for name, _ in attrs}
+
+    def handle_data(self, data):
+        self.texts.add(data)
+
+
+def test_names_are_text_on_the_page(tmp_path):
+    plain = Text(page_of(tmp_path / "plain", ["orbit"] * 2))
+    for name in NAMES:
+        page = Text(page_of(tmp_path / f"{NAMES.index(name)}", [name, "orbit"]))
+        assert page.tags.count("script") == plain.tags.count("script") == 1 and set(page.tags) == set(plain.tags), name
+        assert page.attributes == plain.attributes, name
+        assert printable(name) in page.texts and f"failed: {printable(name)}" in page.texts, name
+        assert all(c.isprintable() or c in "\n\t" for text in page.texts for c in text), name
+
+
+def page_of(experiment, names) -> str:
+    """The page of a finished and a failed cell without files, whose scene, method and error have these names."""
+    for name in names[:1]:
+        failure = Failure("train", f"failed: {name}", "")
+        write(experiment, method=name, scene=name, dataset="synthetic", group=name, split="folder")
+        write(experiment, scene=names[1], dataset="synthetic", seed=1, status="failed", failure=failure)
+    return write_report(experiment, build_tables(experiment)).read_text(encoding="utf-8")
+
+
+def nothing(path: Path) -> None:
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+@pytest.mark.parametrize("spoil", [nothing, lambda path: (nothing(path), os.mkfifo(path)),
+                                   lambda path: (nothing(path), path.write_bytes(b"\x89PNG\xff"))],
+                         ids=["missing", "FIFO", "bytes"])  # fmt: skip
+@pytest.mark.parametrize("name", ["renders/view000.png", "targets/view000.png", "model.ply", "cameras.json", "log.csv",
+                                  "views.csv", "record.json", "renders"])  # fmt: skip
+def test_what_cannot_be_read_is_na_on_the_page(small_results, tmp_path, name, spoil):
+    experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
+    cell = experiment / "cells" / "msmg" / "synthetic" / "turntable" / "colmap" / "seed0"
+    for path in (cell / "renders").glob("*.png"):  # one view, which is the middle one
+        if path.stem != "view000":
+            path.unlink()
+    spoil(cell / name)
+    text = write_report(experiment, build_tables(experiment)).read_text(encoding="utf-8")
+    assert text.rstrip().endswith("</html>") and text.count('<section class="scene">') == 2 and "tdg" in text
+    if name not in ("views.csv", "record.json") or spoil is not nothing:
+        assert name.split("/")[-1] in text or "n/a: msmg on" in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")

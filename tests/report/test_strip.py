@@ -1,9 +1,35 @@
+import shutil
+import warnings
+from pathlib import Path
+
 import numpy as np
+import pytest
 from PIL import Image
 
 from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.record import Record, read_all
 from tdgbench.report.strip import draw_strip
 from tests.helpers.records import record
+
+
+def test_a_picture_that_is_unusable_is_na(tmp_path, small_results):
+    experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
+    for path in experiment.rglob("msmg/**/renders/*.png"):
+        path.write_bytes(b"\x89PNG")
+    shutil.rmtree(experiment / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0" / "targets")
+    assert draw_strip(read_all(experiment), experiment, tmp_path / "strip.png")
+
+
+@pytest.mark.parametrize("name", ["$x^2$ $\\frac{", "_a", "a\nb", "n" * 200, "🔥"], ids=ascii)
+def test_any_name_is_drawn(tmp_path, name):
+    done = Record(name, "synthetic", name, "colmap", 0, "demo", "", scores={"psnr": None})
+    for sub in ("renders", "targets"):
+        folder = cell_folder_of(tmp_path, done) / sub
+        folder.mkdir(parents=True)
+        Image.fromarray(np.full((30, 40), 90, np.uint8)).save(folder / "v.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert draw_strip([done], tmp_path, tmp_path / "strip.png")
 
 
 def test_draws_what_is_done(tmp_path):

@@ -1,3 +1,7 @@
+import os
+import re
+import resource
+
 import numpy as np
 import pytest
 import torch
@@ -53,3 +57,46 @@ def test_what_is_no_model_is_named(tmp_path):
     (tmp_path / "x.ply").write_text("hello")
     with pytest.raises(ValueError, match=r"x\.ply is not a 3DGS model"):
         load_ply(tmp_path / "x.ply")
+
+
+def absurd_count(content: bytes) -> bytes:
+    return content.replace(b"element vertex 7", b"element vertex 99999999999")
+
+
+SPOILED = {
+    "cut": (lambda c: c[:-1], "too few for the 7 rows"),
+    "absurd count": (absurd_count, "too few for the 99999999999 rows"),
+    "absurd count of text": (
+        lambda c: absurd_count(c).replace(b"binary_little_endian", b"ascii"), "too few for the 99999999999 rows",
+    ),
+    "header only": (lambda c: c[: c.index(b"end_header")], "no PLY header"),
+    "nothing": (lambda c: b"", "no PLY header"),
+    "other bytes": (lambda c: b"ply\n\xff end_header\n", "can't decode"),
+    "list": (lambda c: c.replace(b"property float opacity", b"property list int int opacity"), "line 'property list"),
+    "faces": (lambda c: c.replace(b"element vertex 7", b"element face 9\nelement vertex 7"), "face, vertex, not v"),
+    "no opacity": (lambda c: c.replace(b" opacity", b" opaque"), "it has no opacity"),
+    "negative count": (lambda c: c.replace(b"element vertex 7", b"element vertex -7"), "line 'property float x'"),
+    "NaN": (lambda c: c[:-4] + np.float32("nan").tobytes(), "rot_3 of row 6 is not a finite number"),
+    "infinite": (lambda c: c[:-4] + np.float32("-inf").tobytes(), "rot_3 of row 6 is not a finite number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("spoil", "problem"), SPOILED.values(), ids=SPOILED)
+def test_a_damaged_model_is_named_before_memory_is_taken(tmp_path, spoil, problem):
+    path = tmp_path / "model.ply"
+    save_ply(model(3, 1), path)
+    content = path.read_bytes()
+    path.write_bytes(spoil(content))
+    assert path.read_bytes() != content
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ValueError, match=rf"model\.ply is not a 3DGS model: .*{re.escape(problem)}"):
+        load_ply(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KB
+
+
+def test_a_model_that_is_no_file_is_never_opened(tmp_path):
+    os.mkfifo(tmp_path / "fifo.ply")
+    (tmp_path / "loop.ply").symlink_to(tmp_path / "loop.ply")
+    for name in ("fifo", "loop", "nothing"):
+        with pytest.raises(ValueError, match="not a regular file"):
+            load_ply(tmp_path / f"{name}.ply")

@@ -148,10 +148,3 @@ def test_claims_command(tmp_path, capsys):
     claims = pd.read_csv(tmp_path / "tables" / "claims.csv").set_index("id")
     assert claims.loc["psnr-better", "published"] == "fails" and claims.loc["psnr-better", "ours"] == "undecided"
     assert main(["claims", str(tmp_path / "nothing")]) == 1
-
-
-def test_a_broken_record_is_named(tmp_path):
-    folder = write(tmp_path)
-    (folder / "record.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"record\.json is not a record"):
-        build_tables(tmp_path)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.experiments.error_time import growth, training
-from tdgbench.report.figures import save_figure
+from tdgbench.report.figures import plain, save_figure
 
 MARKERS = "osD^vP*X"
 DRAWN_ZERO = 1e-9  # an error of zero is drawn here
@@ -28,11 +28,11 @@ def draw_pareto(table: pd.DataFrame, target: Path) -> None:
         for i, setting in enumerate(settings):
             point = rows[rows["setting"] == setting]
             axes.scatter(point["both_ms"], point["error"], s=26, marker=MARKERS[i % len(MARKERS)],
-                         color=f"C{i % 10}", label=setting, zorder=2)  # fmt: skip
+                         color=f"C{i % 10}", label=plain(str(setting)), zorder=2)  # fmt: skip
         for row in front.itertuples():
             axes.annotate(row.setting, (row.both_ms, row.error), fontsize=7, xytext=(4, 4), textcoords="offset points")
         _logarithmic(axes, "forward + backward, ms", f"error of the gradients (0 is drawn at {DRAWN_ZERO:g})")
-        axes.set_title(scene, fontsize=9)
+        axes.set_title(plain(str(scene)), fontsize=9)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", fontsize=7)
     save_figure(figure, target)
@@ -49,12 +49,12 @@ def draw_curves(curves: pd.DataFrame, target: Path) -> None:
             axes: Axes = grid[row][column]
             for i, (label, curve) in enumerate(curves[curves["scene"] == scene].groupby("label", sort=False)):
                 axes.plot(curve["seconds"], curve[metric].astype(float), marker=MARKERS[i % len(MARKERS)], markersize=3,
-                          linewidth=1, label=str(label))  # fmt: skip
+                          linewidth=1, label=plain(str(label)))  # fmt: skip
             axes.set_xscale("log")
             axes.set_ylabel(metric)
             axes.grid(linewidth=0.3)
             if row == 0:
-                axes.set_title(scene, fontsize=9)
+                axes.set_title(plain(str(scene)), fontsize=9)
                 axes.legend(fontsize=6)
         grid[-1][column].set_xlabel("seconds of training")
     save_figure(figure, target)

@@ -20,6 +20,7 @@ from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
+from tdgbench.tables.as_csv import as_csv
 
 KERNEL_COLUMNS = {  # those on the terminal, and their titles there
     "setting": "setting", "forward_ms": "fwd ms", "both_ms": "+ bwd ms", "both_ratio": "ratio", "image_error": "image",
@@ -139,4 +140,4 @@ def _measure_growth(cfg: DictConfig, folder: Path, console: Console) -> None:
 
 
 def _write(table: pd.DataFrame, target: Path) -> None:
-    write_text(target, table.to_csv(index=False, lineterminator="\n", na_rep="n/a"))
+    write_text(target, as_csv(table, na_rep="n/a"))

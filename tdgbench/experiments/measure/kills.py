@@ -10,6 +10,7 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from tdgbench.bench.hashes import hashes_of_content
 from tdgbench.bench.record import FILE, Record, read_all
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -35,6 +36,7 @@ def contents(experiment: Path) -> dict[str, dict[str, object]]:
 
 def _content(record: Record) -> dict[str, object]:
     content = {name: value for name, value in asdict(record).items() if name not in MAY_DIFFER}
+    content["hashes"] = hashes_of_content(record.hashes)
     content["skips"] = [skip for skip in record.skips if skip["name"] != "prior"]
     return content
 

@@ -20,6 +20,7 @@ from tdgbench.experiments.skips.draw import draw
 from tdgbench.experiments.skips.table import skip_rows, summary
 from tdgbench.experiments.skips.variants import run_variants
 from tdgbench.files import write_text
+from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
 
 SUCCESS = ("ok", "kept", "elsewhere")
@@ -52,8 +53,8 @@ class SkipAblation(Experiment):
         rows = skip_rows(read_all(folder))
         if not rows.empty:
             table = summary(rows, list(cfg.job.skips))
-            write_text(folder / "skips_cells.csv", rows.to_csv(index=False, lineterminator="\n"))
-            write_text(folder / "skips.csv", table.to_csv(index=False, lineterminator="\n"))
+            write_text(folder / "skips_cells.csv", as_csv(rows))
+            write_text(folder / "skips.csv", as_csv(table))
             draw(table, folder / "skips.png")
             show(table, console())
             say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")

@@ -25,5 +25,6 @@ METRIC = ViewMetric(
     order=80,
     unit="°C",
     needs="a temperature range, gray images",
+    verified_to=1e-6,
     of_view=mae_degC,
 )

@@ -9,11 +9,12 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record, read_all
+from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.records import read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
@@ -66,7 +67,7 @@ def evidence_of(experiments: Iterable[Path]) -> Evidence:
     """
     cells: list[Cell] = []
     for folder in experiments:
-        records = read_all(folder)
+        records = read_results(folder).records
         if not records:
             raise ValueError(f"{folder} holds no records; run an experiment first")
         cells += finished_cells(folder, (record for record in records if _is_plain(record)))

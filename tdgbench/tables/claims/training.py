@@ -62,8 +62,8 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
     None without a log, without an end of the depth loss, or with an empty window.
     """
     log = cell.log()
-    share = cell.record.config.get("method", {}).get("method", {}).get("decay_end")
-    if log is None or share is None or column not in log:
+    share = cell.record.setting("method.method.decay_end")
+    if log is None or not isinstance(share, int | float) or column not in log:
         return None
     switch, width = int(share * cell.budget), window * cell.budget
     before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]

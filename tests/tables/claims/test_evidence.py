@@ -63,7 +63,7 @@ def test_several_data_sets_have_an_overall_average(tmp_path):
 
 
 def test_what_does_not_count(tmp_path):
-    write(tmp_path, "tdg", seed=1, failure=Failure("train", "ValueError: x", ""))
+    write(tmp_path, "tdg", seed=1, status="failed", failure=Failure("train", "ValueError: x", ""))
     write(tmp_path, "tdg", variant="method.method.lambda_depth=0.4", seed=2)
     write(tmp_path, "tdg", variant="budget.iterations=1000,prior=marigold", seed=3)
     write(tmp_path, "tdg", init="random", seed=4)

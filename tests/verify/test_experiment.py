@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,7 +130,43 @@ def test_broken_files_are_named(spoiled, capsys):
     assert main([str(experiment)]) == 1 and "problem:" in capsys.readouterr().out
 
 
-def test_an_empty_folder_is_named(tmp_path, capsys):
-    with pytest.raises(ValueError, match="holds no records"):
-        verify(tmp_path)
-    assert main([str(tmp_path)]) == 1 and "holds no records" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [(Path.mkdir, "holds no records"), (Path.touch, "is no folder"), (lambda path: None, "is not there"),
+     (lambda path: path.symlink_to(path), "is not there")],
+)  # fmt: skip
+def test_folders_without_records_are_named_and_the_others_verified(small_results, tmp_path, capsys, make, message):
+    folder = tmp_path / "[red]\nx"
+    make(folder)
+    with pytest.raises(ValueError, match=message):
+        verify(folder)
+    assert main([str(folder), str(small_results)]) == 1
+    out, err = capsys.readouterr()
+    assert message in err and r"[red]\nx" in err and err.count("\n") == 1 and "4 cells, 0 problems" in out
+
+
+def test_failed_cells_alone_are_no_success(small_results, tmp_path, capsys):
+    cells = Path("cells") / "tdg" / "synthetic" / "night"
+    shutil.copytree(small_results / cells, tmp_path / cells)
+    assert verify(tmp_path) == (1, [])
+    assert main([str(tmp_path)]) == 1 and "1 cells, none of them finished, 0 problems" in capsys.readouterr().out
+
+
+def test_a_lost_record_and_a_moved_cell(spoiled):
+    experiment, cell = spoiled
+    cell.rename(cell.with_name("seed1"))
+    text = "\n".join(verify(experiment)[1])
+    assert "seed1: record.json is of another cell: its folder is cells/tdg/synthetic/turntable/colmap/seed0" in text
+    (cell.with_name("seed1") / "record.json").unlink()
+    assert verify(experiment) == (3, ["tdg/synthetic/turntable/colmap/seed1: record.json is missing"])
+
+
+def test_a_broken_cell_hides_no_problem_of_the_others(spoiled, capsys):
+    experiment, cell = spoiled
+    (cell / "record.json").write_bytes(b"\xff")
+    other = experiment / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0"
+    (other / "log.csv").unlink()
+    (experiment / "cells" / "loop").symlink_to(experiment / "cells")
+    count, problems = verify(experiment)
+    assert count == 4 and len(problems) == 3
+    assert [problem.split(":")[0].split("/")[2] for problem in problems] == ["orbit", "orbit", "turntable"]

@@ -1,0 +1,22 @@
+"""Tables as CSV text (RFC 4180), whose names no spreadsheet takes for formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import pandas as pd
+
+from tdgbench.text import csv_text
+
+
+def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -> str:
+    """CSV text. as_is: columns of text that begins with a number of ours. na_rep: for missing values.
+
+    >>> print(as_csv(pd.DataFrame({"scene": ["=1+1", "a,b"], "value": [-1.5, 2.0]})), end="")
+    scene,value
+    '=1+1,-1.5
+    "a,b",2.0
+    """
+    names = [c for c in table.columns if c not in as_is and not pd.api.types.is_numeric_dtype(table[c])]
+    safe = {name: [csv_text(v) if isinstance(v, str) else v for v in table[name]] for name in names}
+    return table.assign(**safe).to_csv(index=False, lineterminator="\n", na_rep=na_rep)

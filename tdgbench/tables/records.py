@@ -1,0 +1,91 @@
+"""What tables are built from: an experiment's plan and records. What cannot be read is n/a and a problem in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from tdgbench.bench import plan as plans
+from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.plan import Plan, read_plan
+from tdgbench.bench.reading import read_text
+from tdgbench.bench.record import FILE, READ_STAGE, Failure, Record, read_each
+from tdgbench.bench.scores import read_views
+
+
+@dataclass(frozen=True)
+class Results:
+    """Plan, records by cell (each cell once), and what could not be read."""
+
+    plan: Plan
+    records: list[Record]
+    problems: list[str] = field(default_factory=list)
+
+
+def read_results(experiment: Path) -> Results:
+    """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason."""
+    problems: list[str] = []
+    plan = _read_plan(experiment, problems)
+    found: dict[Path, Record] = {}
+    for folder, record in read_each(experiment):
+        if record.failure is not None and record.failure.stage == READ_STAGE:
+            problems.append(record.failure.error)
+            record = _with_planned_names(experiment, folder, record, plan)
+        place = cell_folder_of(experiment, record)
+        if place == folder:
+            found[place] = record
+            problems += _view_problems(folder, record)
+        elif record.failure is None:
+            problem = f"its record is in another cell's folder, {folder}; move it to {place}, or delete it"
+            problems.append(f"{record.title}: {problem}")
+            found.setdefault(place, replace(record, status="failed", failure=Failure(READ_STAGE, problem, "")))
+        else:
+            found.setdefault(place, record)
+    return Results(plan, list(found.values()), problems)
+
+
+def _read_plan(experiment: Path, problems: list[str]) -> Plan:
+    """The plan; without one, or with a broken one, the default plan."""
+    path = experiment / plans.FILE
+    try:
+        read_text(path)
+        plan = read_plan(experiment)
+        return TypeAdapter(Plan).validate_json(json.dumps(asdict(plan)), strict=True)
+    except FileNotFoundError:
+        return Plan()
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        first = error.errors(include_url=False)[0]["msg"] if isinstance(error, ValidationError) else error
+        problems.append(f"{path} is not a plan: {first}; tables show the cells that have records")
+        return Plan()
+
+
+def _with_planned_names(experiment: Path, folder: Path, record: Record, plan: Plan) -> Record:
+    """The record with the names of the planned cell whose folder it is, which may differ from that folder's names."""
+    for candidate in _planned(record, plan):
+        if cell_folder_of(experiment, candidate) == folder:
+            return candidate
+    return record
+
+
+def _planned(record: Record, plan: Plan) -> Iterator[Record]:
+    for scene in plan.scenes:
+        named = replace(record, scene=scene.get("scene", ""), dataset=scene.get("dataset", ""))
+        for method in (record.method, *plan.methods):
+            for init in (record.init, *plan.inits):
+                yield replace(named, method=method, init=init, group=scene.get("group", ""))
+
+
+def _view_problems(folder: Path, record: Record) -> list[str]:
+    """A finished cell's views.csv, if it is there but unusable."""
+    try:
+        if record.failure is None:
+            read_views(folder / "views.csv")
+    except FileNotFoundError:
+        pass
+    except ValueError as error:
+        return [f"{folder / 'views.csv'} cannot be read: {error}; its scores have no interval ({FILE} has the scores)"]
+    return []

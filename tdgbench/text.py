@@ -1,0 +1,44 @@
+"""Names and messages from outside (scenes, methods, views, errors) as text of outputs: one line, and CSV fields."""
+
+from __future__ import annotations
+
+FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
+
+
+def one_line(text: str) -> str:
+    r"""The text with line ends, control characters and changes of direction as escapes.
+
+    >>> print(one_line("a\nb\x1b[2J\u202e"), one_line("a/€"))
+    a\nb\x1b[2J\u202e a/€
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def shortened(text: str, most: int) -> str:
+    """One line of at most `most` characters.
+
+    >>> shortened("a very long name", 8)
+    'a very …'
+    """
+    line = one_line(text)
+    return line if len(line) <= most else line[: most - 1] + "…"
+
+
+def csv_text(text: str) -> str:
+    """Text as a CSV field that no spreadsheet takes for a formula: an apostrophe stands before `=`, `+`, `-`, `@`.
+
+    So it does before an apostrophe, a tab and a line end, so that `from_csv` undoes it. Numbers are not text.
+
+    >>> csv_text("=1+1"), csv_text("'a'"), csv_text("Truck")
+    ("'=1+1", "''a'", 'Truck')
+    """
+    return f"'{text}" if text.startswith(FORMULA) else text
+
+
+def from_csv(field: str) -> str:
+    """The text of a field that `csv_text` wrote.
+
+    >>> [from_csv(csv_text(text)) for text in ("=1+1", "'a'", "Truck")]
+    ['=1+1', "'a'", 'Truck']
+    """
+    return field.removeprefix("'")

@@ -1,0 +1,56 @@
+"""Verify all cells of an experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tdgbench.bench.record import FILE, record_files
+from tdgbench.verify.cell import verify_cell
+from tdgbench.verify.findings import Findings
+from tdgbench.verify.stored_cell import read_cell
+
+OF_A_CELL = ("model.ply", "views.csv", "cameras.json", "renders")
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Number of cells, how many of them are finished, and every problem in words."""
+
+    cells: int
+    finished: int
+    problems: list[str]
+
+
+def verify(experiment: Path) -> tuple[int, list[str]]:
+    """Number of cells, and every problem in words. Raises ValueError if there are no cells."""
+    found = verify_experiment(experiment)
+    return found.cells, found.problems
+
+
+def verify_experiment(experiment: Path) -> Verification:
+    """Check every cell of an experiment. Raises ValueError if there are none."""
+    if not experiment.is_dir():
+        raise ValueError(f"{experiment} is {'no folder' if experiment.exists() else 'not there'}")
+    records, lost = record_files(experiment), _without_record(experiment)
+    if not records and not lost:
+        raise ValueError(f"{experiment} holds no records; run an experiment first")
+    problems, finished = [], 0
+    for folder in (path.parent for path in records):
+        found = Findings()
+        cell = found.read(FILE, read_cell, folder)
+        if cell is not None:
+            finished += cell.is_finished
+            found.check("its folder", cell.place_problems)
+            found.problems += [problem for problem in verify_cell(folder) if problem not in found.problems]
+        problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {problem}" for problem in found.problems]
+    problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {FILE} is missing" for folder in lost]
+    return Verification(len(records), finished, problems)
+
+
+def _without_record(experiment: Path) -> list[Path]:
+    """Folders with files of a cell but no record, hidden folders excepted."""
+    cells = experiment / "cells"
+    folders = {path.parent for name in OF_A_CELL for path in cells.rglob(name)}
+    visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]
+    return [folder for folder in visible if not (folder / FILE).exists() and not (folder / FILE).is_symlink()]

@@ -1,0 +1,134 @@
+"""What a record says about itself, its models, its log and its views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
+
+from tdgbench.bench.key import cell_key
+from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.scores import Row
+from tdgbench.scoring import TRAIN_METRICS
+from tdgbench.scoring.lpips import Net, Range
+from tdgbench.scoring.scored_view import Border
+from tdgbench.splats.ply import count_rows
+from tdgbench.verify.stored_cell import Cameras
+
+TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
+IGNORE = ConfigDict(extra="ignore", strict=True)
+
+
+@with_config(IGNORE)
+class LPIPSSettings(TypedDict):
+    """Settings of LPIPS that a record keeps."""
+
+    net: Net
+    weights: str | None
+
+
+@with_config(IGNORE)
+class MetricSettings(TypedDict):
+    """Settings that scores depend on."""
+
+    convention: str
+    ssim_border: Border
+    lpips_range: Range
+    lpips: LPIPSSettings
+
+
+def metric_settings(record: Record) -> MetricSettings:
+    """The recorded settings of the scores. Raises ValueError for any that this version does not know."""
+    try:
+        return TypeAdapter(MetricSettings).validate_python(record.setting("metrics"))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(["config.metrics", *(str(part) for part in first["loc"])])
+        raise ValueError(f"{FILE}: {place}: {first['msg']}") from error
+
+
+def key_problems(record: Record) -> Iterator[str]:
+    """A key that is not that of the recorded configuration, data, scene and code. A failed cell may have none."""
+    if record.status == "failed" and not record.key:
+        return
+    expected = cell_key(record)
+    if record.key != expected:
+        yield f"{FILE}: key is {record.key!r}, its configuration, data and code give {expected!r}"
+
+
+def setting_problems(record: Record) -> Iterator[str]:
+    """Fields that differ from the configuration, and settings of scores that are unknown."""
+    stated = {"method.name": record.method, "init.name": record.init, "seed": record.seed}
+    stated["metrics.convention"] = record.convention
+    for name, value in stated.items():
+        if record.setting(name) != value:
+            yield f"{FILE}: {name} is {value!r}, its configuration has {record.setting(name)!r}"
+    metric_settings(record)
+
+
+def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
+    """Iterations, Gaussians and training time against the log."""
+    if not log:
+        yield "log.csv has no row"
+        return
+    iterations, last = [row["iteration"] for row in log], log[-1]
+    if iterations != sorted(set(iterations)):
+        yield "log.csv: its iterations do not increase"
+    if last["iteration"] != record.iterations:
+        yield f"{FILE}: iterations is {record.iterations}, log.csv ends at {last['iteration']:g}"
+    planned = record.setting("budget.iterations")
+    if isinstance(planned, int) and record.iterations > planned:
+        yield f"{FILE}: iterations is {record.iterations}, its configuration has {planned}"
+    if last["gaussians"] != sum(record.gaussians.values()):
+        yield f"{FILE}: gaussians is {record.gaussians}, log.csv ends with {last['gaussians']:g}"
+    if last["seconds"] > record.seconds["train"] + TIME_TOLERANCE:
+        yield f"{FILE}: seconds.train is {record.seconds['train']}, log.csv ends at {last['seconds']}"
+
+
+def model_problems(folder: Path, record: Record) -> Iterator[str]:
+    """Models against the recorded number of Gaussians."""
+    expected = {_model_file(name): count for name, count in {"thermal": None, **record.gaussians}.items()}
+    for name in sorted({*expected, *(path.name for path in folder.glob("model*.ply"))}):
+        count = expected.get(name)
+        if count is None:
+            yield f"{FILE}: gaussians has no count for {name}"
+            continue
+        try:
+            rows = count_rows(folder / name)
+            if rows != count:
+                yield f"{FILE}: gaussians has {count} for {name}, which holds {rows}"
+        except (OSError, ValueError) as error:
+            yield f"{name} cannot be read: {error}"
+
+
+def _model_file(name: str) -> str:
+    return "model.ply" if name == "thermal" else f"model_{name}.ply"
+
+
+def train_score_problems(record: Record) -> Iterator[str]:
+    """Scores of training views that are missing. (Their pictures are not stored; they are not computed again.)"""
+    for metric in TRAIN_METRICS:
+        if metric not in record.train_scores:
+            yield f"{FILE}: train_scores lacks {metric}"
+        elif record.train_scores[metric] is None and not record.missing.get(metric):
+            yield f"{FILE}: train_scores.{metric} is n/a without a reason"
+
+
+def view_problems(record: Record, cameras: Cameras) -> Iterator[str]:
+    """Numbers of views against the cameras."""
+    for part, views in cameras.items():
+        if record.views.get(part) != len(views):
+            yield f"{FILE}: views.{part} is {record.views.get(part)}, cameras.json has {len(views)}"
+    both = set(cameras["train"]) & set(cameras["test"])
+    yield from (f"cameras.json: {name} is a training and a test view" for name in sorted(both))
+    if not cameras["test"]:
+        yield "cameras.json has no test view"
+
+
+def row_problems(rows: dict[str, Row], cameras: dict[str, Any]) -> Iterator[str]:
+    """Rows of views.csv that are missing, or of no test view."""
+    yield from (f"views.csv has no row of the test view {name}" for name in cameras if name not in rows)
+    yield from (f"views.csv has a row of {name}, which is no test view" for name in rows if name not in cameras)

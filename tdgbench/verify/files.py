@@ -1,0 +1,42 @@
+"""Files of a cell against its record: names and hashes, and pictures of every test view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path, PurePosixPath
+
+from tdgbench.bench.hashes import cell_files, sha256
+from tdgbench.bench.reading import check_regular
+
+MUST = ("renders", "targets")
+MAY = ("renders_rgb", "targets_rgb")  # of test views with an RGB image
+
+
+def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
+    """Files that are missing, unknown to the record, changed, or no files; those are never opened."""
+    actual = cell_files(folder)
+    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
+    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
+    for name in sorted(set(actual) & set(recorded)):
+        try:
+            check_regular(actual[name])
+            if sha256(actual[name]) != recorded[name]:
+                yield f"{name} has changed"
+        except (OSError, ValueError) as error:
+            yield f"{name} cannot be read: {error}"
+
+
+def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
+    """Pictures that a test view lacks, and pictures of no test view. names: of the cell's files."""
+    expected, there = {f"{view}.png" for view in views}, set(names)
+    for folder in (*MUST, *MAY):
+        found = {PurePosixPath(name).name for name in there if PurePosixPath(name).parent.as_posix() == folder}
+        yield from (f"{folder}/{name} is of no test view" for name in sorted(found - expected))
+        needed = expected if folder in MUST else _partners(there, folder)
+        yield from (f"{folder}/{name} is missing" for name in sorted((needed & expected) - found))
+
+
+def _partners(names: set[str], folder: str) -> set[str]:
+    """Names of the pictures in the other one of `renders_rgb` and `targets_rgb`."""
+    (other,) = set(MAY) - {folder}
+    return {PurePosixPath(name).name for name in names if PurePosixPath(name).parent.as_posix() == other}

@@ -1,0 +1,52 @@
+"""Problems in words. A check that cannot be made becomes one of them and ends no other check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import ParamSpec, TypeVar
+
+from tdgbench.scoring.scored_view import NotApplicableError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+SAYS_ENOUGH = (ValueError, OSError, NotApplicableError)  # their message needs no type
+
+
+class Findings:
+    """The problems of one cell, in the order in which they were found."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+
+    def check(self, what: str, problems: Callable[P, Iterable[str]], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Add the problems that a check finds. An error ends this check alone and is a problem of `what`."""
+        try:
+            for problem in problems(*args, **kwargs):
+                self._add(problem)
+        except Exception as error:
+            self._add(f"{what} cannot be checked: {reason(error)}")
+
+    def read(self, what: str, reader: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+        """Value of a reader; None, and a problem, if it raises."""
+        try:
+            return reader(*args, **kwargs)
+        except Exception as error:
+            self._add(f"{what} cannot be read: {reason(error)}")
+            return None
+
+    def _add(self, problem: str) -> None:
+        if problem not in self.problems:
+            self.problems.append(problem)
+
+
+def reason(error: Exception) -> str:
+    """An error in words.
+
+    >>> reason(FileNotFoundError()), reason(KeyError("x"))
+    ('it is missing', "KeyError: 'x'")
+    """
+    if isinstance(error, FileNotFoundError):
+        return "it is missing"
+    if isinstance(error, SAYS_ENOUGH) and str(error):
+        return str(error)
+    return f"{type(error).__name__}: {error}".removesuffix(": ")

@@ -1,0 +1,85 @@
+"""Stored pictures of the test views, and what the stored models give from the test cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.bench.reading import read_picture
+from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.renders import render_model
+from tdgbench.scenes import Camera, View
+from tdgbench.scoring import RenderedImages, to_8bit
+from tdgbench.splats import Gaussians
+from tdgbench.splats.ply import load_ply
+from tdgbench.verify.findings import Findings
+
+MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
+
+
+class Pictures:
+    """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
+
+    def __init__(self, folder: Path, record: Record, cameras: dict[str, Camera], found: Findings) -> None:
+        self.folder, self.record, self.cameras, self.found = folder, record, cameras, found
+        self.depths: dict[str, np.ndarray] = {}  # (H, W) float32 by view, of views that could be rendered
+
+    def check_renders(self) -> None:
+        """Compare the stored renders with those of the models, and keep the depth maps."""
+        for model, sub in (("model.ply", "renders"), ("model_rgb.ply", "renders_rgb")):
+            if sub == "renders_rgb" and not (self.folder / sub).exists():
+                continue
+            gaussians = self.found.read(model, load_ply, self.folder / model)
+            for name in self.cameras:
+                if sub == "renders" or (self.folder / sub / f"{name}.png").exists():
+                    path = f"{sub}/{name}.png"
+                    stored = self.found.read(path, self._stored, sub, name)
+                    if stored is not None and gaussians is not None:
+                        self.found.check(path, self._differences, gaussians, name, path, stored)
+
+    def view(self, name: str) -> View:
+        """A test view with its stored ground truth."""
+        return View(
+            name, self.cameras[name], load_thermal=lambda: self._values("targets", name),
+            load_rgb=(lambda: self._values("targets_rgb", name)) if self._has("targets_rgb", name) else None,
+        )  # fmt: skip
+
+    def rendered(self, name: str) -> RenderedImages:
+        """A test view's stored renders, and its depth (zeros if it could not be rendered)."""
+        rgb = self._values("renders_rgb", name) if self._has("renders_rgb", name) else None
+        image = self._values("renders", name)
+        return RenderedImages(image, self.depths.get(name, np.zeros(image.shape[:2], np.float32)), rgb)
+
+    def _differences(self, gaussians: Gaussians, name: str, path: str, stored: np.ndarray) -> list[str]:
+        """How a stored render differs from the model's. Both must be (H, W, C)."""
+        render = render_model(gaussians, self.cameras[name], depth=path.startswith("renders/"))
+        again = to_8bit(render.image.numpy())
+        if stored.shape != again.shape:
+            return [f"{path} is {stored.shape}, the model gives {again.shape}"]
+        if path.startswith("renders/"):
+            self.depths[name] = (render.requested_depth / render.alpha.clamp_min(1e-6)).numpy()
+            if stored.shape[2] != self.record.channels:
+                return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
+        difference = np.abs(stored.astype(int) - again.astype(int))
+        if difference.max() > 1 or (difference > 0).mean() > MAX_DIFFERENT:
+            share = f"{(difference > 0).mean():.1%} of the values differ, by up to {difference.max()}"
+            model = "model.ply" if path.startswith("renders/") else "model_rgb.ply"
+            return [f"{path} is not what {model} gives: {share}"]
+        return []
+
+    def _has(self, sub: str, name: str) -> bool:
+        return (self.folder / sub / f"{name}.png").exists()
+
+    def _stored(self, sub: str, name: str) -> np.ndarray:
+        camera = self.cameras[name]
+        return read_picture(self.folder / sub / f"{name}.png", (camera.width, camera.height))
+
+    def _values(self, sub: str, name: str) -> np.ndarray:
+        """A stored picture, (H, W, C) float32 in [0, 1]. Raises ValueError, naming it, if it cannot be read."""
+        try:
+            return self._stored(sub, name).astype(np.float32) / np.float32(255)
+        except FileNotFoundError as error:
+            raise ValueError(f"{sub}/{name}.png is missing") from error
+        except ValueError as error:
+            raise ValueError(f"{sub}/{name}.png cannot be read: {error}") from error

@@ -1,0 +1,139 @@
+"""Recorded scores against views.csv, and both against what the stored pictures and models give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.bench.reading import check_regular
+from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.scores import Row
+from tdgbench.scenes import Scene
+from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scoring import METRICS, LPIPSOptions, RenderedImages, Scorer
+from tdgbench.scoring.backbones import BackboneUnavailableError
+from tdgbench.scoring.metric import ImageMetric, Metric
+from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
+from tdgbench.verify.facts import metric_settings
+from tdgbench.verify.findings import reason
+from tdgbench.verify.pictures import Pictures
+
+TOLERANCE = 1e-6  # of means
+
+
+def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
+    """Recorded scores that are not the means of views.csv, and scores that are n/a without a reason."""
+    columns = {metric for row in rows.values() for metric in row}
+    yield from (f"views.csv has no column {metric}" for metric in record.scores if metric not in columns)
+    yield from (
+        f"{FILE}: scores lacks {metric}, which views.csv has" for metric in sorted(columns - set(record.scores))
+    )
+    for metric, recorded in record.scores.items():
+        values = [row[metric] for row in rows.values() if metric in row]
+        known = [value for value in values if value is not None]
+        mean = float(np.mean(known)) if known and len(known) == len(rows) else None
+        if recorded is None and mean is None and not record.missing.get(metric):
+            yield f"{FILE}: {metric} is n/a without a reason"
+        elif (recorded is None) != (mean is None) or (None not in (recorded, mean) and not _close(recorded, mean)):
+            yield f"{FILE}: {metric} is {_text(recorded)}, the mean of views.csv is {_text(mean)}"
+
+
+def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictures) -> Iterator[str]:
+    """Scores that differ from those of the stored pictures and models.
+
+    Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
+    only weights of a backbone were missing.
+    """
+    convention = _convention(record)
+    metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
+    if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
+        metrics = [one for one in metrics if isinstance(one, ImageMetric)]
+    computed: dict[str, list[float]] = {metric.name: [] for metric in metrics}
+    scene = _scene(record, pictures)
+    for name in pictures.cameras:
+        try:
+            shown = _shown(pictures, scene, name, convention)
+        except ValueError as error:
+            yield str(error)
+            continue
+        row = None if rows is None else rows.get(name)
+        for metric in metrics:
+            stored = record.scores[metric.name] if row is None else row.get(metric.name)
+            value, problem = _again(metric, shown, stored)
+            if problem:
+                yield problem
+            if value is not None:
+                computed[metric.name].append(value)
+                if row is not None and (stored is None or abs(value - stored) > _tolerance(metric, stored)):
+                    yield f"views.csv: {metric.name} of {name} is {_text(stored)}, its pictures give {value:.6f}"
+    for metric in metrics:
+        values, recorded = computed[metric.name], record.scores[metric.name]
+        if values and len(values) == len(pictures.cameras):
+            mean = float(np.mean(values))
+            if recorded is None or abs(mean - recorded) > _tolerance(metric, recorded):
+                yield f"{FILE}: {metric.name} is {_text(recorded)}, the pictures give {mean:.6f}"
+
+
+def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[float | None, str]:
+    """The value of a metric from files, None without one; and a problem, if a stored value cannot be computed again."""
+    if stored is None:  # whether the files give it without weights, which may not have been there
+        bare = Convention(shown.convention.ssim_border, partial(_unusable, "no weights"))
+        shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
+    try:
+        return metric.score(shown), ""
+    except NotApplicableError as error:
+        return None, "" if stored is None else f"{metric.name} cannot be computed again: {error}"
+
+
+def _convention(record: Record) -> Convention:
+    """The recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
+    settings = metric_settings(record)
+    weights = settings["lpips"]["weights"]
+    try:
+        if weights is not None:
+            check_regular(Path(weights))
+    except (OSError, ValueError) as error:
+        return Convention(
+            settings["ssim_border"], partial(_unusable, f"metrics.lpips.weights={weights}: {reason(error)}")
+        )
+    options = LPIPSOptions(settings["lpips"]["net"], weights, download=False)
+    return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], options).settings
+
+
+def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
+    raise BackboneUnavailableError(why)
+
+
+def _scene(record: Record, pictures: Pictures) -> Scene:
+    """The scene of the test views, as far as a cell's files have it."""
+    span = None if record.temperature is None else TemperatureRange(*record.temperature)
+    return Scene(
+        record.scene, record.dataset, record.group, train=[], test=[pictures.view(name) for name in pictures.cameras],
+        points=None, temperature=span, split=record.split, fingerprint=record.data, channels=record.channels,
+    )  # fmt: skip
+
+
+def _shown(pictures: Pictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
+    """A test view with its pictures; of the others, the depths. Raises ValueError for a picture that is unusable."""
+    nothing = np.zeros((0, 0, 1), np.float32)
+    renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}
+    view, rendered = pictures.view(name), pictures.rendered(name)
+    if view.thermal.shape != rendered.image.shape:
+        raise ValueError(f"targets/{name}.png is {view.thermal.shape}, renders/{name}.png {rendered.image.shape}")
+    return ScoredView(view, rendered, convention, scene, renders)
+
+
+def _tolerance(metric: Metric, value: float) -> float:
+    return (metric.verified_to or 0.0) * max(1.0, abs(value))
+
+
+def _close(a: float | None, b: float | None) -> bool:
+    return a is not None and b is not None and math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+
+
+def _text(value: float | None) -> str:
+    return "n/a" if value is None else str(value)

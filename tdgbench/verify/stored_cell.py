@@ -1,0 +1,85 @@
+"""A cell as it lies on disk: its record, whose types nobody has checked yet, its cameras, scores and log."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.bench import cameras
+from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.reading import MAX_PIXELS, read_table, read_text
+from tdgbench.bench.record import FILE, Record, schema_problems
+from tdgbench.bench.scores import finite_number
+from tdgbench.scenes import Camera
+from tdgbench.text import shortened
+
+UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
+Cameras = dict[str, dict[str, Camera]]
+
+
+@dataclass(frozen=True)
+class StoredCell:
+    """A cell's folder, the text of its record, and its record."""
+
+    folder: Path
+    text: str
+    record: Record
+
+    @property
+    def is_finished(self) -> bool:
+        return self.record.status == "ok"
+
+    def schema_problems(self) -> Iterator[str]:
+        """What does not fit the schema, and numbers that are none in JSON."""
+        yield from (f"{FILE}: {problem}" for problem in schema_problems(self.text))
+        constants: list[str] = []
+        json.loads(self.text, parse_constant=constants.append)
+        yield from (f"{FILE} holds {name}, which is no number in JSON" for name in dict.fromkeys(constants))
+
+    def place_problems(self) -> Iterator[str]:
+        """The folder that the record belongs to, if it lies in another one."""
+        place = cell_folder_of(Path(), self.record)
+        if self.folder.absolute().parts[-len(place.parts) :] != place.parts:
+            yield f"{FILE} is of another cell: its folder is {place.as_posix()}; move it there, or run the cell again"
+
+
+def read_cell(folder: Path) -> StoredCell:
+    """Read a cell's record; fields that it lacks have their defaults. Raises ValueError if it is no JSON object."""
+    text = read_text(folder / FILE)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{FILE} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError("it is not a JSON object")
+    known = {f.name for f in fields(Record)}
+    return StoredCell(folder, text, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}}))
+
+
+def read_all_cameras(folder: Path) -> Cameras:
+    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be rendered."""
+    path = folder / cameras.FILE
+    read_text(path)
+    found: Cameras = {"train": cameras.read_cameras(path, "train"), "test": cameras.read_cameras(path, "test")}
+    for name, camera in [*found["train"].items(), *found["test"].items()]:
+        if Path(name).name != name or "\0" in name:
+            raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
+        finite = np.isfinite(camera.K).all() and np.isfinite(camera.world_to_camera).all()
+        if not finite or min(camera.K[0, 0], camera.K[1, 1]) <= 0:
+            raise ValueError(f"the camera of {name} has numbers that are not finite, or a focal length below 0")
+        if not (camera.width > 0 and camera.height > 0 and camera.width * camera.height <= MAX_PIXELS):
+            raise ValueError(f"the camera of {name} has {camera.width}×{camera.height} px")
+    return found
+
+
+def read_log(folder: Path) -> list[dict[str, float]]:
+    """Rows of log.csv: iteration, seconds, loss, train_psnr, gaussians. Raises ValueError for any other file."""
+    names = ["iteration", "seconds", "loss", "train_psnr", "gaussians"]
+    rows = read_table(folder / "log.csv")
+    if not rows or rows[0][: len(names)] != names:
+        raise ValueError(f"its first line does not begin with {','.join(names)}")
+    return [{name: finite_number(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]

@@ -1,0 +1,62 @@
+"""Names of scenes and methods in tables: as they are, and no program takes them for commands."""
+
+import contextlib
+from dataclasses import replace
+from io import StringIO
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from tdgbench.tables.build import Tables, build_tables
+from tdgbench.tables.latex import escape
+from tdgbench.tables.names import AVERAGE
+from tdgbench.tables.show import show
+from tdgbench.text import from_csv, one_line
+from tests.helpers.names import NAMES
+from tests.helpers.records import write
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory) -> Tables:
+    """Every name once as a scene's and once as a method's, with an error that holds it."""
+    experiment = tmp_path_factory.mktemp("names")
+    for name in NAMES:
+        with contextlib.suppress(FileExistsError):  # names that share a folder
+            write(experiment, scene=name, dataset="synthetic", group=name)
+            write(experiment, method=name, scene="orbit", dataset="@x", missing={"lpips": name}, scores={"lpips": None})
+    return build_tables(experiment)
+
+
+def test_csv_holds_every_name(tables):
+    for file in ("main", "paired_splat"):
+        path = tables.folder / f"{file}.csv"
+        if path.exists():
+            assert b"\r" not in path.read_bytes().replace(b"a\rb", b"")
+    stored = pd.read_csv(tables.folder / "main.csv", keep_default_na=False)
+    for column in ("method", "dataset", "group", "scene", "reason"):
+        assert list(stored[column].map(from_csv)) == list(tables.main[column].fillna("")), column
+        assert not stored[column].str.startswith(("=", "+", "-", "@")).any()
+    assert {"=1+1", "+1", "-1", "@x", "a\nb"} <= set(stored["scene"].map(from_csv))
+    assert pd.to_numeric(stored.loc[stored["scene"] == "a$b", "value"], errors="coerce").notna().any()
+
+
+def test_latex_has_one_row_per_scene(tables):
+    lines = tables.latex.splitlines()
+    scenes = [scene for scene in dict.fromkeys(tables.main["scene"]) if not scene.startswith(AVERAGE)]
+    rows = [line for line in lines if line.startswith(r"\qquad ")]
+    assert len(rows) == len(tables.main.loc[tables.main["scene"].isin(scenes), ["dataset", "scene"]].drop_duplicates())
+    for scene in scenes:
+        assert any(line.startswith(rf"\qquad {escape(scene)} & ") for line in rows), scene
+    columns = 1 + 4 * tables.main["method"].nunique()
+    assert all(line.replace(r"\&", "").count("&") == columns - 1 for line in rows)
+
+
+def test_the_terminal_shows_every_name_and_obeys_none(tables):
+    out = StringIO()
+    main = tables.main[tables.main["method"].isin(["tdg", "[/red]", "a\nb"])]
+    show(replace(tables, main=main), Console(file=out, width=400, force_terminal=False))
+    text = out.getvalue()
+    for scene in dict.fromkeys(main["scene"]):
+        assert one_line(scene) in text, scene
+    assert "\x1b" not in text and "\u202e" not in text and "[/red]" in text and "a\\nb" in text

@@ -1,0 +1,153 @@
+"""Tables of results in which something cannot be read: n/a with the reason, a warning, and all the rest."""
+
+import json
+import os
+import shutil
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import FILE, Failure
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.command import main
+from tdgbench.tables.records import read_results
+from tdgbench.tables.show import show
+from tests.helpers.records import write
+
+ORBIT, NIGHT = ({"scene": name, "dataset": "synthetic", "group": "360"} for name in ("orbit", "night"))
+
+
+@pytest.fixture
+def experiment(tmp_path) -> Path:
+    """A planned experiment with a cell on each of two scenes."""
+    Plan(scenes=[ORBIT, NIGHT], methods=["tdg"], inits=["colmap"]).write(tmp_path / "e")
+    for scene in ("orbit", "night"):
+        write(tmp_path / "e", scene=scene, dataset="synthetic", group="360", scores={"psnr": 21.0})
+    return tmp_path / "e"
+
+
+def cell_of(experiment: Path, scene: str) -> Path:
+    return next((experiment / "cells" / "tdg" / "synthetic").glob(f"{scene}*")) / "colmap" / "seed0"
+
+
+def values(experiment: Path, metric: str = "psnr") -> dict[str, float]:
+    main = build_tables(experiment).main
+    assert not main.duplicated(["method", "dataset", "scene", "metric"]).any()
+    chosen = main[main["metric"] == metric]
+    return dict(zip(chosen["scene"], chosen["value"], strict=True))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.write_text("{}"), lambda path: path.write_bytes(b"\xff"), lambda path: path.write_text("["
+        * 100_000), lambda path: (path.unlink(), path.mkdir()), lambda path: (path.unlink(), os.mkfifo(path)),
+        lambda path: (path.unlink(), path.symlink_to(path)),
+        lambda path: path.write_text(path.read_text().replace("21.0", "Infinity")),
+        lambda path: path.write_text(path.read_text().replace("21.0", '"21.0"')),
+        lambda path: path.write_text(path.read_text().replace('"train": 360.0', '"train": null')),
+    ],
+    ids=["object", "bytes", "deep", "folder", "FIFO", "loop", "infinite", "text", "no time"],
+)  # fmt: skip
+def test_a_broken_record_is_na_with_its_reason(experiment, capsys, spoil):
+    path = cell_of(experiment, "night") / FILE
+    spoil(path)
+    found = values(experiment)
+    assert found["orbit"] == 21.0 and np.isnan(found["night"]) and np.isnan(found["Average"])
+    assert main([str(experiment)]) == 1
+    printed = capsys.readouterr().out.replace("\n", "")
+    assert "21.00" in printed and f"warning: its record cannot be read: {path} is not a record" in printed
+    written = pd.read_csv(experiment / "tables" / "main.csv", keep_default_na=False).set_index(["scene", "metric"])
+    assert written.loc[("night", "psnr"), "reason"].startswith("its record cannot be read: ")
+    path.unlink() if not path.is_dir() else path.rmdir()
+    assert main([str(experiment)]) == 0
+
+
+def test_a_broken_record_counts_for_the_planned_scene_alone(tmp_path):
+    Plan(scenes=[{"scene": "a b", "dataset": "synthetic", "group": ""}], methods=["tdg"], inits=["colmap"]).write(
+        tmp_path
+    )
+    folder = write(tmp_path, scene="a b", dataset="synthetic", group="")
+    (folder / FILE).write_text("{}")
+    assert list(values(tmp_path)) == ["a b", "Average"]
+
+
+def test_a_scene_that_is_planned_twice_counts_once(experiment):
+    Plan(scenes=[ORBIT, dict(ORBIT), NIGHT, {**NIGHT, "group": "x"}], methods=["tdg"], inits=["colmap"]).write(
+        experiment
+    )
+    assert values(experiment) == {"orbit": 21.0, "night": 21.0, "Average": 21.0}
+
+
+def test_a_cell_counts_once_and_in_its_own_folder(experiment):
+    cell = cell_of(experiment, "night")
+    shutil.copytree(cell, cell.with_name("seed7"))
+    results = read_results(experiment)
+    assert len(results.records) == 2 and "is in another cell's folder" in results.problems[0]
+    assert str(cell.with_name("seed7")) in results.problems[0] and values(experiment)["night"] == 21.0
+    shutil.rmtree(cell)
+    assert np.isnan(values(experiment)["night"])
+
+
+def test_a_failed_cell_never_shows_numbers(experiment):
+    shutil.rmtree(cell_of(experiment, "night"))
+    failure = Failure("train", "ValueError: a\nb", "")
+    write(experiment, scene="night", dataset="synthetic", status="failed", failure=failure, scores={"psnr": 30.0})
+    main = build_tables(experiment).main.set_index(["scene", "metric"])
+    assert main.loc["night", "value"].isna().all()
+    assert set(main.loc["night", "reason"]) == {"failed in train: ValueError: a"}
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"scenes": 3}', '{"scenes": [{"scene": 1}]}', '{"new": 1}', "\udcff"])
+def test_a_broken_plan_is_a_warning(experiment, content):
+    (experiment / "experiment.json").write_bytes(content.encode(errors="surrogateescape"))
+    tables = build_tables(experiment)
+    assert tables.main.set_index(["scene", "metric"]).loc[("orbit", "psnr"), "value"] == 21.0
+    (problem,) = tables.problems
+    assert "experiment.json is not a plan" in problem
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"view,psnr\nv\n", b"view,psnr\nv,high\n", b"view,psnr\nv,nan\n", b"\xff", b"a\n"]
+)
+def test_broken_scores_of_views_leave_their_interval_out(experiment, content):
+    (cell_of(experiment, "orbit") / "views.csv").write_bytes(b"view,psnr\nv,20\nw,22\n")
+    (cell_of(experiment, "night") / "views.csv").write_bytes(content)
+    tables = build_tables(experiment)
+    rows = tables.main.set_index(["scene", "metric"])
+    assert rows.loc[("orbit", "psnr"), "low"] < 21 and np.isnan(rows.loc[("night", "psnr"), "low"])
+    assert rows.loc[("night", "psnr"), "value"] == 21.0
+    (problem,) = tables.problems
+    assert "views.csv cannot be read" in problem
+
+
+def test_settings_of_any_type_do_not_end_the_tables(experiment):
+    for scene, config in (("orbit", {"budget": [1]}), ("night", {"budget": {"iterations": "9"}})):
+        path = cell_of(experiment, scene) / FILE
+        content = {
+            **json.loads(path.read_text()),
+            "config": config,
+            "init_points": {"how": 3},
+            "environment": {"git": 1},
+        }
+        path.write_text(json.dumps(content))
+    for kind in ("readings", "ablation", "main"):
+        Plan(kind, scenes=[ORBIT, NIGHT], methods=["tdg"], inits=["colmap"]).write(experiment)
+        show(build_tables(experiment), Console(file=StringIO()))
+
+
+def test_claims_go_on_without_a_broken_record(experiment, capsys):
+    (cell_of(experiment, "night") / FILE).write_text("{}")
+    assert main(["claims", str(experiment)]) == 1
+    assert "undecided" in (printed := capsys.readouterr().out) and "warning: its record cannot be read" in printed
+
+
+def test_a_folder_without_tables_does_not_hide_the_others(experiment, tmp_path, capsys):
+    assert main([str(tmp_path / "[red]"), str(experiment)]) == 1
+    out, err = capsys.readouterr()
+    assert "[red] holds no records" in err and "21.00" in out
