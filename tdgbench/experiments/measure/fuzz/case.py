@@ -66,6 +66,10 @@ class Kind(ABC):
     def wrong(self) -> str:
         """Why a result (exit status 0) is wrong; empty if it is right."""
 
+    def refused(self) -> str:
+        """Why an error is wrong: the input is ordinary. Empty if an error is right."""
+        return ""
+
     def lost(self) -> str:
         """What did not come that has to come whatever the mutation; empty if nothing."""
         return ""
@@ -91,7 +95,10 @@ def judge(case: Kind, changes: list[Change], ran: Ran) -> tuple[Outcome, str]:
         harm = next((change.text for change in changes if change.harmful), "")
         why = f"a result in spite of: {harm}" if harm else case.wrong()
         return ("wrong", why) if why else ("result", "")
-    lines = [line for line in ran.output.splitlines() if ERROR_LINE.search(line)]
+    refused = case.refused()
+    if refused:
+        return "wrong", f"{refused}: {last_line(ran.output)}"
+    lines = [line for line in ran.output.splitlines() if ERROR_LINE.search(line) and not line.startswith("n/a")]
     names = [name for change in changes for name in change.names]
     named = [line for line in lines if any(name in line for name in names)]
     return ("error", named[0]) if named else ("unnamed", last_line(ran.output))

@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import logging
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.singleton import Singleton
 
 from tdgbench.experiments.measure.fuzz.case import Programs
+from tdgbench.splats.cpu import pool
 
 VERIFIED = "verified.json"
 
@@ -23,6 +27,28 @@ def command(programs: Programs, words: list[str]) -> int:
     os.environ.update(TORCH_HOME="torch", COLUMNS="200")
     GlobalHydra.instance().clear()
     return programs.tdgbench()
+
+
+@contextlib.contextmanager
+def as_a_process(folder: Path) -> Iterator[None]:
+    """Run programs in this process, in a folder: what they change in the process is restored, their output is lost."""
+    root, hydra = logging.getLogger(), Singleton.get_state()
+    before = root.handlers[:], root.level, sys.argv, dict(os.environ)
+    try:
+        with (
+            contextlib.chdir(folder),
+            Path(os.devnull).open("w") as nowhere,
+            contextlib.redirect_stdout(nowhere),
+            contextlib.redirect_stderr(nowhere),
+        ):
+            yield
+    finally:
+        root.handlers[:], root.level, sys.argv, environment = before
+        os.environ.clear()
+        os.environ.update(environment)
+        pool.set_threads(None)
+        Singleton.set_state(hydra)
+        GlobalHydra.instance().clear()
 
 
 def command_and_verify(programs: Programs, words: list[str], experiment: str) -> int:

@@ -5,6 +5,7 @@ The parent has imported everything, so a child starts in milliseconds. It must n
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -120,7 +121,5 @@ def _tree_megabytes(pid: int) -> float:
 
 
 def _kill_group(pid: int) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass

@@ -93,8 +93,8 @@ def _extreme_count(data: bytes, rng: random.Random) -> bytes:
 
 
 _BYTES: tuple[Callable[[bytes, random.Random], bytes], ...] = (
-    _cut_one_byte, _truncate, _truncate, _empty, _extend, _flip_bits, _flip_bits, _flip_bytes, _zeros, _ones, _duplicate,
-    _remove, _swap, _extreme_count, _extreme_count,
+    _cut_one_byte, _truncate, _truncate, _empty, _extend, _flip_bits, _flip_bits, _flip_bytes, _zeros, _ones,
+    _duplicate, _remove, _swap, _extreme_count, _extreme_count,
 )  # fmt: skip
 
 

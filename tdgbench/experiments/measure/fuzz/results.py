@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tdgbench.experiments.measure.fuzz.case import Programs
-from tdgbench.experiments.measure.fuzz.cells import command
+from tdgbench.experiments.measure.fuzz.cells import as_a_process, command
 from tdgbench.experiments.measure.fuzz.child import Child, Limits, Ran
 from tdgbench.experiments.measure.fuzz.inputs import CELL, GOOD, SCENE, copy_scene
 from tdgbench.training.checkpoint import Checkpoint
@@ -27,6 +27,9 @@ def write_results(base: Path, programs: Programs) -> None:
     shutil.copytree(sweep / "data" / GOOD, sweep / "data" / "broken")
     shutil.rmtree(sweep / "data" / "broken" / "sparse")
     copy_scene(base, resumed / "data" / SCENE)
+    with as_a_process(resumed):  # here, so that children find every module imported and every kernel loaded
+        command(programs, [*RESUMED, "results=first"])
+        programs.verify(["first/single"])
     _expect(1, wait(lambda: command(programs, SWEEP), sweep))
     _expect(0, wait(lambda: command(programs, RESUMED), resumed))
     (resumed / "out").rename(resumed / "calm")

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from tdgbench.experiments.measure.fuzz.case import ALLOWED, Change, Kind, Outcome, Programs, find_kinds, judge
 from tdgbench.experiments.measure.fuzz.child import Child, Limits, Ran
 from tdgbench.experiments.measure.fuzz.inputs import write_inputs
@@ -63,6 +65,7 @@ class Suite:
     def __init__(self, programs: Programs, scratch: Path, limits: Limits | None = None) -> None:
         self.programs, self.scratch, self.limits = programs, scratch, limits or Limits()
         self.base = scratch / "base"
+        torch.set_num_threads(1)  # a forked child has no pool of threads
         write_inputs(self.base)
         write_results(self.base, programs)
 
@@ -120,10 +123,24 @@ class Suite:
     def _make(self, drawn: Drawn, folder: Path) -> tuple[Kind, list[Change]]:
         """The input of a case, mutated, in an empty folder."""
         case = drawn.kind(self.base, folder, drawn.rng("input"))
-        return case, [case.mutate(drawn.rng(m)) for m in drawn.mutations]
+        return case, [_mutated(case, drawn.rng(m), first=m == drawn.mutations[0]) for m in drawn.mutations]
 
     def _finding(self, drawn: Drawn, case: Kind, changes: list[Change], ran: Ran) -> Finding:
-        return Finding(drawn, changes, *judge(case, changes, ran), ran)
+        try:
+            outcome, why = judge(case, changes, ran)
+        except Exception as error:  # no reader of the product wrote what the oracle cannot read
+            outcome, why = "wrong", f"what was written cannot be read: {error!r}"
+        return Finding(drawn, changes, outcome, why, ran)
+
+
+def _mutated(case: Kind, rng: random.Random, first: bool) -> Change:
+    """The next mutation; nothing where an earlier one left nothing to mutate."""
+    try:
+        return case.mutate(rng)
+    except (OSError, IndexError, ValueError):
+        if first:
+            raise
+        return Change("nothing", ())
 
 
 def _with(drawn: Drawn, mutations: tuple[int, ...]) -> Drawn:

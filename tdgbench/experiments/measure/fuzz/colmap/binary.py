@@ -60,7 +60,8 @@ def read(folder: Path) -> Model:
     """The model in a folder. Raises MalformedError."""
     cameras, images, points = (_read(folder / name) for name in FILES)
     with_rigs = any((folder / name).exists() for name in RIG_FILES)
-    return Model(cameras, images, points, *(_read(folder / name) for name in RIG_FILES if with_rigs))
+    rigs, frames = (_read(folder / name) if with_rigs else None for name in RIG_FILES)
+    return Model(cameras, images, points, rigs, frames)
 
 
 def _read(path: Path) -> list[Any]:
@@ -117,7 +118,9 @@ def write(folder: Path, model: Model) -> None:
     """Write a model, however absurd its numbers; those that do not fit their field are cut to its size."""
     folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, list[bytes]] = {
-        "cameras.bin": [_pack(f"IiQQ{len(c.params)}d", c.id, c.kind, c.width, c.height, *c.params) for c in model.cameras],
+        "cameras.bin": [
+            _pack(f"IiQQ{len(c.params)}d", c.id, c.kind, c.width, c.height, *c.params) for c in model.cameras
+        ],
         "images.bin": [
             _pack("I7dI", i.id, *i.pose, i.camera) + i.name.encode("utf-8", "surrogateescape") + b"\0"
             + _pack("Q", len(i.points)) + b"".join(_pack("ddQ", *p) for p in i.points)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -93,7 +93,6 @@ class Model:
     points: list[Point]
     rigs: list[Rig] | None = None
     frames: list[Frame] | None = None
-    _poses: dict[int, list[float]] = field(default_factory=dict)
 
     def pose(self, image: Image) -> np.ndarray:
         """World to camera (4, 4) of an image: that of its frame, where there are frames."""

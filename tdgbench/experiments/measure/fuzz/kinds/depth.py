@@ -90,7 +90,8 @@ ARRAYS = (
     lambda: _map(np.nan), lambda: _map(np.inf), lambda: _map(-1e38), lambda: _map() * np.nan, lambda: _map() * np.inf,
     lambda: _map() * 0, lambda: -_map(), lambda: _map(1e300, "f8"), lambda: _map(kind="f2"), lambda: _map(2, "i8"),
     lambda: _map(1, "?"), lambda: _map(kind="c8"), lambda: _map(shape=(32, 24)), lambda: _map(shape=(24, 32, 1)),
-    lambda: _map(shape=(1, 24, 32)), lambda: _map(shape=(24, 32, 3)), lambda: _map(shape=(0, 32)), lambda: _map(shape=()),
+    lambda: _map(shape=(1, 24, 32)), lambda: _map(shape=(24, 32, 3)), lambda: _map(shape=(0, 32)),
+    lambda: _map(shape=()),
     lambda: np.array([{"a": 1}], object), lambda: np.full((24, 32), "x"), lambda: np.zeros((24, 32), "V8"),
     lambda: np.zeros((24, 32), [("a", "f4")]), lambda: np.zeros((24, 32), "M8[s]"),
 )  # fmt: skip

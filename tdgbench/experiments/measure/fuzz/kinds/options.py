@@ -6,11 +6,12 @@ import random
 import shutil
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from tdgbench.experiments.measure.fuzz import cells
 from tdgbench.experiments.measure.fuzz.case import Change, Kind, Programs
@@ -18,8 +19,8 @@ from tdgbench.experiments.measure.fuzz.inputs import CELL, SCENE, copy_scene
 from tdgbench.resources import conf_folder
 
 GROUPS = ("backend", "budget", "dataset", "init", "method", "metrics", "prior", "skip")
-NEED_MORE = ("prior=marigold", "prior=synthetic", "backend=cuda", "dataset=paper", "dataset=rgbt_scenes", "dataset=thermalmix",
-             "backend=reference")  # fmt: skip
+NEED_MORE = ("prior=marigold", "prior=synthetic", "backend=cuda", "backend=reference", "dataset=paper",
+             "dataset=rgbt_scenes", "dataset=thermalmix")  # fmt: skip
 SMALL = {"dataset=synthetic": ("dataset.loader.width=32", "dataset.loader.height=24", "dataset.loader.views=6",
                                "dataset.loader.points=150", "scene=orbit")}  # fmt: skip
 FREE = ("name", "results", "root", "scene", "label", "weights", "folder", "default_scene", "compared_with", "order",
@@ -29,8 +30,8 @@ LONG = (
     "dataset.loader.views",
     "budget.density.split_into",
 )  # large values are legal, and take long
-NOT_A_NUMBER = ("abc", "nan", "inf", "-inf", "[1,2]", "{a: 1}", "'1 2'", "1e999", "''")
-NUMBERS = ("-1", "0", "null", "true", "0.5", "1e-320", "-0.0", "3", "99", "${oc.env:HOME}", "${nosuch}", "${", "1_000")
+NOT_A_NUMBER = ("abc", "nan", "inf", "-inf", "[1,2]", "{a: 1}", "'1 2'", "1e999", "''", "${oc.env:HOME}")
+NUMBERS = ("-1", "0", "null", "true", "0.5", "1e-320", "-0.0", "3", "99", "${nosuch}", "${", "1_000")
 LARGE = ("1e308", "9223372036854775808", "1000000000")
 NOT_A_SWITCH = ("maybe", "2", "[]", "nan", "''", "{}")
 NOT_A_CHOICE = ("nosuch", "''", "3", "[a]", "null", "nan")
@@ -54,7 +55,7 @@ class Option(NamedTuple):
 class Options(Kind):
     """A tiny cell with one or more options of unusual values."""
 
-    name, share = "options", 14
+    name, share = "options", 11
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)
@@ -122,19 +123,23 @@ def _choices() -> list[str]:
     return [word for word in words if word not in NEED_MORE]
 
 
-def _leaves(cfg: DictConfig, prefix: str = "") -> list[tuple[str, Any]]:
+def _leaves(cfg: DictConfig) -> list[tuple[str, Any]]:
+    """Dotted keys and values; an interpolation that only a whole run resolves is a text."""
     found: list[tuple[str, Any]] = []
-    for key in cfg:
-        value = OmegaConf.to_container(cfg, resolve=False)[key]  # type: ignore[index,call-overload]
-        if isinstance(value, dict):
-            found += _leaves(cfg._get_node(key), f"{prefix}{key}.")  # type: ignore[arg-type]
-        elif not isinstance(value, list):
-            found.append((f"{prefix}{key}", _resolved(cfg, str(key), value)))
+
+    def visit(content: dict[str, Any], prefix: str) -> None:
+        for name, value in content.items():
+            if isinstance(value, dict):
+                visit(value, f"{prefix}{name}.")
+            elif not isinstance(value, list):
+                found.append((prefix + name, _resolved(cfg, prefix + name, value)))
+
+    visit(cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=False)), "")
     return found
 
 
 def _resolved(cfg: DictConfig, key: str, value: Any) -> Any:
     try:
-        return cfg[key]
-    except Exception:  # an interpolation that only a whole run resolves
+        return OmegaConf.select(cfg, key)
+    except OmegaConfBaseException:
         return value

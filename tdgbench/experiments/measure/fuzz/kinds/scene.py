@@ -15,7 +15,7 @@ from tdgbench.experiments.measure.fuzz.loaded import load_scene, loaded
 from tdgbench.priors import DepthEstimator
 from tdgbench.priors.sfm_points import SfmPointsPrior
 
-WHOLE = 0.12  # share of the cases that train, score and write a sweep of two scenes
+WHOLE = 0.1  # share of the cases that train, score and write a sweep of two scenes
 
 
 class SceneKind(Kind):
