@@ -42,7 +42,10 @@ def main() -> int:
             if args.case is not None:
                 print(finding.ran.output)
             if finding.broke or args.all or args.case is not None:
-                print(line(suite.shrink(finding, args.keep) if finding.broke else finding), flush=True)
+                print(line(finding), flush=True)
+        for finding in findings:
+            if finding.broke:
+                suite.shrink(finding, args.keep)
     print(counts(findings))
     return int(any(finding.broke for finding in findings))
 

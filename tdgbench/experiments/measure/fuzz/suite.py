@@ -60,14 +60,18 @@ def draw(seed: int, number: int) -> Drawn:
 
 
 class Suite:
-    """Cases in children, below a scratch folder that holds the good inputs."""
+    """Cases in children, below a scratch folder that holds the good inputs.
 
-    def __init__(self, programs: Programs, scratch: Path, limits: Limits | None = None) -> None:
+    results: make good results, too; without them, only cases that load a scene or a model can run.
+    """
+
+    def __init__(self, programs: Programs, scratch: Path, limits: Limits | None = None, results: bool = True) -> None:
         self.programs, self.scratch, self.limits = programs, scratch, limits or Limits()
         self.base = scratch / "base"
         torch.set_num_threads(1)  # a forked child has no pool of threads
         write_inputs(self.base)
-        write_results(self.base, programs)
+        if results:
+            write_results(self.base, programs)
 
     def run(self, cases: Iterable[Drawn], jobs: int) -> Iterator[Finding]:
         """Findings of cases, in the order in which they end; `jobs` run at once."""

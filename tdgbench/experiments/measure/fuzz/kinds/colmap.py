@@ -17,6 +17,7 @@ from tdgbench.experiments.measure.fuzz.damage import damage, edit
 from tdgbench.experiments.measure.fuzz.kinds.scene import SceneKind
 
 FLOATS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e300, -1e300, 1e-300, 1e9)
+NAMED = ("sparse/0", "COLMAP", "camera")  # an error about a model names one of these, a file or a view
 IDS = (0, 7, 2**31 - 1, 2**32 - 1)
 
 
@@ -30,7 +31,7 @@ class ColmapKind(SceneKind):
             if change is not None:
                 return change
         path = rng.choice(sorted(folder.iterdir()))
-        names = (path.name, "sparse", "COLMAP")
+        names = (path.name, *NAMED)
         how = rng.random()
         if how < 0.08:
             path.unlink()
@@ -64,7 +65,7 @@ class ColmapKind(SceneKind):
                 changed = copy.deepcopy(model)
         (text if (folder / "cameras.txt").exists() else binary).write(folder, changed)
         views = tuple(image.view for image in model.images)
-        return Change(f"field: {what}", ("cameras.", "images.", "points3D.", "frames.", "rigs.", "sparse", *views))
+        return Change(f"field: {what}", ("cameras.", "images.", "points3D.", "frames.", "rigs.", *NAMED, *views))
 
     def wrong_on_disk(self) -> str:
         try:
