@@ -47,13 +47,13 @@ def copy_scene(base: Path, folder: Path, thermal: str = "png8", model: str = "ol
 def _model() -> Model:
     """Cameras on an arc around points in a ball, with exact observations."""
     rng, (width, height) = np.random.default_rng(0), SIZE
-    camera = Camera(1, 1, width, height, [30.0, 30.5, width / 2, height / 2])
+    camera = Camera(1, 1, width, height, [40.0, 40.5, width / 2, height / 2])
     xyz = rng.normal(size=(POINTS, 3))
     xyz *= (rng.uniform(size=(POINTS, 1)) ** (1 / 3)) / np.linalg.norm(xyz, axis=1, keepdims=True)
     tracks: list[list[tuple[int, int]]] = [[] for _ in range(POINTS)]
     images = []
     for number in range(VIEWS):
-        angle = math.radians(25 * (number - VIEWS / 2))
+        angle = math.radians(40 * (number - VIEWS / 2))
         eye = np.array([3 * math.sin(angle), 0.3 * (number % 2), -3 * math.cos(angle)])
         forward = -eye / np.linalg.norm(eye)
         right = np.cross([0.0, 1.0, 0.0], forward)

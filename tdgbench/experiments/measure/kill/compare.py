@@ -47,26 +47,39 @@ def _content(record: Record) -> dict[str, object]:
 
 
 def different_files(calm: Path, killed: Path) -> list[str]:
-    """Files of cells, tables and report that differ in more than times.
+    """Files of cells, tables and report that are missing or differ in more than times.
 
-    Tables and reports are built again from copies whose records and logs have equal times.
+    If the cells agree, tables and reports are built again from copies whose records and logs have equal times.
     """
     with tempfile.TemporaryDirectory() as scratch:
         a, b = (_with_equal_times(one, Path(scratch, name, one.name)) for one, name in ((calm, "a"), (killed, "b")))
-        files = sorted({path.relative_to(one) for one in (a, b) for path in one.rglob("*") if path.is_file()})
-        files = [name for name in files if name.name != FILE]
-        lacking = [str(name) for one in (calm, killed) for name in files if not (one / name).is_file()]
-        return lacking + [str(name) for name in files if _bytes(a / name) != _bytes(b / name)]
+        different = _different(a, b)
+        if not different:
+            for one in (a, b):
+                write_report(one, build_tables(one))
+            different = _different(a, b)
+            different += [str(n) for n in _files(a) for one in (calm, killed) if not (one / n).is_file()]
+        return different
+
+
+def _different(a: Path, b: Path) -> list[str]:
+    """Files that differ or are only in one of two folders, but for records, whose content is compared."""
+    names = [name for name in sorted({*_files(a), *_files(b)}) if name.name != FILE]
+    return [str(name) for name in names if _bytes(a / name) != _bytes(b / name)]
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
 
 
 def _bytes(path: Path) -> bytes:
-    if path.suffix == ".html":
-        return PICTURE.sub("", path.read_text()).encode()
-    return path.read_bytes() if path.exists() else b""
+    if not path.exists():
+        return b""
+    return PICTURE.sub("", path.read_text()).encode() if path.suffix == ".html" else path.read_bytes()
 
 
 def _with_equal_times(experiment: Path, copy: Path) -> Path:
-    """A copy of an experiment's cells with all times set to one second, and tables and report of them."""
+    """A copy of an experiment's plan and cells, with all times set to one second."""
     shutil.copytree(experiment / "cells", copy / "cells")
     shutil.copy(experiment / "experiment.json", copy)
     for path in (copy / "cells").rglob(FILE):
@@ -82,6 +95,5 @@ def _with_equal_times(experiment: Path, copy: Path) -> Path:
         path.write_text(json.dumps(content))
     for path in (copy / "cells").rglob("log.csv"):
         log = pd.read_csv(path, dtype=str, keep_default_na=False)
-        log.assign(seconds="1").to_csv(path, index=False)
-    write_report(copy, build_tables(copy))
+        log.assign(**({"seconds": "1"} if "seconds" in log else {})).to_csv(path, index=False)
     return copy

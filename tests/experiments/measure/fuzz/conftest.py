@@ -11,6 +11,6 @@ from tdgbench.experiments.measure.fuzz.suite import Suite
 
 @pytest.fixture
 def suite(tmp_path) -> Suite:
-    """A suite without results, whose limits are soon reached."""
+    """A suite without results."""
     programs = Programs(tdgbench.__main__.main, tdgbench.verify.main)
-    return Suite(programs, tmp_path / "scratch", Limits(seconds=2, megabytes=2000), results=False)
+    return Suite(programs, tmp_path / "scratch", Limits(seconds=20, megabytes=1500), results=False)
