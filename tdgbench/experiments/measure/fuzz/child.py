@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 OUTPUT = "output.txt"  # what a child printed, in its folder
 MB = 2**20
-SPARE = 1024  # MB of private memory above the limit, which a process may reserve without using it
+SPARE = 6144  # MB of private memory above the limit, which may be reserved without being used
 
 
 class Limits(NamedTuple):
