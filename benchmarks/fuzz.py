@@ -14,13 +14,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import tdgbench.__main__
-import tdgbench.report.page
-import tdgbench.tables.command
-import tdgbench.verify
+from tdgbench.__main__ import main as tdgbench
 from tdgbench.experiments.measure.fuzz.case import Programs, find_kinds
 from tdgbench.experiments.measure.fuzz.report import counts, line
 from tdgbench.experiments.measure.fuzz.suite import Drawn, Suite, draw
+from tdgbench.tools import TOOLS
 
 
 def main() -> int:
@@ -36,7 +34,7 @@ def main() -> int:
     args = parser.parse_args()
     findings, end = [], time.monotonic() + 60 * args.minutes
     with tempfile.TemporaryDirectory() as scratch:
-        suite = Suite(Programs(tdgbench.__main__.main, tdgbench.verify.main), Path(scratch))
+        suite = Suite(Programs(tdgbench, TOOLS["verify"].run), Path(scratch))
         for finding in suite.run(_cases(args, end), args.jobs):
             findings.append(finding)
             if args.case is not None:
