@@ -1,8 +1,8 @@
 """`python -m benchmarks.killed`: end a sweep at random moments, resume it, compare with an undisturbed one.
 
 Signals end it, or a disk that is full from a random write on; finished sweeps are started anew until the kills are
-made. Exit status 1 if something finished was lost or ran twice, if bytes differ in more than times, if SIGINT and SIGTERM do
-not end with 130 and 143, or if something is left over.
+made. Exit status 1 if something finished was lost or ran twice, if bytes differ in more than times, if SIGINT and
+SIGTERM do not end with 130 and 143, or if something is left over.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ The parent has imported everything, so a child starts in milliseconds. It must n
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import resource
 import signal
@@ -77,6 +78,7 @@ def _be_the_child(work: Callable[[], int | str | None], folder: Path, limits: Li
     status = 1
     try:
         os.setsid()
+        faulthandler.disable()  # a crash is judged by its signal
         os.chdir(folder)
         out = os.open(OUTPUT, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for descriptor, source in ((0, os.open(os.devnull, os.O_RDONLY)), (1, out), (2, out)):
