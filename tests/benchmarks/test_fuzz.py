@@ -10,8 +10,8 @@ from tdgbench.experiments.measure.fuzz.case import find_kinds
 from tdgbench.experiments.measure.fuzz.suite import draw
 from tests.helpers.command import program_here
 
-FAST = {"colmap-old": 12, "colmap-new": 12, "colmap-text": 8, "images": 8, "temperature": 5, "depth": 5, "ply": 5}
-OTHERS = 2  # cases of each other kind: they run whole cells
+FAST = {"colmap-old": 10, "colmap-new": 10, "colmap-text": 6, "images": 8, "temperature": 5, "depth": 5, "ply": 5}
+OTHERS = 2  # cases of each other kind: most run whole cells
 
 
 def seeded_part():

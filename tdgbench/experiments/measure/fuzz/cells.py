@@ -14,6 +14,7 @@ from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
+from hydra.version import VersionBase
 
 from tdgbench.experiments.measure.fuzz.case import Programs
 from tdgbench.splats.cpu import pool
@@ -26,7 +27,10 @@ def command(programs: Programs, words: list[str]) -> int:
     sys.argv = ["tdgbench", *words]
     os.environ.update(TORCH_HOME="torch", COLUMNS="200")
     GlobalHydra.instance().clear()
-    return programs.tdgbench()
+    try:
+        return programs.tdgbench()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 1
 
 
 @contextlib.contextmanager
@@ -47,16 +51,15 @@ def as_a_process(folder: Path) -> Iterator[None]:
         os.environ.clear()
         os.environ.update(environment)
         pool.set_threads(None)
+        after = Singleton.get_state()["instances"]
+        hydra["instances"].update({kind: one for kind, one in after.items() if kind is VersionBase})  # set by imports
         Singleton.set_state(hydra)
         GlobalHydra.instance().clear()
 
 
 def command_and_verify(programs: Programs, words: list[str], experiment: str) -> int:
     """Exit status of `tdgbench`; what `tdgbench verify` says of its results goes to VERIFIED."""
-    try:
-        status = command(programs, words)
-    except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else 1
+    status = command(programs, words)
     if Path(experiment, "cells").is_dir():
         with Path("verify.txt").open("w") as out, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
             verified = programs.verify([experiment])

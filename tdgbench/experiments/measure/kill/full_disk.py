@@ -28,7 +28,7 @@ class FullDisk:
     def install(self) -> None:
         """Replace the functions that write, for the rest of the process."""
         builtins.open = io.open = self._opening(io.open)  # type: ignore[assignment]
-        os.fsync = self._flushing(os.fsync)
+        os.fsync = self._flushing(os.fsync)  # type: ignore[assignment]
         os.mkdir = self._placing(os.mkdir)
         os.replace = self._placing(os.replace)
         os.rename = self._placing(os.rename)
