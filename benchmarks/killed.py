@@ -1,7 +1,8 @@
-"""`python -m benchmarks.killed`: kill a sweep at random moments, resume it, compare with an undisturbed one.
+"""`python -m benchmarks.killed`: end a sweep at random moments, resume it, compare with an undisturbed one.
 
-The signal is SIGKILL. The sweep is the demo, or that of the given overrides. Exit status 1 if records, pictures or
-models differ in more than times, or if a finished cell ran twice.
+Signals end it, or a disk that is full from a random write on; finished sweeps are started anew until the kills are
+made. Exit status 1 if something finished was lost or ran twice, if bytes differ in more than times, if SIGINT and
+SIGTERM do not end with 130 and 143, or if something is left over.
 """
 
 from __future__ import annotations
@@ -12,36 +13,36 @@ import tempfile
 import time
 from pathlib import Path
 
-from tdgbench.bench.record import read_all
-from tdgbench.experiments.measure.kills import compare, run_killed, start_sweep
+from tdgbench.experiments.measure.kill.sweep import SIGNALS, Plan, Sweep, kill_many
+
+SMALL = (
+    "-m", "method=splat,tdg", "scene=orbit,turntable", "dataset.loader.width=32", "dataset.loader.height=24",
+    "dataset.loader.views=8", "dataset.loader.points=200", "prior=synthetic", "budget=demo", "budget.iterations=150",
+    "metrics.lpips.download=false", "checkpoint=0.2", "data.root=data",
+)  # fmt: skip
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.killed", description=__doc__)
-    parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--pause", type=float, nargs=2, default=(5.0, 30.0), help="shortest and longest, seconds")
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--signals", nargs="+", choices=SIGNALS, default=SIGNALS)
+    parser.add_argument("--full-disk", type=float, default=0.2, help="share of the kills that are a full disk")
     parser.add_argument("--seed", type=int, default=0, help="of the random moments")
-    parser.add_argument("--name", default="demo", help="name of the experiment's folder")
-    parser.add_argument("sweep", nargs="*", default=["+experiment=demo", "checkpoint=2"], help="Hydra overrides")
+    parser.add_argument("--name", default="single", help="name of the experiment's folder")
+    parser.add_argument("sweep", nargs="*", default=list(SMALL), help="Hydra overrides (default: four small cells)")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        calm, killed = Path(scratch) / "calm", Path(scratch) / "killed"
-        begin = time.perf_counter()
-        if start_sweep(args.sweep, calm).wait() != 0:
-            print(f"the undisturbed sweep fails:\n{(Path(scratch) / 'calm.log').read_text()[-2000:]}", file=sys.stderr)
-            return 1
-        print(f"undisturbed: {time.perf_counter() - begin:.0f} s, {len(read_all(calm / args.name))} cells")
-        kills, problems = run_killed(args.sweep, killed / args.name, args.kills, tuple(args.pause), args.seed)
-        problems += compare(calm / args.name, killed / args.name)
-        resumed = {record.title: record.resumed for record in read_all(killed / args.name) if record.resumed}
-    for kill in kills:
-        print(f"killed after {kill.seconds:.1f} s: {kill.finished} cells done, {kill.checkpoints} checkpoints")
-    for title, iterations in resumed.items():
-        print(f"{title}: resumed after iteration {', '.join(map(str, iterations))}")
-    for problem in problems:
+        sweep, begin = Sweep(args.sweep, args.name, Path(scratch)), time.monotonic()
+        calm = sweep.run_calm()
+        print(f"undisturbed: {calm.seconds:.1f} s, {calm.writes} writes", flush=True)
+        plan = Plan(args.kills, tuple(args.signals), args.full_disk, args.seed)
+        kills = kill_many(sweep, calm, plan, lambda kill: print(kill, flush=True))
+    good = sum(not kill.problems for kill in kills)
+    for problem in dict.fromkeys(f"{kill}: {problem}" for kill in kills for problem in kill.problems):
         print(f"problem: {problem}")
-    print(f"{len(problems)} problems" if problems else "same records, renders and models; no finished cell ran twice")
-    return bool(problems)
+    promise = "nothing lost, nothing run twice, same bytes, no leftovers"
+    print(f"{good} of {len(kills)} kills: {promise} ({time.monotonic() - begin:.0f} s)")
+    return int(good < len(kills))
 
 
 if __name__ == "__main__":

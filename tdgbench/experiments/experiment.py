@@ -18,7 +18,7 @@ from hydra.utils import get_class
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from tdgbench.bench.cell import EXPECTED_ERRORS
+from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
 from tdgbench.bench.plan import compose_jobs
 from tdgbench.bench.signature import Problem
@@ -135,7 +135,7 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
         return "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
-    if isinstance(error, (OptionError, OSError, *EXPECTED_ERRORS)):
+    if isinstance(error, (OSError, *EXPECTED_ERRORS)):
         return str(error)
     command = f" in: {' '.join(words)}" if words else ""
     return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"

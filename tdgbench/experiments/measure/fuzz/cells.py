@@ -1,0 +1,99 @@
+"""Run the command line in a child, verify what it wrote, and read it for the oracles."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.singleton import Singleton
+from hydra.version import VersionBase
+
+from tdgbench.experiments.measure.fuzz.case import Programs
+from tdgbench.splats.cpu import pool
+
+VERIFIED = "verified.json"
+
+
+def command(programs: Programs, words: list[str]) -> int:
+    """Exit status of `tdgbench` with these arguments."""
+    sys.argv = ["tdgbench", *words]
+    os.environ.update(TORCH_HOME="torch", COLUMNS="200")
+    GlobalHydra.instance().clear()
+    try:
+        return programs.tdgbench()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 1
+
+
+@contextlib.contextmanager
+def as_a_process(folder: Path) -> Iterator[None]:
+    """Run programs in this process, in a folder: what they change in the process is restored, their output is lost."""
+    root, hydra = logging.getLogger(), Singleton.get_state()
+    before = root.handlers[:], root.level, sys.argv, dict(os.environ)
+    try:
+        with (
+            contextlib.chdir(folder),
+            Path(os.devnull).open("w") as nowhere,
+            contextlib.redirect_stdout(nowhere),
+            contextlib.redirect_stderr(nowhere),
+        ):
+            yield
+    finally:
+        root.handlers[:], root.level, sys.argv, environment = before
+        os.environ.clear()
+        os.environ.update(environment)
+        pool.set_threads(None)
+        after = Singleton.get_state()["instances"]
+        hydra["instances"].update({kind: one for kind, one in after.items() if kind is VersionBase})  # set by imports
+        Singleton.set_state(hydra)
+        GlobalHydra.instance().clear()
+
+
+def command_and_verify(programs: Programs, words: list[str], experiment: str) -> int:
+    """Exit status of `tdgbench`; what `tdgbench verify` says of its results goes to VERIFIED."""
+    status = command(programs, words)
+    if Path(experiment, "cells").is_dir():
+        with Path("verify.txt").open("w") as out, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+            verified = programs.verify([experiment])
+        Path(VERIFIED).write_text(json.dumps({"status": verified, "said": Path("verify.txt").read_text()}))
+    return status
+
+
+def unverified(folder: Path) -> str:
+    """What verification objects to; empty if it says 0 problems."""
+    try:
+        verified = json.loads((folder / VERIFIED).read_text())
+    except FileNotFoundError:
+        return "nothing was written that could be verified"
+    return "" if verified["status"] == 0 else f"verification: {verified['said'].strip()}"
+
+
+def records(experiment: Path) -> list[dict[str, Any]]:
+    """The records of an experiment that are JSON objects."""
+    found = []
+    for path in sorted((experiment / "cells").rglob("record.json")):
+        with contextlib.suppress(OSError, ValueError):
+            content = json.loads(path.read_text())
+            if isinstance(content, dict) and not any(p.startswith(".") for p in path.relative_to(experiment).parts):
+                found.append(content)
+    return found
+
+
+def outputs_lost(experiment: Path, scene: str) -> str:
+    """Which of the outputs of a sweep is missing: the finished cell of a good scene, the table, the report."""
+    if not any(one.get("scene") == scene and one.get("status") == "ok" for one in records(experiment)):
+        return f"the cell of {scene} is not there"
+    table, report = experiment / "tables" / "main.csv", experiment / "report.html"
+    if not table.is_file() or not report.is_file():
+        return "tables or report are not there"
+    with table.open(newline="") as file:
+        scenes = {row["scene"] for row in csv.DictReader(file)}
+    return "" if scene in scenes else f"the table lacks {scene}"

@@ -1,0 +1,1 @@
+"""COLMAP models for the fuzzing suite: strict readers, writers and checks that share no code with the loaders."""

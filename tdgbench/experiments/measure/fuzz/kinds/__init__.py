@@ -1,0 +1,1 @@
+"""The kinds of inputs: one or more classes per file, found by the folder."""

@@ -1,0 +1,107 @@
+"""Names of scenes, views, experiments and folders, as people and file systems give them."""
+
+from __future__ import annotations
+
+import csv
+import random
+from pathlib import Path
+from typing import ClassVar
+
+from tdgbench.experiments.measure.fuzz import cells
+from tdgbench.experiments.measure.fuzz.case import Change, Kind, Programs
+from tdgbench.experiments.measure.fuzz.colmap import binary
+from tdgbench.experiments.measure.fuzz.inputs import CELL, copy_scene
+
+ORDINARY = ("1", "2", "2024", "a b", "a_b", "a-b", "A B", "Truck", "ä", "日本")  # an error is no answer to these
+NAMES = (
+    *ORDINARY, "007", "null", "true", "nan", "1e5", "0x1", "None", "average", "Average", "CON", "-x", "~", " lead",
+    "trail ", "a,b", "a=b", "a:b", "a;b", "(a)", "{a}", "a\\b", "*", "?", "'", '"', "$x", "${x}", "_", "%", "50%", "#",
+    "&", "=1+1", "+1", "@x", "[red]", "[/red]", "<script>x</script>", ".hidden", "...", "a\nb", "a\tb", "\x1b[31m",
+    "\u202eabc", "e\u0301", "\u00e9", "a" * 250,
+)  # fmt: skip
+TEX = set("%$_&#{}~^\\")
+
+
+class SceneNames(Kind):
+    """A sweep over two scenes whose folders have unusual names."""
+
+    name: ClassVar[str] = "names"
+    share = 4
+
+    def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
+        super().__init__(base, folder, rng)
+        self.scenes, self.experiment, self.results = ["plain", "other"], "single", "out"
+        self.views: dict[str, str] = {}
+        self.words = self._words()
+
+    def mutate(self, rng: random.Random) -> Change:
+        change = self._rename(rng)
+        self.words = self._words()
+        return change
+
+    def _rename(self, rng: random.Random) -> Change:
+        name, what = rng.choice(NAMES), rng.random()
+        names = (name, repr(name)[1:-1], name.split("\n")[0] or name)
+        if what < 0.6:
+            index = rng.randrange(2)
+            if name in self.scenes:
+                return Change("nothing", names)
+            self.scenes[index] = name
+            return Change(f"scene {name!r}", (*names, "scene"))
+        if what < 0.75:
+            self.experiment = name
+            return Change(f"name={name!r}", (*names, "name"))
+        if what < 0.85:
+            self.results = name
+            return Change(f"results={name!r}", (*names, "results"))
+        self.views[rng.choice(("view000", "view001", "view002"))] = name
+        return Change(f"view {name!r}", (*names, "view"))
+
+    def run(self, programs: Programs) -> int:
+        for scene in self.scenes:
+            copy_scene(self.base, Path("data", scene))
+            self._rename_views(Path("data", scene))
+        return cells.command_and_verify(programs, list(self.words), f"{self.results}/{self.experiment}")
+
+    def _words(self) -> list[str]:
+        """The arguments, quoted as Hydra wants it."""
+        scenes, name, results = map(quoted, self.scenes), quoted(self.experiment), quoted(self.results)
+        words = [word for word in CELL if not word.startswith("results=")]
+        return ["-m", *words, "method=splat", f"scene={','.join(scenes)}", f"name={name}", f"results={results}"]
+
+    def _rename_views(self, scene: Path) -> None:
+        model = binary.read(scene / "sparse" / "0")
+        for old, new in self.views.items():
+            for path in (scene / "thermal" / f"{old}.png", scene / "rgb" / f"{old}.jpg"):
+                path.rename(path.with_name(f"{new}{path.suffix}"))
+            for image in model.images:
+                if image.view == old:
+                    image.name = f"{new}.png"
+        binary.write(scene / "sparse" / "0", model)
+
+    def wrong(self) -> str:
+        experiment = self.folder / self.results / self.experiment
+        done = sorted(str(one.get("scene")) for one in cells.records(experiment) if one.get("status") == "ok")
+        if done != sorted(self.scenes):
+            return f"records of {done} for scenes {sorted(self.scenes)}"
+        return cells.unverified(self.folder) or _wrong_outputs(experiment, self.scenes)
+
+
+def _wrong_outputs(experiment: Path, scenes: list[str]) -> str:
+    """Names that a table or the report shows wrongly, or that another program would run."""
+    if "<script>x</script>" in (experiment / "report.html").read_text():
+        return "the report holds a script"
+    with (experiment / "tables" / "main.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    if any(str(value).startswith(("=", "+", "@")) for row in rows for value in row.values()):
+        return "main.csv holds a formula"
+    if sum(row["scene"] not in ("Average", "Overall") for row in rows) % len(scenes):
+        return "main.csv has rows of other scenes"
+    tex = "".join(path.read_text() for path in (experiment / "tables").glob("*.tex"))
+    raw = [scene for scene in scenes if TEX & set(scene) and scene in tex and len(scene) > 1]
+    return f"LaTeX tables hold {raw[0]!r}" if raw else ""
+
+
+def quoted(name: str) -> str:
+    """A value in Hydra's quotes."""
+    return "'" + name.replace("\\'", "\\\\'").replace("'", "\\'") + "'"

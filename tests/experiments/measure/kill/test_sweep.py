@@ -1,0 +1,22 @@
+"""A sweep that is ended several times and resumed ends with the bytes of an undisturbed one."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.killed import SMALL
+from tdgbench.experiments.measure.kill.sweep import Plan, Sweep, kill_many
+
+
+def test_killed_and_resumed(tmp_path):
+    words = [word for word in SMALL if not word.startswith(("method=", "scene="))]
+    sweep = Sweep([*words, "method=tdg", "scene=turntable"], "single", tmp_path)
+    kills = kill_many(sweep, sweep.run_calm(), Plan(3, ("SIGKILL", "SIGTERM"), full_disk=0.4, seed=4))
+    assert [kill.problems for kill in kills] == [[], [], []], kills
+
+
+@pytest.mark.slow
+def test_a_longer_sweep(tmp_path):
+    sweep = Sweep(list(SMALL), "single", tmp_path)
+    kills = kill_many(sweep, sweep.run_calm(), Plan(10))
+    assert not any(kill.problems for kill in kills), kills
