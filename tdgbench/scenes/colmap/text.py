@@ -6,13 +6,14 @@ COLMAP ends every line, so a file with its header and an unfinished last line is
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from pathlib import Path
 
 import numpy as np
 
 from tdgbench.scenes.colmap.tables import (
     NO_POINT,
+    REMEDY,
     SENSORS,
     CameraEntry,
     DamagedModelError,
@@ -29,6 +30,8 @@ from tdgbench.scenes.inputs import read_bytes
 
 NEWLINE = b"\n"
 HEADER = b"# Number of "  # COLMAP's, not that of other writers
+COUNTED = re.compile(HEADER + rb"\w+: (\d{1,18})\b")
+HEADER_SIZE = 1000  # bytes at a file's beginning that hold it
 MAX_ID = 2**32 - 1
 NUMBERS = re.compile(r"[-+0-9.eE\s]*")
 NO_POINT_WORD = str(NO_POINT)
@@ -102,7 +105,7 @@ class _Line:
 def _text_lines(path: Path) -> list[str]:
     """Lines of a whole file. Raises SceneError if it is cut or not UTF-8."""
     raw = read_bytes(path)
-    if HEADER in raw[:1000] and not raw.endswith(NEWLINE):
+    if HEADER in raw[:HEADER_SIZE] and not raw.endswith(NEWLINE):
         raise DamagedModelError(path, f"its last line, {raw.count(NEWLINE) + 1}, has no end")
     try:
         return raw.decode().split("\n")
@@ -119,6 +122,17 @@ def _lines(path: Path) -> Iterator[_Line]:
             yield line
 
 
+def _complete(path: Path, rows: Sized) -> None:
+    """Raise DamagedModelError if COLMAP's header counts more rows: a file that is cut between two rows."""
+    counted = COUNTED.search(read_bytes(path)[:HEADER_SIZE])
+    if counted is not None and int(counted[1]) > len(rows):
+        raise DamagedModelError(
+            path,
+            f"its header counts {int(counted[1])} rows, but it has {len(rows)}",
+            f"{REMEDY}; if rows were removed on purpose, correct the header",
+        )
+
+
 def read_cameras(path: Path) -> list[CameraEntry]:
     """Rows of cameras.txt. Raises SceneError."""
     sizes, found = dict(camera_models().values()), []
@@ -129,6 +143,7 @@ def read_cameras(path: Path) -> list[CameraEntry]:
         width, height = line.integers(2, 2**64 - 1)
         found.append(CameraEntry(camera_id, model, width, height, tuple(line.floats(sizes[model]))))
         line.end()
+    _complete(path, found)
     return found
 
 
@@ -147,6 +162,7 @@ def read_images(path: Path) -> list[ImageEntry]:
         points = _Line(path, at + 1, lines[at] if at < len(lines) else "")
         at += 1
         found.append(ImageEntry(image_id, pose, camera_id, name, *_points2D(points)))
+    _complete(path, found)
     return found
 
 
@@ -185,6 +201,7 @@ def read_points(path: Path) -> Points:
             raise line.damaged(f"is no point: {error}") from error
         if count % 2 or not line.is_plain:
             raise line.damaged(f"has {count} words; a point has 8 numbers and 2 for each image of its track")
+    _complete(path, ids)
     try:
         return Points(
             np.array(ids, np.uint64),
@@ -214,6 +231,7 @@ def read_rigs(path: Path) -> list[Rig]:
             raise line.damaged(f"counts {count} sensors, but has {len(sensors)}")
         line.end()
         found.append(Rig(rig_id, sensors))
+    _complete(path, found)
     return found
 
 
@@ -226,4 +244,5 @@ def read_frames(path: Path) -> list[Frame]:
             raise line.damaged(f"counts {count} data ids, but has {line.left() / 3:g}")
         data = [(line.sensor(), line.integer(2**64 - 1)) for _ in range(count)]
         found.append(Frame(frame_id, rig_id, pose, data))
+    _complete(path, found)
     return found

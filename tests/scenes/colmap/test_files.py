@@ -116,6 +116,15 @@ def test_cut_text_files(models, tmp_path, name):
             read_model(folder)
 
 
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "points3D.txt", "rigs.txt", "frames.txt"])
+def test_text_files_cut_between_two_rows(models, tmp_path, name):
+    folder = copied(models["txt"], tmp_path / "model")
+    rows = (folder / name).read_text().splitlines(keepends=True)
+    (folder / name).write_text("".join(rows[: -2 if name == "images.txt" else -1]))
+    with pytest.raises(SceneError, match=rf"{name} is damaged: its header counts \d+ rows, but it has \d+; copy"):
+        read_model(folder)
+
+
 @seed(0)
 @settings(
     max_examples=300, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
