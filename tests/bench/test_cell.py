@@ -154,7 +154,7 @@ def test_missing_scenes_write_nothing(run, tmp_path):
 
 
 def test_wrong_option_is_an_error(run):
-    with pytest.raises(ValueError, match="overwrite is 'maybe'"):
+    with pytest.raises(ValueError, match="overwrite=maybe: must be only-missing, always or never"):
         run("overwrite=maybe")
 
 
