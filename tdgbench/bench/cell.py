@@ -16,7 +16,7 @@ from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
-from tdgbench.bench.options import check_options
+from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
 from tdgbench.bench.run import CellRun
@@ -49,7 +49,6 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     """
     run, held = None, ExitStack()
     try:
-        check_options(cfg)
         record = _record_of(cfg, variant)
         run = CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
         progress.begin(record.title)
@@ -64,7 +63,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
 
 
 def _record_of(cfg: DictConfig, variant: str) -> Record:
-    """The record of a cell before its scene is known."""
+    """The record of a cell before its scene is known. Raises OptionError if the options name no cell."""
+    check_names(cfg)
     method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
     return Record(method, "", scene, init, int(cfg.seed), experiment, variant)
 
@@ -81,6 +81,7 @@ def _title(cfg: DictConfig, run: CellRun | None) -> str:
 def _run(run: CellRun, held: ExitStack) -> Outcome:
     """Run a cell if it has to; locks are in `held` at the end."""
     cfg, record = run.cfg, run.record
+    check_options(cfg)
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record.environment = describe_environment()

@@ -18,6 +18,7 @@ from tdgbench.training.skips.registry import find_skips
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
 LONGEST_NAME = 120  # bytes
 MOST_THREADS = 1024
+OF_THE_CELL = ("name", "results", "scene", "seed", "method", "method.name", "init", "init.name")  # name its folder
 EXPERIMENT = "job"  # its class checks the options beside `_target_`
 
 
@@ -43,6 +44,15 @@ def check_options(cfg: DictConfig) -> None:
         first.setdefault(name, problem._replace(option=name))
     if first:
         raise OptionError(list(first.values()))
+
+
+def check_names(cfg: DictConfig) -> None:
+    """Check the options that name a cell: without them its result has no place. Raises OptionError."""
+    problems: list[Problem] = []
+    problems += _model_problems(_resolved(cfg, "", problems))
+    of_the_cell = [problem for problem in problems if problem.option in OF_THE_CELL]
+    if of_the_cell:
+        raise OptionError(of_the_cell)
 
 
 def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> None:

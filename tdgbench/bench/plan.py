@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
-from pydantic import TypeAdapter
+from pydantic import ConfigDict, TypeAdapter
 
 from tdgbench.files import write_text
 
@@ -25,6 +25,8 @@ IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's 
 @dataclass
 class Plan:
     """Kind of table; scenes, methods and inits of the sweep; other keys with several values."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     table: str = "main"
     scenes: list[dict[str, str]] = field(default_factory=list)  # scene, dataset, group

@@ -159,7 +159,7 @@ def test_missing_scenes_write_nothing(run, tmp_path):
 
 def test_a_wrong_option_fails_its_cell(run):
     outcome = run("overwrite=maybe")
-    assert outcome.status == "failed" and "overwrite is 'maybe'" in outcome.message
+    assert outcome.status == "failed" and "overwrite=maybe: must be only-missing, always or never" in outcome.message
 
 
 def test_a_cell_that_another_process_runs_is_not_run(run, tmp_path):

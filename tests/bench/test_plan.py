@@ -1,6 +1,7 @@
+import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.bench.plan import Plan, read_plan, swept
+from tdgbench.bench.plan import FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
 
 
 def test_round_trip(tmp_path):
@@ -26,3 +27,23 @@ def test_swept_keys_and_values():
     assert swept(config(params, [])) == {"scene": ["a", "b"], "method": ["tdg", "msmg"]}
     assert swept(config(params, ["method=tdg", "seed=range(0,3)"])) == {"scene": ["a", "b"], "seed": ["0", "1", "2"]}
     assert swept(config(None, ["method=tdg"])) == {}
+
+
+def test_values_are_the_texts_that_the_cells_see():
+    """A quoted scene had a row of its own in the tables, without a result."""
+    overrides = ["scene='a b','c,d',1,'1.10'", "seed=1,2"]
+    assert swept(config(None, overrides)) == {"scene": ["a b", "c,d", "1", "1.10"], "seed": ["1", "2"]}
+    assert number_of_jobs(config(None, overrides)) == 8 and number_of_jobs(config(None, [])) == 1
+    assert number_of_jobs(config(None, ["seed=interval(0,9)"])) is None
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"scenes": 3}', '{"colour": "red"}'])
+def test_a_broken_plan_is_named(tmp_path, content):
+    (tmp_path / FILE).write_text(content, encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"{FILE} is not the plan of a sweep \(.*run the sweep again"):
+        read_plan(tmp_path)
+
+
+def test_a_job_without_its_plan_does_not_run(tmp_path):
+    with pytest.raises(ValueError, match=f"{FILE} is missing"):
+        plan_of_job(tmp_path)

@@ -65,7 +65,7 @@ def test_a_single_run(squares):
 
 def test_a_sweep_and_a_failing_end(squares):
     run = squares("seed=5,6", "job.fails=true", flags=("-m",))
-    assert run.returncode == 1 and "error: RuntimeError: no conclusion" in run.stdout
+    assert run.returncode == 1 and "error: RuntimeError: no conclusion" in run.stderr
     assert squares.log.read_text().splitlines() == ["start [1, 2]", "run [1, 4] seed 5", "run [1, 4] seed 6", "end 2"]
 
 

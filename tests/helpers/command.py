@@ -18,6 +18,7 @@ import torch
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
 
+import tdgbench.command
 from tdgbench.__main__ import main
 from tdgbench.splats.cpu import pool
 from tests.helpers.paths import ROOT

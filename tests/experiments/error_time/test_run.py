@@ -25,5 +25,5 @@ def test_tables_and_pictures(tmp_path, data_root, capsys):
 
 
 def test_a_part_that_does_not_exist_is_named(tmp_path):
-    with pytest.raises(ValueError, match="there is no speed; there are kernels, training, growth"):
+    with pytest.raises(ValueError, match=r"job\.parts\[0\]=speed: must be kernels, training or growth"):
         ErrorTime().run(config("+experiment=error_time", f"results={tmp_path}", "job.parts=[speed]"))

@@ -1,10 +1,16 @@
+from __future__ import annotations
+
 import json
 
 import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.cell import Outcome
+from tdgbench.bench.plan import Plan
+from tdgbench.bench.record import read_all
 from tdgbench.experiments.sweep.job import OUTCOME, read_outcomes, worker_threads
+from tests.helpers.command import command_here
+from tests.helpers.configs import QUICK
 
 
 def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
@@ -22,3 +28,43 @@ def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
 )  # fmt: skip
 def test_workers_share_the_cores(launcher, threads):
     assert worker_threads(OmegaConf.create(launcher), 8) == threads
+
+
+def test_a_job_without_a_readable_outcome_has_failed(tmp_path):
+    for number, content in enumerate(
+        ("{", json.dumps({"status": "ok", "title": "b", "message": ""}), '{"status": "good"}')
+    ):
+        (tmp_path / str(number)).mkdir()
+        (tmp_path / str(number) / OUTCOME).write_text(content, encoding="utf-8")
+    outcomes = read_outcomes(tmp_path, jobs=4)
+    assert [outcome.status for outcome in outcomes] == ["failed", "ok", "failed", "failed"]
+    assert "outcome.json is no outcome" in outcomes[0].message and "left no outcome" in outcomes[3].message
+    assert [outcome.status for outcome in read_outcomes(tmp_path / "nothing", jobs=1)] == ["failed"]
+
+
+@pytest.mark.parametrize(
+    ("swept", "wrong"),
+    [("seed=0,abc,1", "seed=abc: must be a whole number"), ("method.method.weight=1,inf,0.5", "weight=inf: must be")],
+)  # fmt: skip
+def test_a_job_that_describes_no_cell_fails_alone(tmp_path, data_root, swept, wrong):
+    run = command_here(tmp_path, "-m", "method=splat", "scene=turntable", f"data.root={data_root}", *QUICK, swept)
+    assert run.returncode == 1 and "2 cells run, 0 already there, 1 failed" in run.stdout, run.stderr[-3000:]
+    assert "failed: " in run.stdout and wrong in run.stdout
+    assert len(read_all(tmp_path / "results" / "single")) == 2
+    assert (tmp_path / "results" / "single" / "report.html").exists()
+
+
+def test_a_plan_that_another_sweep_replaces_does_not_merge_cells(tmp_path, data_root, monkeypatch):
+    """Two sweeps in one folder: the jobs of one keep to its own plan."""
+    write = Plan.write
+
+    def write_and_lose(self, folder):
+        write(self, folder)
+        if folder.name == "single":
+            (folder / "experiment.json").write_text("{", encoding="utf-8")
+
+    monkeypatch.setattr(Plan, "write", write_and_lose)
+    sweep = ("budget.iterations=4,6", "method=splat", "scene=turntable", f"data.root={data_root}")
+    run = command_here(tmp_path, "-m", *QUICK, *sweep)
+    assert "2 cells run" in run.stdout and "experiment.json is not the plan of a sweep" in run.stdout
+    assert len(read_all(tmp_path / "results" / "single")) == 2

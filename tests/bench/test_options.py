@@ -1,0 +1,132 @@
+"""Every option is checked where it enters; the message names it as it is typed."""
+
+from __future__ import annotations
+
+import pytest
+from omegaconf import OmegaConf
+
+from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
+from tdgbench.experiments.error_time.run import ErrorTimeOptions
+from tdgbench.experiments.experiment import experiment_of
+from tests.helpers.configs import config
+from tests.helpers.paths import ROOT
+
+GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "log")
+EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
+WRONG = [
+    ("data.width=0", "data.width=0: must be at least 1"),
+    ("data.channels=2", "data.channels=2: must be auto, 1 or 3"),
+    ("data.split=thirds", "data.split=thirds: must be eighty_twenty, every_8th or folder"),
+    ("data.skip_unpaired=maybe", "data.skip_unpaired=maybe: must be true or false"),
+    ("+data.depth=1", "data.depth=1: is no option"),
+    ("+colour=red", "colour=red: is no option"),
+    ("seed=-1", "seed=-1: must be at least 0"),
+    ("seed=abc", "seed=abc: must be a whole number"),
+    ("seed=9223372036854775808", "seed=9223372036854775808: must be below 9223372036854775808"),
+    ("overwrite=maybe", "overwrite=maybe: must be only-missing, always or never"),
+    ("retry_failed=maybe", "retry_failed=maybe: must be true or false"),
+    ("checkpoint=-1", "checkpoint=-1: must be at least 0"),
+    ("checkpoint=inf", "checkpoint=inf: must be finite"),
+    ("threads=0", "threads=0: must be at least 1"),
+    ("table=big", "table=big: must be main, ablation or readings"),
+    ("backend.name=gpu", "backend.name=gpu: must be auto, cpu, cuda or reference"),
+    ("budget.iterations=0", "budget.iterations=0: must be at least 1"),
+    ("budget.iterations=12.5", "budget.iterations=12.5: must be a whole number"),
+    ("budget.iterations=nan", "budget.iterations=nan: must be a whole number"),
+    ("budget.iterations=???", "budget.iterations: is missing; set it with budget.iterations=VALUE"),
+    ("budget.sh_every=0", "budget.sh_every=0: must be at least 1"),
+    ("budget.sh_degree=4", "budget.sh_degree=4: must be at most 3"),
+    ("budget.rates.opacity=nan", "budget.rates.opacity=nan: must be finite"),
+    ("budget.rates.position_final=0", "budget.rates.position_final=0: must be above 0"),
+    ("budget.density.every=0", "budget.density.every=0: must be at least 1"),
+    ("budget.plateau.gain=-0.1", "budget.plateau.gain=-0.1: must be at least 0"),
+    ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
+    ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
+    ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),
+    ("skip.gray=3", "skip.gray=3: must be true or false"),
+    ("+skip.night=true", "skip: there is no skip night; there are gray, rgb"),
+    ("method.method.lambda_depth=inf", "method.method.lambda_depth=inf: must be finite"),
+    ("method.method.lambda_ssim=1.5", "method.method.lambda_ssim=1.5: must be at most 1"),
+    ("method.method.depth=printed", "method.method.depth=printed: must be written or released"),
+    ("method.method.decay=cubic", "method.method.decay=cubic: must be linear or switch"),
+    ("~method.method.smooth", "method.method.smooth: is missing"),
+    ("+method.method.speed=1", "method.method.speed=1: is no option; there are lambda_ssim, lambda_smooth"),
+    ("method.method._target_=no_such.Class", "method.method._target_=no_such.Class: cannot be imported"),
+    ("prior.estimator.edge=0", "prior.estimator.edge=0: must be above 0"),
+    ("dataset.loader.views=0", "dataset.loader.views=0: must be at least 2"),
+    ("data.root=${nowhere}", "data.root: Interpolation key 'nowhere' not found"),
+    ("name=''", "name='': must be the name of one folder"),
+    ("name=a/b", "name=a/b: must be the name of one folder"),
+    ("name=../x", "name=../x: must be the name of one folder"),
+    ("name=.x", "name=.x: must be the name of one folder"),
+    ("name=1e3", "name=1000.0: must be text; put it in quotes"),
+    ("scene=1.10", "scene=1.1: must be text; put it in quotes"),
+]
+
+
+def error_of(*overrides: str) -> str:
+    """Message of the error of a configuration."""
+    with pytest.raises(OptionError) as caught:
+        check_options(config(*overrides))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("override", "message"), WRONG)
+def test_an_option_that_is_not_allowed(override, message):
+    error = error_of(override)
+    assert error.startswith(message) and "\n" not in error and error.count(": ") <= 3
+
+
+def test_all_problems_are_in_one_message_once():
+    error = error_of("data.width=0", "seed=-1", "method.method.lambda_ssim=nan")
+    assert sorted(error.split("; ")) == [
+        "data.width=0: must be at least 1",
+        "method.method.lambda_ssim=nan: must be finite",
+        "seed=-1: must be at least 0",
+    ]
+
+
+@pytest.mark.parametrize("number", range(7))
+def test_every_choice_of_every_group_is_allowed(number):
+    choices = {group: sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml")) for group in GROUPS}
+    assert max(map(len, choices.values())) == 7
+    check_options(config(*(f"{group}={found[number % len(found)]}" for group, found in choices.items())))
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_options_of_every_experiment_are_allowed(name):
+    cfg = config(f"+experiment={name}")
+    experiment_of(cfg).check(cfg)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("job.repetitions=0", "job.repetitions=0: must be at least 1"),
+        ("job.parts=[speed]", "job.parts[0]=speed: must be kernels, training or growth"),
+        ("job.runs=[{label: a, method: tdg, share: inf}]", "job.runs[0].share=inf: must be finite"),
+        ("+job.speed=1", "job.speed=1: is no option; there are methods, parts"),
+    ],
+)
+def test_an_option_of_an_experiment_that_is_not_allowed(override, message):
+    with pytest.raises(OptionError) as caught:
+        check_experiment_options(config("+experiment=error_time", override), ErrorTimeOptions)
+    assert str(caught.value).startswith(message)
+
+
+def test_names_may_be_whole_numbers():
+    cfg = names_to_text(config("name=2024", "scene=1", "results=7", "data.root=3"))
+    assert (cfg.name, cfg.scene, cfg.results, cfg.data.root) == ("2024", "1", "7", "3")
+    check_options(cfg)
+
+
+def test_parameters_of_a_plug_in_without_annotations_must_be_finite(tmp_path, monkeypatch):
+    code = "class Mine:\n    def __init__(self, weight, other=()):\n        pass\n"
+    (tmp_path / "mine_without.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    cfg = config()
+    OmegaConf.update(cfg, "method.method", {"_target_": "mine_without.Mine", "weight": 1.0}, merge=False)
+    check_options(cfg)
+    OmegaConf.update(cfg, "method.method.weight", [1.0, float("nan")])
+    with pytest.raises(OptionError, match=r"method\.method\.weight\[1\]=nan: must be finite"):
+        check_options(cfg)

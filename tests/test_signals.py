@@ -1,0 +1,84 @@
+"""Ctrl-C and SIGTERM end a run in one line that says what is kept; its locks are free, and it can go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+from tests.helpers.configs import QUICK
+from tests.helpers.paths import ROOT
+
+LONG = (*QUICK, "budget.iterations=1000000", "skip.plateau=false", "checkpoint=0.2", "method=splat", "scene=turntable")
+
+
+def started(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
+    """A run in a new session, as a shell starts it."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TORCH_HOME": str(tmp_path / "torch")}
+    return subprocess.Popen(
+        [sys.executable, "-m", "tdgbench", *words], cwd=tmp_path, env=environment, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def wait_for_checkpoint(run: subprocess.Popen[str], folder: Path) -> None:
+    for _ in range(600):
+        if list((folder / "checkpoints").glob("[!.]*.pt")) or run.poll() is not None:
+            return
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
+)
+def test_a_signal_ends_a_run_in_one_line(tmp_path, data_root, number, status):
+    run = started(tmp_path, *LONG, f"data.root={data_root}")
+    try:
+        wait_for_checkpoint(run, tmp_path / "results" / "single")
+        run.send_signal(number)
+        out, err = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert run.returncode == status and out == ""
+    lines = err.splitlines()
+    kept = "results/single keeps 0 finished cells and a checkpoint of "
+    assert len(lines) == 1 and lines[0].startswith(f"interrupted by {number.name}; {kept}")
+    with FileLock(next((tmp_path / "results" / "single" / "locks").glob("*.lock")), timeout=0):
+        pass
+
+
+def test_a_signal_during_the_start(tmp_path):
+    run = started(tmp_path, *LONG)
+    time.sleep(0.8)
+    run.send_signal(signal.SIGTERM)
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 143 and err.startswith("interrupted by SIGTERM") and len(err.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, status):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1")
+    run = started(tmp_path, "-m", *LONG, f"data.root={data_root}", *joblib)
+    try:
+        wait_for_checkpoint(run, tmp_path / "results" / "single")
+        run.send_signal(number)
+        _, err = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert run.returncode == status and len(err.splitlines()) == 1
+    time.sleep(1)
+    assert not _of_session(run.pid)
+
+
+def _of_session(session: int) -> list[str]:
+    """Processes of a session that still run."""
+    listed = subprocess.run(["ps", "-eo", "sid=,stat=,args="], capture_output=True, text=True).stdout.splitlines()
+    return [line for line in listed if line.split()[0] == str(session) and not line.split()[1].startswith("Z")]
