@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from tdgbench.bench.reading import read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene
 
@@ -24,8 +25,8 @@ def write_cameras(path: Path, scene: Scene) -> None:
 def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
     """Read the cameras of one part, by view name. Raises ValueError, naming the file, if it holds anything else."""
     try:
-        return {name: _from_json(one) for name, one in json.loads(path.read_text(encoding="utf-8"))[part].items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return {name: _from_json(one) for name, one in json.loads(read_text(path))[part].items()}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise ValueError(f"{path} holds no cameras: {error!r}") from error
 
 

@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tdgbench.scenes.inputs import KINDS
+from tdgbench.scenes.validate import MAX_PIXELS
+
 MAX_TEXT = 64 * 2**20  # bytes of a record, a table or a list of cameras
-MAX_PIXELS = 2**25  # of a picture or a camera
-KINDS = {
-    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}  # fmt: skip
 
 
 def check_regular(path: Path) -> int:

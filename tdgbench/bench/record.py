@@ -237,7 +237,8 @@ def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
 
 def record_files(experiment: Path) -> list[Path]:
     """Paths of the records below <experiment>/cells, sorted, hidden folders excepted."""
-    paths = sorted((experiment / "cells").rglob(FILE))
+    paths = sorted((experiment / "cells").rglob("*.json"))  # with a wildcard, broken links are listed as well
+    paths = [path for path in paths if path.name == FILE]
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(experiment).parts)]
 
 

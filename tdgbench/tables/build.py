@@ -152,7 +152,7 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
     for init in sorted({*INITS, *inits}, key=lambda name: (not name.startswith("random"), name)):
         rows = with_averages(scene_rows(records, plan, init))
         rows = rows.merge(over_seeds([r for r in records if r.init == init], plan, init), on=KEYS, how="left")
-        origins = dict.fromkeys(r.init_points["how"] for r in records if r.init == init and "how" in r.init_points)
+        origins = dict.fromkeys(str(r.init_points["how"]) for r in records if r.init == init and "how" in r.init_points)
         datasets = set(rows["dataset"]) - {""}
         chosen = rows[rows["scene"] == (OVERALL if len(datasets) > 1 else AVERAGE)]
         parts.append(chosen[chosen["metric"].isin(ABLATION)].assign(init=init, points="; ".join(origins)))

@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import numpy as np
-
 from tdgbench.bench import cameras
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import MAX_PIXELS, read_table, read_text
+from tdgbench.bench.reading import read_table, read_text
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import finite_number
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, SceneError
+from tdgbench.scenes.validate import check_camera
 from tdgbench.text import shortened
 
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
@@ -61,18 +60,17 @@ def read_cell(folder: Path) -> StoredCell:
 
 
 def read_all_cameras(folder: Path) -> Cameras:
-    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be rendered."""
+    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be right."""
     path = folder / cameras.FILE
     read_text(path)
     found: Cameras = {"train": cameras.read_cameras(path, "train"), "test": cameras.read_cameras(path, "test")}
     for name, camera in [*found["train"].items(), *found["test"].items()]:
         if Path(name).name != name or "\0" in name:
             raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
-        finite = np.isfinite(camera.K).all() and np.isfinite(camera.world_to_camera).all()
-        if not finite or min(camera.K[0, 0], camera.K[1, 1]) <= 0:
-            raise ValueError(f"the camera of {name} has numbers that are not finite, or a focal length below 0")
-        if not (camera.width > 0 and camera.height > 0 and camera.width * camera.height <= MAX_PIXELS):
-            raise ValueError(f"the camera of {name} has {camera.width}×{camera.height} px")
+        try:
+            check_camera(camera, f"the camera of {name}")
+        except SceneError as error:
+            raise ValueError(str(error)) from error
     return found
 
 
