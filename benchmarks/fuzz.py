@@ -41,6 +41,7 @@ def main() -> int:
                 print(finding.ran.output)
             if finding.broke or args.all or args.case is not None:
                 print(line(finding), flush=True)
+        findings = [suite.confirm(finding) for finding in findings]
         for finding in findings:
             if finding.broke:
                 suite.shrink(finding, args.keep)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 
+import pytest
+
 from benchmarks import fuzz
-from tdgbench.experiments.measure.fuzz.case import find_kinds
+from tdgbench.experiments.measure.fuzz.case import Change, find_kinds
 from tdgbench.experiments.measure.fuzz.suite import draw
 from tests.helpers.command import program_here
 
@@ -30,6 +32,15 @@ def test_no_case_breaks(tmp_path, monkeypatch):
     run = program_here(fuzz.main, tmp_path, "fuzz", "--keep", str(tmp_path / "keep"))
     assert run.returncode == 0, run.stdout + run.stderr
     assert "cases broke" in run.stdout and "peak memory" in run.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", find_kinds())
+def test_good_inputs_give_results(tmp_path, monkeypatch, name):
+    """Without mutation, every kind gives a result: no oracle objects to a good input."""
+    monkeypatch.setattr(find_kinds()[name], "mutate", lambda self, rng: Change("nothing", ()))
+    run = program_here(fuzz.main, tmp_path, "fuzz", "--kind", name, "--cases", "3", "--keep", str(tmp_path / "keep"))
+    assert run.returncode == 0 and "none of 3 cases broke" in run.stdout, run.stdout + run.stderr
 
 
 def test_a_single_case_runs_again(tmp_path):

@@ -19,6 +19,9 @@ from tdgbench.experiments.measure.fuzz.inputs import write_inputs
 from tdgbench.experiments.measure.fuzz.results import write_results
 
 
+POLL = 0.01  # seconds between two looks at the children
+
+
 @dataclass(frozen=True)
 class Drawn:
     """A case before it is made: which mutations its stack holds is decided by seed and number alone."""
@@ -89,7 +92,14 @@ class Suite:
                     running.remove(one)
                     yield self._finding(*one[:3], ran)
                     shutil.rmtree(one[3].folder, ignore_errors=True)
-            time.sleep(0.005)
+            time.sleep(POLL)
+
+    def confirm(self, finding: Finding) -> Finding:
+        """The finding; one that took too long runs again, alone, since the machine may have been busy."""
+        if finding.outcome != "hang":
+            return finding
+        (again,) = self.run([finding.drawn], 1)
+        return again
 
     def shrink(self, finding: Finding, keep: Path) -> Finding:
         """The finding with the fewest mutations that break in the same way; its files go to `keep`."""
