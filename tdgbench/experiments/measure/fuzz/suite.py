@@ -18,7 +18,6 @@ from tdgbench.experiments.measure.fuzz.child import Child, Limits, Ran
 from tdgbench.experiments.measure.fuzz.inputs import write_inputs
 from tdgbench.experiments.measure.fuzz.results import write_results
 
-
 POLL = 0.01  # seconds between two looks at the children
 
 
