@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import fuzz
 from tdgbench.experiments.measure.fuzz.case import Change, find_kinds
+from tdgbench.experiments.measure.fuzz.kinds import scene
 from tdgbench.experiments.measure.fuzz.suite import draw
 from tests.helpers.command import program_here
 
@@ -29,6 +30,7 @@ def seeded_part():
 
 def test_no_case_breaks(tmp_path, monkeypatch):
     monkeypatch.setattr(fuzz, "_cases", lambda args, end: seeded_part())
+    monkeypatch.setattr(scene, "WHOLE", 0.0)  # no sweeps of two scenes, which take seconds each
     run = program_here(fuzz.main, tmp_path, "fuzz", "--keep", str(tmp_path / "keep"))
     assert run.returncode == 0, run.stdout + run.stderr
     assert "cases broke" in run.stdout and "peak memory" in run.stdout

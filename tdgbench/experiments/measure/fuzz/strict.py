@@ -20,7 +20,7 @@ MAX_PIXELS = 10**7
 
 
 def png_problem(data: bytes) -> str:
-    """Why a PNG's pixels are damaged: CRCs of its chunks, its zlib stream, the number of its rows. Empty if they are not.
+    """Why a PNG's pixels are damaged: CRCs, zlib stream, number of rows. Empty if they are not.
 
     What comes after the pixels is not looked at.
     """

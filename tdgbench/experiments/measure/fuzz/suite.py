@@ -64,7 +64,7 @@ def draw(seed: int, number: int) -> Drawn:
 class Suite:
     """Cases in children, below a scratch folder that holds the good inputs.
 
-    results: make good results, too; without them, only cases that load a scene or a model can run.
+    results: make good results, too, for the kinds that need them; cells then find every kernel loaded.
     """
 
     def __init__(self, programs: Programs, scratch: Path, limits: Limits | None = None, results: bool = True) -> None:
