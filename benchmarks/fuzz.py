@@ -34,13 +34,17 @@ def main() -> int:
     args = parser.parse_args()
     findings, end = [], time.monotonic() + 60 * args.minutes
     with tempfile.TemporaryDirectory() as scratch:
-        suite = Suite(Programs(tdgbench, TOOLS["verify"].run), Path(scratch))
+        kinds = [find_kinds()[name] for name in args.kind or find_kinds()]
+        chosen = kinds if args.case is None else [draw(args.seed, args.case).kind]
+        results = any(kind.needs_results for kind in chosen)
+        suite = Suite(Programs(tdgbench, TOOLS["verify"].run), Path(scratch), results=results)
         for finding in suite.run(_cases(args, end), args.jobs):
             findings.append(finding)
             if args.case is not None:
                 print(finding.ran.output)
             if finding.broke or args.all or args.case is not None:
                 print(line(finding), flush=True)
+        findings = [suite.confirm(finding) for finding in findings]
         for finding in findings:
             if finding.broke:
                 suite.shrink(finding, args.keep)

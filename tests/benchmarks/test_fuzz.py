@@ -5,8 +5,11 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 
+import pytest
+
 from benchmarks import fuzz
-from tdgbench.experiments.measure.fuzz.case import find_kinds
+from tdgbench.experiments.measure.fuzz.case import Change, find_kinds
+from tdgbench.experiments.measure.fuzz.kinds import scene
 from tdgbench.experiments.measure.fuzz.suite import draw
 from tests.helpers.command import program_here
 
@@ -27,9 +30,19 @@ def seeded_part():
 
 def test_no_case_breaks(tmp_path, monkeypatch):
     monkeypatch.setattr(fuzz, "_cases", lambda args, end: seeded_part())
+    monkeypatch.setattr(scene, "WHOLE", 0.0)  # no sweeps of two scenes, which take seconds each
     run = program_here(fuzz.main, tmp_path, "fuzz", "--keep", str(tmp_path / "keep"))
     assert run.returncode == 0, run.stdout + run.stderr
     assert "cases broke" in run.stdout and "peak memory" in run.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", find_kinds())
+def test_good_inputs_give_results(tmp_path, monkeypatch, name):
+    """Without mutation, every kind gives a result: no oracle objects to a good input."""
+    monkeypatch.setattr(find_kinds()[name], "mutate", lambda self, rng: Change("nothing", ()))
+    run = program_here(fuzz.main, tmp_path, "fuzz", "--kind", name, "--cases", "3", "--keep", str(tmp_path / "keep"))
+    assert run.returncode == 0 and "none of 3 cases broke" in run.stdout, run.stdout + run.stderr
 
 
 def test_a_single_case_runs_again(tmp_path):

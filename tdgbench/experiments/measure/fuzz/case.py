@@ -43,11 +43,13 @@ class Programs(NamedTuple):
 class Kind(ABC):
     """One case of a kind of input: made with a good input in `folder`, then mutated, run in a child, and judged.
 
-    share: of the cases, relative to the other kinds. words: arguments of `tdgbench`, where the case has some.
+    share: of the cases, relative to the other kinds. needs_results: whether `base` must hold good results (results.py).
+    words: arguments of `tdgbench`, where the case has some.
     """
 
     name: ClassVar[str]
     share: ClassVar[int] = 2
+    needs_results: ClassVar[bool] = False
     words: Sequence[str] = ()
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from hydra import version
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
-from hydra.version import VersionBase
 
 from tdgbench.experiments.measure.fuzz.case import Programs
 from tdgbench.splats.cpu import pool
@@ -27,6 +27,7 @@ def command(programs: Programs, words: list[str]) -> int:
     sys.argv = ["tdgbench", *words]
     os.environ.update(TORCH_HOME="torch", COLUMNS="200")
     GlobalHydra.instance().clear()
+    version.setbase("1.3")  # as the program does when it is imported, which is once, and may be undone since
     try:
         return programs.tdgbench()
     except SystemExit as end:
@@ -51,8 +52,6 @@ def as_a_process(folder: Path) -> Iterator[None]:
         os.environ.clear()
         os.environ.update(environment)
         pool.set_threads(None)
-        after = Singleton.get_state()["instances"]
-        hydra["instances"].update({kind: one for kind, one in after.items() if kind is VersionBase})  # set by imports
         Singleton.set_state(hydra)
         GlobalHydra.instance().clear()
 

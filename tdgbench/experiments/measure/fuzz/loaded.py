@@ -23,6 +23,7 @@ def load_scene(root: str, scene: str, prior: DepthEstimator) -> int:
             "points": ColmapPoints().points(found).points,
             "colors": ColmapPoints().points(found).colors,
         }
+        content["notes"] = found.notes
         content["extent"] = found.extent
         content["names"] = [view.name for view in found.views]
         content["train"] = [view.name for view in found.train]

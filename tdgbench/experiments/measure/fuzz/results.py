@@ -29,6 +29,7 @@ def write_results(base: Path, programs: Programs) -> None:
     copy_scene(base, resumed / "data" / SCENE)
     with as_a_process(sweep):  # here, so that children find every module imported and every kernel loaded
         command(programs, SWEEP)
+        command(programs, [*CELL, "method=msmg", f"scene={GOOD}", "results=first"])
         programs.verify(["out/single"])
     _expect(0, wait(lambda: command(programs, RESUMED), resumed))
     (resumed / "out").rename(resumed / "calm")

@@ -20,7 +20,10 @@ MAX_PIXELS = 10**7
 
 
 def png_problem(data: bytes) -> str:
-    """Why a PNG is damaged: its chunks' CRCs, its zlib stream, the number of its rows. Empty if it is whole."""
+    """Why a PNG's pixels are damaged: CRCs, zlib stream, number of rows. Empty if they are not.
+
+    What comes after the pixels is not looked at.
+    """
     try:
         _check_png(data)
     except (MalformedError, struct.error, zlib.error, KeyError) as error:
@@ -32,7 +35,7 @@ def _check_png(data: bytes) -> None:
     if data[:8] != SIGNATURE:
         raise MalformedError("it has no PNG signature")
     at, header, stream, kind = 8, b"", b"", b""
-    while kind != b"IEND":
+    while not stream or data[at + 4 : at + 8] == b"IDAT":
         size, kind = struct.unpack_from(">I4s", data, at)
         content, at = data[at + 8 : at + 8 + size], at + 12 + size
         if len(data) < at or zlib.crc32(kind + content) != struct.unpack_from(">I", data, at - 4)[0]:

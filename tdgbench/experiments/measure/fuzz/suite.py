@@ -18,6 +18,8 @@ from tdgbench.experiments.measure.fuzz.child import Child, Limits, Ran
 from tdgbench.experiments.measure.fuzz.inputs import write_inputs
 from tdgbench.experiments.measure.fuzz.results import write_results
 
+POLL = 0.01  # seconds between two looks at the children
+
 
 @dataclass(frozen=True)
 class Drawn:
@@ -62,7 +64,7 @@ def draw(seed: int, number: int) -> Drawn:
 class Suite:
     """Cases in children, below a scratch folder that holds the good inputs.
 
-    results: make good results, too; without them, only cases that load a scene or a model can run.
+    results: make good results, too, for the kinds that need them; cells then find every kernel loaded.
     """
 
     def __init__(self, programs: Programs, scratch: Path, limits: Limits | None = None, results: bool = True) -> None:
@@ -89,7 +91,14 @@ class Suite:
                     running.remove(one)
                     yield self._finding(*one[:3], ran)
                     shutil.rmtree(one[3].folder, ignore_errors=True)
-            time.sleep(0.005)
+            time.sleep(POLL)
+
+    def confirm(self, finding: Finding) -> Finding:
+        """The finding; one that took too long runs again, alone, since the machine may have been busy."""
+        if finding.outcome != "hang":
+            return finding
+        (again,) = self.run([finding.drawn], 1)
+        return again
 
     def shrink(self, finding: Finding, keep: Path) -> Finding:
         """The finding with the fewest mutations that break in the same way; its files go to `keep`."""

@@ -114,10 +114,14 @@ class Model:
 
     def problems(self) -> list[str]:
         """Reasons why no program should use the model; none if it is sound."""
-        found = [*self._references()]
-        if not found:
-            found += [*self._numbers()]
-        return found or [*self._observations()]
+        return [*self._references()] or [*self._numbers()]
+
+    def doubts(self) -> list[str]:
+        """Images whose observations say that their camera is wrong, of a model without problems.
+
+        A program may use it, since cameras may be edited on purpose, but has to say so.
+        """
+        return [*self._observations()]
 
     def _references(self):
         """Ids that occur twice or name nothing."""

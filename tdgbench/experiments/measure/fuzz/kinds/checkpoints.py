@@ -19,7 +19,7 @@ from tdgbench.experiments.measure.fuzz.results import RESUMED
 class Checkpoints(Kind):
     """A checkpoint: damaged bytes, a well-formed file with other content."""
 
-    name, share = "checkpoints", 4
+    name, share, needs_results = "checkpoints", 4, True
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)

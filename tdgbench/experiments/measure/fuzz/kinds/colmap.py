@@ -14,6 +14,7 @@ from tdgbench.experiments.measure.fuzz.colmap import binary, text
 from tdgbench.experiments.measure.fuzz.colmap.compare import read
 from tdgbench.experiments.measure.fuzz.colmap.model import MalformedError, Model
 from tdgbench.experiments.measure.fuzz.damage import damage, edit
+from tdgbench.experiments.measure.fuzz.inputs import SCENE
 from tdgbench.experiments.measure.fuzz.kinds.scene import SceneKind
 
 FLOATS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e300, -1e300, 1e-300, 1e9)
@@ -69,9 +70,12 @@ class ColmapKind(SceneKind):
 
     def wrong_on_disk(self) -> str:
         try:
-            problems = read(self.scene / "sparse" / "0").problems()
+            model = read(self.scene / "sparse" / "0")
         except MalformedError as error:
             return f"a result in spite of a malformed model: {error}"
+        problems = model.problems()
+        if not problems and not any(one["notes"] for one in self.records(SCENE)):
+            problems = model.doubts()
         return f"a result in spite of: {problems[0]}" if problems else ""
 
 

@@ -79,6 +79,10 @@ class SceneNames(Kind):
                     image.name = f"{new}.png"
         binary.write(scene / "sparse" / "0", model)
 
+    def refused(self) -> str:
+        chosen = {*self.scenes, self.experiment, self.results, *self.views.values()}
+        return "refuses ordinary names" if chosen <= {*ORDINARY, "plain", "other", "single", "out"} else ""
+
     def wrong(self) -> str:
         experiment = self.folder / self.results / self.experiment
         done = sorted(str(one.get("scene")) for one in cells.records(experiment) if one.get("status") == "ok")

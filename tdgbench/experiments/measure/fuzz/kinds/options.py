@@ -75,7 +75,8 @@ class Options(Kind):
         self.words = [w for w in self.words if w.split("=")[0] != option.key]
         selected = [w for w in option.words if w not in self.words]
         self.words += [*selected, f"{option.key}={value}"]
-        return Change(f"{option.key}={value[:60]}", (option.key, option.key.split(".")[-1], "HOME"), harmful)
+        names = (option.key, option.key.split(".")[-1], "HOME", "not finite")  # the latter of a training that diverges
+        return Change(f"{option.key}={value[:60]}", names, harmful)
 
     def run(self, programs: Programs) -> int:
         return cells.command_and_verify(programs, self.words, "out/single")

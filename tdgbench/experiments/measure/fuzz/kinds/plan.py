@@ -16,7 +16,7 @@ from tdgbench.experiments.measure.fuzz.inputs import GOOD
 class Plan(Kind):
     """A damaged plan: tables come, or one error names it."""
 
-    name, share = "plan", 3
+    name, share, needs_results = "plan", 3, True
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)

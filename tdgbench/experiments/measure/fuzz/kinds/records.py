@@ -23,7 +23,7 @@ RESULTS = ("hashes", "method", "dataset", "scene", "init", "seed", "scores", "st
 class Records(Kind):
     """Files of a finished cell: other bytes, other values, missing and unknown files."""
 
-    name, share = "records", 12
+    name, share, needs_results = "records", 12, True
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from tdgbench.experiments.measure.fuzz import cells
 from tdgbench.experiments.measure.fuzz.case import Kind, Programs
@@ -51,6 +51,10 @@ class SceneKind(Kind):
             return self.wrong_on_disk() or cells.unverified(self.folder)
         found = loaded(self.folder)
         return differences(self.scene / "sparse" / "0", found) or self.wrong_values(found)
+
+    def records(self, scene: str) -> list[dict[str, Any]]:
+        """Records of a scene's cells."""
+        return [one for one in cells.records(self.folder / "out" / "single") if one.get("scene") == scene]
 
     def wrong_on_disk(self) -> str:
         """Why no result can be right for the files of the scene."""
