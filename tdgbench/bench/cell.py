@@ -81,10 +81,11 @@ def _title(cfg: DictConfig, run: CellRun | None) -> str:
 def _run(run: CellRun, held: ExitStack) -> Outcome:
     """Run a cell if it has to; locks are in `held` at the end."""
     cfg, record = run.cfg, run.record
+    record.environment = describe_environment()
     check_options(cfg)
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
-    record.environment = describe_environment()
+    record.environment = describe_environment()  # with these threads
     run.load()
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")

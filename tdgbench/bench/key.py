@@ -36,6 +36,8 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
 def as_json(value: Any) -> Any:
     """A value as JSON can hold it: text for numbers that are not finite and for all that is no plain data.
 
+    Halves of characters, as in names of files that are not UTF-8, become escapes.
+
     >>> as_json({"rate": float("inf"), "sizes": (1, 2.5), 3: None})
     {'rate': 'inf', 'sizes': [1, 2.5], '3': None}
     """
@@ -43,8 +45,9 @@ def as_json(value: Any) -> Any:
         return {str(name): as_json(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
         return [as_json(one) for one in value]
-    is_plain = value is None or isinstance(value, str | int | float)
-    return value if is_plain and not (isinstance(value, float) and not math.isfinite(value)) else str(value)
+    if value is None or isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    return str(value).encode("utf-8", "backslashreplace").decode()
 
 
 def cell_key(record: Record) -> str:

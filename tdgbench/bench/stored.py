@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from tdgbench.bench.hashes import hashes
@@ -28,7 +29,7 @@ def write_failure(folder: Path, record: Record, failure: Failure) -> None:
     A finished result stays where it is if the environment failed and settings, data and code may be those of the
     result. The caller must hold the cell's lock.
     """
-    record.status, record.failure = "failed", failure
+    record.status, record.failure = "failed", Failure(**as_json(asdict(failure)))
     existing = readable_record(folder)
     if existing is not None and existing.status == "ok":
         if failure.of_environment and record.key in ("", existing.key):

@@ -42,7 +42,7 @@ def as_a_process(folder: Path) -> Iterator[None]:
     try:
         with (
             contextlib.chdir(folder),
-            Path(os.devnull).open("w") as nowhere,
+            Path(os.devnull).open("w", encoding="utf-8") as nowhere,
             contextlib.redirect_stdout(nowhere),
             contextlib.redirect_stderr(nowhere),
         ):
@@ -60,16 +60,22 @@ def command_and_verify(programs: Programs, words: list[str], experiment: str) ->
     """Exit status of `tdgbench`; what `tdgbench verify` says of its results goes to VERIFIED."""
     status = command(programs, words)
     if Path(experiment, "cells").is_dir():
-        with Path("verify.txt").open("w") as out, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        with (
+            Path("verify.txt").open("w", encoding="utf-8") as out,
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(out),
+        ):
             verified = programs.verify([experiment])
-        Path(VERIFIED).write_text(json.dumps({"status": verified, "said": Path("verify.txt").read_text()}))
+        Path(VERIFIED).write_text(
+            json.dumps({"status": verified, "said": Path("verify.txt").read_text(encoding="utf-8")}), encoding="utf-8"
+        )
     return status
 
 
 def unverified(folder: Path) -> str:
     """What verification objects to; empty if it says 0 problems."""
     try:
-        verified = json.loads((folder / VERIFIED).read_text())
+        verified = json.loads((folder / VERIFIED).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return "nothing was written that could be verified"
     return "" if verified["status"] == 0 else f"verification: {verified['said'].strip()}"
@@ -80,7 +86,7 @@ def records(experiment: Path) -> list[dict[str, Any]]:
     found = []
     for path in sorted((experiment / "cells").rglob("record.json")):
         with contextlib.suppress(OSError, ValueError):
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding="utf-8"))
             if isinstance(content, dict) and not any(p.startswith(".") for p in path.relative_to(experiment).parts):
                 found.append(content)
     return found
@@ -93,6 +99,6 @@ def outputs_lost(experiment: Path, scene: str) -> str:
     table, report = experiment / "tables" / "main.csv", experiment / "report.html"
     if not table.is_file() or not report.is_file():
         return "tables or report are not there"
-    with table.open(newline="") as file:
+    with table.open(newline="", encoding="utf-8") as file:
         scenes = {row["scene"] for row in csv.DictReader(file)}
     return "" if scene in scenes else f"the table lacks {scene}"

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from tdgbench.terminal import say
+
 OUTPUT = "output.txt"  # what a child printed, in its folder
 MB = 2**20
 SPARE = 6144  # MB of private memory above the limit, which may be reserved without being used
@@ -66,7 +68,7 @@ class Child:
             _, state, usage = os.wait4(self.pid, 0)
         _kill_group(self.pid)  # descendants that outlived it
         status = os.waitstatus_to_exitcode(state)
-        output = (self.folder / OUTPUT).read_text(errors="replace")
+        output = (self.folder / OUTPUT).read_text(encoding="utf-8", errors="replace")
         peak = max(self.peak, usage.ru_maxrss / 1024)
         if ending == "signal" and status >= 0:
             return Ran("ended", status, seconds, peak, output)
@@ -105,7 +107,7 @@ def _status_of(work: Callable[[], int | str | None]) -> int:
         traceback.print_exc()
         return 1
     if isinstance(code, str):
-        print(code, file=sys.stderr)
+        say(code, stderr=True)
     return code if isinstance(code, int) else int(code is not None)
 
 
@@ -115,8 +117,10 @@ def _tree_megabytes(pid: int) -> float:
     while pending:
         process = Path("/proc", str(pending.pop()))
         try:
-            total += int((process / "statm").read_text().split()[1])
-            pending += [int(p) for p in (process / "task" / process.name / "children").read_text().split()]
+            total += int((process / "statm").read_text(encoding="utf-8").split()[1])
+            pending += [
+                int(p) for p in (process / "task" / process.name / "children").read_text(encoding="utf-8").split()
+            ]
         except (OSError, IndexError):
             continue  # it ended meanwhile
     return total * resource.getpagesize() / MB

@@ -92,4 +92,4 @@ def _write_scene(folder: Path, kind: str, model: Model) -> None:
         colors = np.stack([waves, 1 - waves, waves**2], axis=-1)
         Picture.fromarray((255 * colors).astype(np.uint8)).save(folder / "rgb" / f"{image.view}.jpg")
         np.save(folder / "depthesti" / f"{image.view}.npy", (2 + waves).astype(np.float32))
-    (folder / "temperature.json").write_text(json.dumps(TEMPERATURES, indent=1))
+    (folder / "temperature.json").write_text(json.dumps(TEMPERATURES, indent=1), encoding="utf-8")

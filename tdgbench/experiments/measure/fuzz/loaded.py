@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from tdgbench.bench.init import ColmapPoints
 from tdgbench.priors import DepthEstimator, PriorError
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
+from tdgbench.terminal import say
 
 FILE = "loaded.npz"
 
@@ -39,7 +39,7 @@ def load_scene(root: str, scene: str, prior: DepthEstimator) -> int:
         for view in found.train:
             content[f"prior/{view.name}"] = prior.estimate(found, view).check(view).values
     except (SceneError, PriorError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         return 1
     np.savez(FILE, **content)
     return 0

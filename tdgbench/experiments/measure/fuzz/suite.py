@@ -114,7 +114,7 @@ class Suite:
         self._keep(made, folder)
         shutil.rmtree(made, ignore_errors=True)
         content = {**_described(best), "words": case.words}
-        (folder / "case.json").write_text(json.dumps(content, indent=1) + "\n")
+        (folder / "case.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         return best
 
     def _keep(self, made: Path, folder: Path) -> None:

@@ -75,7 +75,7 @@ def _files(folder: Path) -> list[Path]:
 def _bytes(path: Path) -> bytes:
     if not path.exists():
         return b""
-    return PICTURE.sub("", path.read_text()).encode() if path.suffix == ".html" else path.read_bytes()
+    return PICTURE.sub("", path.read_text(encoding="utf-8")).encode() if path.suffix == ".html" else path.read_bytes()
 
 
 def _with_equal_times(experiment: Path, copy: Path) -> Path:
@@ -83,7 +83,7 @@ def _with_equal_times(experiment: Path, copy: Path) -> Path:
     shutil.copytree(experiment / "cells", copy / "cells")
     shutil.copy(experiment / "experiment.json", copy)
     for path in (copy / "cells").rglob(FILE):
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         content |= {
             "peak_rss_mb": None,
             "resumed": [],
@@ -92,7 +92,7 @@ def _with_equal_times(experiment: Path, copy: Path) -> Path:
         }
         content["seconds"] = dict.fromkeys(content["seconds"], 1.0)
         content["skips"] = [skip for skip in content["skips"] if skip["name"] != "prior"]
-        path.write_text(json.dumps(content))
+        path.write_text(json.dumps(content), encoding="utf-8")
     for path in (copy / "cells").rglob("log.csv"):
         log = pd.read_csv(path, dtype=str, keep_default_na=False)
         log.assign(**({"seconds": "1"} if "seconds" in log else {})).to_csv(path, index=False)

@@ -76,7 +76,7 @@ def _no_space(path: Any) -> OSError:
 def main(first: int, folder: Path, words: list[str]) -> None:
     disk = FullDisk(first, folder)
     if first == 0:
-        atexit.register(lambda: folder.with_name(f"{folder.name}.writes").write_text(str(disk.count)))
+        atexit.register(lambda: folder.with_name(f"{folder.name}.writes").write_text(str(disk.count), encoding="utf-8"))
     disk.install()
     sys.argv = ["tdgbench", *words]
     runpy.run_module("tdgbench", run_name="__main__", alter_sys=True)

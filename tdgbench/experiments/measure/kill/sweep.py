@@ -86,8 +86,10 @@ class Sweep:
         for name in ("first", "calm"):
             start = time.monotonic()
             if self.start(self.scratch / name, 0).wait() != 0:
-                raise RuntimeError(f"the undisturbed sweep fails:\n{_log(self.scratch / name).read_text()[-2000:]}")
-        writes = int((self.scratch / "calm.writes").read_text())
+                raise RuntimeError(
+                    f"the undisturbed sweep fails:\n{_log(self.scratch / name).read_text(encoding='utf-8')[-2000:]}"
+                )
+        writes = int((self.scratch / "calm.writes").read_text(encoding="utf-8"))
         return Calm(self.scratch / "calm" / self.name, time.monotonic() - start, writes)
 
 
@@ -198,7 +200,7 @@ def _finished(experiment: Path) -> dict[Path, int]:
     done = {}
     for path in record_files(experiment):
         with contextlib.suppress(ValueError):  # a broken record is no result
-            if json.loads(path.read_text())["status"] == "ok":
+            if json.loads(path.read_text(encoding="utf-8"))["status"] == "ok":
                 done[path] = path.stat().st_mtime_ns
     return done
 

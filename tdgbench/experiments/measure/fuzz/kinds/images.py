@@ -100,7 +100,9 @@ def _numbers(path: Path, rng: random.Random) -> str:
 
 
 def _text(path: Path, rng: random.Random) -> str:
-    path.write_text(rng.choice(("version https://git-lfs.github.com/spec/v1\n", "<html>404</html>", "\0" * 100)))
+    path.write_text(
+        rng.choice(("version https://git-lfs.github.com/spec/v1\n", "<html>404</html>", "\0" * 100)), encoding="utf-8"
+    )
     return "text"
 
 

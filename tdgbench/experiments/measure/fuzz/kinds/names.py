@@ -93,15 +93,15 @@ class SceneNames(Kind):
 
 def _wrong_outputs(experiment: Path, scenes: list[str]) -> str:
     """Names that a table or the report shows wrongly, or that another program would run."""
-    if "<script>x</script>" in (experiment / "report.html").read_text():
+    if "<script>x</script>" in (experiment / "report.html").read_text(encoding="utf-8"):
         return "the report holds a script"
-    with (experiment / "tables" / "main.csv").open(newline="") as file:
+    with (experiment / "tables" / "main.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     if any(str(value).startswith(("=", "+", "@")) for row in rows for value in row.values()):
         return "main.csv holds a formula"
     if sum(row["scene"] not in ("Average", "Overall") for row in rows) % len(scenes):
         return "main.csv has rows of other scenes"
-    tex = "".join(path.read_text() for path in (experiment / "tables").glob("*.tex"))
+    tex = "".join(path.read_text(encoding="utf-8") for path in (experiment / "tables").glob("*.tex"))
     raw = [scene for scene in scenes if TEX & set(scene) and scene in tex and len(scene) > 1]
     return f"LaTeX tables hold {raw[0]!r}" if raw else ""
 

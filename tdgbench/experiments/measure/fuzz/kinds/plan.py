@@ -30,7 +30,9 @@ class Plan(Kind):
         elif how < 0.6:
             data, what = edit(data.decode(errors="replace"), rng)
         else:
-            content = json.loads((self.base / "sweep" / "out" / "single" / "experiment.json").read_text())
+            content = json.loads(
+                (self.base / "sweep" / "out" / "single" / "experiment.json").read_text(encoding="utf-8")
+            )
             name = rng.choice([*content, "unknown"])
             content[name] = rng.choice((None, 3, "x", [], [3], [{}], {}, ["<script>"], [{"scene": "x"}], [["x"]]))
             data, what = json.dumps(content).encode(), f"{name} is {content[name]!r}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from tdgbench.experiments.measure.fuzz.case import Change, Kind, Programs
 from tdgbench.experiments.measure.fuzz.damage import damage
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.ply import load_ply, save_ply
+from tdgbench.terminal import say
 
 MEANS = "means.npy"
 
@@ -49,7 +49,7 @@ class Ply(Kind):
         try:
             gaussians = load_ply(Path("model.ply"))
         except ValueError as error:
-            print(f"error: {error}", file=sys.stderr)
+            say(f"error: {error}", stderr=True)
             return 1
         np.save(MEANS, gaussians.means.numpy())
         return 0

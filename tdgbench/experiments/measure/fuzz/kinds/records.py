@@ -15,6 +15,7 @@ from tdgbench.experiments.measure.fuzz.case import Change, Kind, Programs
 from tdgbench.experiments.measure.fuzz.cells import command
 from tdgbench.experiments.measure.fuzz.damage import EXTREMES, damage, edit
 from tdgbench.experiments.measure.fuzz.inputs import GOOD, SCENE
+from tdgbench.terminal import say
 
 SAID = "verify.txt"
 RESULTS = ("hashes", "method", "dataset", "scene", "init", "seed", "scores", "status", "views")  # fields of a record
@@ -77,19 +78,19 @@ class Records(Kind):
         else:
             place[key] = value
             what = f"is {value!r}"
-        path.write_text(json.dumps(content, indent=1))
+        path.write_text(json.dumps(content, indent=1), encoding="utf-8")
         return Change(f"record.json: {'.'.join(trail)} {what}", ("record.json", *trail))
 
     def run(self, programs: Programs) -> int:
-        with Path(SAID).open("w") as out, contextlib.redirect_stdout(out):
+        with Path(SAID).open("w", encoding="utf-8") as out, contextlib.redirect_stdout(out):
             verified = programs.verify(["out/single"])
-        print(Path(SAID).read_text())
+        say(Path(SAID).read_text(encoding="utf-8"))
         return verified or command(programs, ["tables", "out/single"])
 
     def lost(self) -> str:
         """The other cells, which nobody touched, stay in what verification says and in the tables."""
         with contextlib.suppress(FileNotFoundError):
-            said = (self.folder / SAID).read_text()
+            said = (self.folder / SAID).read_text(encoding="utf-8")
             if "out/single:" not in said:
                 return "verification did not come to its end"
             if f"/{GOOD}/" in said:
@@ -109,7 +110,7 @@ class Records(Kind):
         if differs:
             return f"0 problems, but record.json has other {', '.join(differs)}"
         table = self.experiment / "tables" / "main.csv"
-        with table.open(newline="") as file:
+        with table.open(newline="", encoding="utf-8") as file:
             scenes = {row["scene"] for row in csv.DictReader(file)}
         return "" if {SCENE, GOOD} <= scenes else f"the tables lack cells: {sorted(scenes)}"
 
@@ -127,7 +128,7 @@ class Tables(Records):
 
     def wrong(self) -> str:
         table = self.experiment / "tables" / "main.csv"
-        with table.open(newline="") as file:
+        with table.open(newline="", encoding="utf-8") as file:
             scenes = {row["scene"] for row in csv.DictReader(file)}
         return "" if GOOD in scenes else f"the tables lack {GOOD}"
 
