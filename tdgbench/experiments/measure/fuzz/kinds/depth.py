@@ -43,7 +43,7 @@ class Depth(SceneKind):
             return Change(f"{path.name}: deleted", names)
         if how < 0.5 and path.suffix == ".npy":
             values = rng.choice(ARRAYS)()
-            np.save(path, values, allow_pickle=True)
+            np.save(path, values)
             return Change(f"{path.name}: {values.dtype} {values.shape}", names)
         data, what = damage(path.read_bytes(), rng)
         path.write_bytes(data)
