@@ -11,7 +11,8 @@ from tdgbench.experiments.measure.kill.sweep import Plan, Sweep, kill_many
 def test_killed_and_resumed(tmp_path):
     words = [word for word in SMALL if not word.startswith(("method=", "scene="))]
     sweep = Sweep([*words, "method=tdg", "scene=turntable"], "single", tmp_path)
-    kills = kill_many(sweep, sweep.run_calm(), Plan(3, ("SIGKILL", "SIGTERM"), full_disk=0.4, seed=4))
+    calm = sweep.run_calm(warm_up=False)
+    kills = kill_many(sweep, calm._replace(seconds=0.8 * calm.seconds), Plan(3, full_disk=0.4, seed=4))
     assert [kill.problems for kill in kills] == [[], [], []], kills
 
 
