@@ -172,7 +172,8 @@ def _wrong_end(how: str, status: int, said: str, began: bool) -> Iterator[str]:
         yield f"it ended with status {status} by itself"
     else:
         number = signal.Signals[how]
-        if status != 128 + number and (began or status != -number):
+        early = not began and status in (-number, 1)  # the interpreter's own ends, before the program has begun
+        if status != 128 + number and not early:
             yield f"status {status}, not {128 + number}, after {how}"
     if "Traceback (most recent call last)" in said and (began or how == "full disk"):
         yield f"a traceback after {how}"
