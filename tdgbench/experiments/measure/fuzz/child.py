@@ -6,6 +6,7 @@ The parent has imported everything, so a child starts in milliseconds. It must n
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import os
 import resource
@@ -22,6 +23,7 @@ from tdgbench.terminal import say
 
 OUTPUT = "output.txt"  # what a child printed, in its folder
 MB = 2**20
+PR_SET_PDEATHSIG = 1  # of Linux's prctl
 SPARE = 6144  # MB of private memory above the limit, which may be reserved without being used
 
 
@@ -80,6 +82,7 @@ def _be_the_child(work: Callable[[], int | str | None], folder: Path, limits: Li
     status = 1
     try:
         os.setsid()
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # end with the suite, however it ends
         faulthandler.disable()  # a crash is judged by its signal
         os.chdir(folder)
         out = os.open(OUTPUT, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)

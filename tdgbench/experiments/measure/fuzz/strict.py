@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import math
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -16,6 +16,10 @@ from tdgbench.experiments.measure.fuzz.colmap.model import MalformedError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by PNG colour type
+NPY_HEADER = re.compile(
+    r"\{\s*'descr'\s*:\s*'([<>|=][fiub]\d+)'\s*,\s*'fortran_order'\s*:\s*(True|False)\s*,"
+    r"\s*'shape'\s*:\s*\(([\d, ]*)\)\s*,?\s*\}\s*"
+)
 MAX_PIXELS = 10**7
 
 
@@ -60,11 +64,11 @@ def read_npy(path: Path) -> np.ndarray:
         wide = data[6] > 1
         (size,) = struct.unpack_from("<I" if wide else "<H", data, 8)
         begin = 12 if wide else 10
-        header = ast.literal_eval(data[begin : begin + size].decode("utf-8"))
-        kind, shape = np.dtype(header["descr"]), header["shape"]
-        order = "F" if header["fortran_order"] else "C"
-        if data[:6] != b"\x93NUMPY" or data[6] not in (1, 2, 3) or kind.kind not in "fiub" or min(shape, default=1) < 0:
+        header = NPY_HEADER.fullmatch(data[begin : begin + size].decode())
+        if data[:6] != b"\x93NUMPY" or data[6] not in (1, 2, 3) or header is None:
             raise MalformedError(f"{path.name}: not an array of numbers")
+        kind, order = np.dtype(header[1]), "F" if header[2] == "True" else "C"
+        shape = tuple(int(word) for word in header[3].split(",") if word.strip())
         values = data[begin + size :]
         if len(values) != kind.itemsize * math.prod(shape):
             raise MalformedError(f"{path.name}: {len(values)} bytes of {kind.itemsize * math.prod(shape)}")
