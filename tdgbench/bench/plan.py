@@ -13,8 +13,9 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from tdgbench.bench.reading import read_text
 from tdgbench.files import write_text
 
 FILE = "experiment.json"
@@ -59,11 +60,12 @@ def read_plan(folder: Path) -> Plan:
     """Read the plan in a folder; the default plan if there is none. Raises ValueError, naming the file, if broken."""
     path = folder / FILE
     try:
-        return TypeAdapter(Plan).validate_json(path.read_bytes())
+        return TypeAdapter(Plan).validate_json(read_text(path), strict=True)
     except FileNotFoundError:
         return Plan()
     except ValueError as error:
-        reason = str(error).splitlines()[0]
+        first = error.errors(include_url=False)[0] if isinstance(error, ValidationError) else None
+        reason = error if first is None else ": ".join([*(str(part) for part in first["loc"]), first["msg"]])
         raise ValueError(f"{path} is not the plan of a sweep ({reason}); run the sweep again, or delete it") from error
 
 

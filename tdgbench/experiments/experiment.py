@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.utils import get_class
 from omegaconf import DictConfig
@@ -132,6 +132,8 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
 
     words: the command line, which errors of an unexpected type are told with.
     """
+    if isinstance(error, OverrideParseException):
+        return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
         return "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))

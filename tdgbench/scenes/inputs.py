@@ -90,6 +90,8 @@ def read_array(path: Path) -> np.ndarray:
     if not isinstance(values, np.memmap) or values.dtype.kind not in "fiu":
         what = str(values.dtype) if isinstance(values, np.ndarray) else type(values).__name__
         raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
+    if path.stat().st_size != values.offset + values.nbytes:
+        raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
     return np.array(values)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from io import StringIO
 
 import pandas as pd
 
@@ -19,4 +20,16 @@ def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -
     """
     names = [c for c in table.columns if c not in as_is and not pd.api.types.is_numeric_dtype(table[c])]
     safe = {name: [csv_text(v) if isinstance(v, str) else v for v in table[name]] for name in names}
-    return table.assign(**safe).to_csv(index=False, lineterminator="\n", na_rep=na_rep)
+    rows = _Rows()
+    table.assign(**safe).to_csv(rows, index=False, lineterminator=_Rows.END, na_rep=na_rep)
+    return rows.getvalue()
+
+
+class _Rows(StringIO):
+    """Rows that `csv` ends with both line ends, so that it quotes fields that hold either; they get line feeds."""
+
+    END = "\r\n"
+
+    def write(self, text: str) -> int:
+        super().write(text.removesuffix(self.END) + "\n")
+        return len(text)

@@ -89,7 +89,7 @@ def show_papers(papers: pd.DataFrame, console: Console) -> None:
 def show_problems(problems: list[str], console: Console) -> None:
     """Print what could not be read."""
     for problem in problems:
-        console.print(Text.assemble(("warning:", "yellow"), " ", one_line(problem)), soft_wrap=True)
+        console.print(Text.assemble(("problem:", "red"), " ", one_line(problem)), soft_wrap=True)
 
 
 def _say(console: Console, text: str, soft_wrap: bool = True) -> None:

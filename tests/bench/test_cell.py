@@ -116,7 +116,7 @@ def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
     assert outcome.status == "failed" and "view007.png cannot be read" in outcome.message
     records = read_all(run.experiment)
     assert [r.status for r in records] == ["failed"]
-    assert records[0].failure.stage == "images" and "SceneError" in records[0].failure.traceback
+    assert records[0].failure.stage == "load" and "SceneError" in records[0].failure.traceback
     kept = [p for p in (run.experiment / "cells/splat/folder/spoiled/colmap").iterdir() if p.name.startswith(".")]
     assert len(kept) == 1 and (kept[0] / "model.ply").exists()
     shutil.copy(source / "thermal" / "view007.png", scene / "thermal" / "view007.png")

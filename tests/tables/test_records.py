@@ -61,7 +61,7 @@ def test_a_broken_record_is_na_with_its_reason(experiment, capsys, spoil):
     assert found["orbit"] == 21.0 and np.isnan(found["night"]) and np.isnan(found["Average"])
     assert main([str(experiment)]) == 1
     printed = capsys.readouterr().out.replace("\n", "")
-    assert "21.00" in printed and f"warning: its record cannot be read: {path} is not a record" in printed
+    assert "21.00" in printed and f"problem: its record cannot be read: {path} is not a record" in printed
     written = pd.read_csv(experiment / "tables" / "main.csv", keep_default_na=False).set_index(["scene", "metric"])
     assert written.loc[("night", "psnr"), "reason"].startswith("its record cannot be read: ")
     path.unlink() if not path.is_dir() else path.rmdir()
@@ -144,7 +144,7 @@ def test_settings_of_any_type_do_not_end_the_tables(experiment):
 def test_claims_go_on_without_a_broken_record(experiment, capsys):
     (cell_of(experiment, "night") / FILE).write_text("{}")
     assert main(["claims", str(experiment)]) == 1
-    assert "undecided" in (printed := capsys.readouterr().out) and "warning: its record cannot be read" in printed
+    assert "undecided" in (printed := capsys.readouterr().out) and "problem: its record cannot be read" in printed
 
 
 def test_a_folder_without_tables_does_not_hide_the_others(experiment, tmp_path, capsys):

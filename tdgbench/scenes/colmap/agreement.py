@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.colmap.tables import DamagedModelError, ImageEntry, Tables
+from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ImageEntry, Tables
 
 FEWEST = 10  # observations of a view from which it is judged
 FAR = 0.05  # median error of a wrong view, × diagonal of the image
@@ -18,6 +18,29 @@ def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[i
     poses: world to camera (3, 4) by image id. cameras: as in the model, with distortion, by camera id.
     """
     points = _all_points(model)
+    return [*_missing_points(model, points[0]), *_reprojection(model, points, poses, cameras)]
+
+
+def _missing_points(model: Tables, ids: np.ndarray) -> list[str]:
+    """A note if images show points that the model does not hold (ids (P,), ascending)."""
+    shown = np.concatenate([image.point_ids for image in model.images.values()])
+    shown = shown[shown != NO_POINT]
+    if not len(ids) or not len(shown):
+        return []
+    missing = int((ids[np.minimum(np.searchsorted(ids, shown), len(ids) - 1)] != shown).sum())
+    if not missing:
+        return []
+    what = f"{missing} of {len(shown)} 2-D points of its images are of points that it does not hold"
+    return [f"{model.file('points3D')}: {what}; were points removed, or is the file of another model?"]
+
+
+def _reprojection(
+    model: Tables,
+    points: tuple[np.ndarray, np.ndarray],
+    poses: dict[int, np.ndarray],
+    cameras: dict[int, pycolmap.Camera],
+) -> list[str]:
+    """Notes on views whose points do not project to where they are shown. Raises DamagedModelError."""
     errors = {}
     for image_id, image in model.images.items():
         pixels, xyz = _observations(image, *points)

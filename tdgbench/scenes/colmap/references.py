@@ -12,6 +12,7 @@ import numpy as np
 import pycolmap
 
 from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, Pose, Sensor, Tables
+from tdgbench.scenes.validate import MAX_COORDINATE
 
 UNIT_TOLERANCE = 1e-3  # of a quaternion's norm; COLMAP writes 1 to the last digits
 POSE_TOLERANCE = 1e-6  # between images and frames; of the translation, as a share of its length where that is above 1
@@ -23,10 +24,12 @@ def check_points(model: Tables) -> None:
     ids, counts = np.unique(points.ids, return_counts=True)
     if len(ids) < len(points.ids):
         raise DamagedModelError(path, f"it holds point {ids[counts > 1][0]} twice")
-    bad = ~np.isfinite(points.xyz).all(axis=1)
+    bad = ~(np.abs(points.xyz) <= MAX_COORDINATE).all(axis=1)  # NaN included
     if bad.any():
         named = ", ".join(map(str, points.ids[bad][:5]))
-        raise DamagedModelError(path, f"{int(bad.sum())} points are not finite (point {named})")
+        raise DamagedModelError(
+            path, f"{int(bad.sum())} points are not finite or beyond {MAX_COORDINATE:g} (point {named})"
+        )
     for image in model.images.values():
         if len(image.compared) and not len(points.ids):
             raise DamagedModelError(path, f"it holds no point, but image {image.name!r} shows some")

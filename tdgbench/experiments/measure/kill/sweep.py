@@ -157,7 +157,9 @@ def _kill(sweep: Sweep, results: Path, how: str, at: float) -> Kill:
         os.killpg(process.pid, signal.SIGKILL)
         status = process.wait()
         problems.append(f"it did not end within {MAX_ENDING:.0f} s of {how}")
-    problems += _wrong_end(how, status, _log(results).read_text(errors="replace"), _began(results / sweep.name, begin))
+    problems += _wrong_end(
+        how, status, _log(results).read_text(encoding="utf-8", errors="replace"), _began(results / sweep.name, begin)
+    )
     return Kill(how, at, status, 0, 0, problems)
 
 

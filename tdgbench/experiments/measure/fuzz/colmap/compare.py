@@ -26,7 +26,7 @@ def differences(folder: Path, loaded: dict[str, np.ndarray]) -> str:
         return f"loaded, but the model is unusable: {problems[0]}"
     doubts = [] if loaded["notes"].size else model.doubts()
     if doubts:
-        return f"loaded without a note, but a camera is wrong: {doubts[0]}"
+        return f"loaded without a note, but the model is doubtful: {doubts[0]}"
     cameras = {camera.id: camera for camera in model.cameras}
     by_view = {image.view: image for image in model.images}
     for view in loaded["names"].tolist():

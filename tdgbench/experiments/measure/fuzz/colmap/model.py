@@ -117,11 +117,18 @@ class Model:
         return [*self._references()] or [*self._numbers()]
 
     def doubts(self) -> list[str]:
-        """Images whose observations say that their camera is wrong, of a model without problems.
+        """Images, of a model without problems, whose observations say that a camera is wrong or that points are gone.
 
-        A program may use it, since cameras may be edited on purpose, but has to say so.
+        A program may use it, since models may be edited on purpose, but has to say so.
         """
-        return [*self._observations()]
+        return [*self._missing_points(), *self._observations()]
+
+    def _missing_points(self):
+        """Images that show points which are not there: removed on purpose, or lost."""
+        known = {point.id for point in self.points} | {NO_POINT}
+        yield from (
+            f"image {i.id} shows points that are not there" for i in self.images if {p for *_, p in i.points} - known
+        )
 
     def _references(self):
         """Ids that occur twice or name nothing."""
@@ -135,9 +142,6 @@ class Model:
         if len({image.view for image in self.images}) != len(self.images):
             yield "two images have one name"
         yield from (f"image {i.id}: no camera {i.camera}" for i in self.images if i.camera not in known["camera"])
-        for image in self.images:
-            if {point for *_, point in image.points} - known["point"] - {NO_POINT}:
-                yield f"image {image.id} observes points that are not there"
         sizes = {image.id: len(image.points) for image in self.images}
         for point in self.points:
             if any(index >= sizes.get(image, 0) for image, index in point.track):

@@ -54,8 +54,9 @@ class SceneNames(Kind):
         if what < 0.85:
             self.results = name
             return Change(f"results={name!r}", (*names, "results"))
-        self.views[rng.choice(("view000", "view001", "view002"))] = name
-        return Change(f"view {name!r}", (*names, "view"))
+        view = name.replace("/", "-")  # one file's name
+        self.views[rng.choice(("view000", "view001", "view002"))] = view
+        return Change(f"view {view!r}", (view, repr(view)[1:-1], "view"))
 
     def run(self, programs: Programs) -> int:
         for scene in self.scenes:
