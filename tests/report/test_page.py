@@ -136,11 +136,29 @@ def nothing(path: Path) -> None:
     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-@pytest.mark.parametrize("spoil", [nothing, lambda path: (nothing(path), os.mkfifo(path)),
-                                   lambda path: (nothing(path), path.write_bytes(b"\x89PNG\xff"))],
-                         ids=["missing", "FIFO", "bytes"])  # fmt: skip
-@pytest.mark.parametrize("name", ["renders/view000.png", "targets/view000.png", "model.ply", "cameras.json", "log.csv",
-                                  "views.csv", "record.json", "renders"])  # fmt: skip
+def fifo(path: Path) -> None:
+    nothing(path)
+    os.mkfifo(path)
+
+
+def cut(path: Path) -> None:
+    nothing(path)
+    path.write_bytes(b"\x89PNG\xff")
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil"),
+    [
+        *(("renders/view000.png", spoil) for spoil in (nothing, fifo, cut)),
+        *(("record.json", spoil) for spoil in (fifo, cut)),
+        ("targets/view000.png", cut),
+        ("model.ply", fifo),
+        ("cameras.json", cut),
+        ("log.csv", cut),
+        ("views.csv", nothing),
+        ("renders", nothing),
+    ],
+)
 def test_what_cannot_be_read_is_na_on_the_page(small_results, tmp_path, name, spoil):
     experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
     cell = experiment / "cells" / "msmg" / "synthetic" / "turntable" / "colmap" / "seed0"

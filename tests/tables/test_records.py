@@ -104,12 +104,12 @@ def test_a_failed_cell_never_shows_numbers(experiment):
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"scenes": 3}', '{"scenes": [{"scene": 1}]}', '{"new": 1}', "\udcff"])
-def test_a_broken_plan_is_a_warning(experiment, content):
+def test_a_broken_plan_is_a_problem(experiment, content):
     (experiment / "experiment.json").write_bytes(content.encode(errors="surrogateescape"))
     tables = build_tables(experiment)
     assert tables.main.set_index(["scene", "metric"]).loc[("orbit", "psnr"), "value"] == 21.0
     (problem,) = tables.problems
-    assert "experiment.json is not a plan" in problem
+    assert "experiment.json is not the plan" in problem
 
 
 @pytest.mark.parametrize(
