@@ -55,6 +55,8 @@ class Experiment(ABC):
 
 def experiment_of(cfg: DictConfig) -> Experiment:
     """The experiment of a configuration. Raises TypeError if `job._target_` names anything else."""
+    if not isinstance(cfg.job._target_, str):
+        raise OptionError([Problem("job._target_", "must be the dotted name of a class", cfg.job._target_)])
     kind = get_class(cfg.job._target_)
     if not issubclass(kind, Experiment):
         raise TypeError(f"job._target_ is {cfg.job._target_}, which is no tdgbench.experiments.experiment.Experiment")

@@ -43,7 +43,7 @@ def read_radiometry(path: Path) -> Radiometry | None:
     if not is_there(path):
         return None
     try:
-        content = json.loads(read_bytes(path))
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
         low, high = _number(content["min"]), _number(content["max"])
         per_count = content.get("degC_per_count")
         if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:

@@ -50,8 +50,6 @@ def test_points_that_are_not_finite_are_named(new):
     put(new / "points3D.bin", 16, "<d", math.nan)
     beyond = r"points3D\.bin is damaged: 1 points are not finite or beyond 1e\+09 \(point \d+\)"
     with pytest.raises(SceneError, match=beyond):
-        SceneError, match=r"points3D\.bin is damaged: 1 points are not finite or beyond 1e\+09 \(point \d+\)"
-    ):
         read_model(new)
 
 

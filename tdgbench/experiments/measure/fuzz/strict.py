@@ -82,7 +82,7 @@ def read_npy(path: Path) -> np.ndarray:
 def read_temperatures(path: Path) -> list[float]:
     """Lowest and highest temperature of a `temperature.json`, °C. Raises MalformedError."""
     try:
-        content: dict[str, Any] = json.loads(path.read_bytes().decode("utf-8"))
+        content: dict[str, Any] = json.loads(path.read_bytes().decode("utf-8-sig"))
         low, high = float(content["min"]), float(content["max"])
         rest = [float(content.get(name) or 0.0) for name in ("degC_per_count", "degC_at_zero")]
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:

@@ -48,7 +48,8 @@ class FileTypes(SceneKind):
         path.unlink(missing_ok=True)
         make(path)
         name = "out" if path == self.folder / "out" else path.name
-        return Change(f"{place}: {what}", (name, path.stem, "COLMAP", SCENE), harmful and not is_output)
+        is_read = not is_output and not (self.whole and "depthesti" in place)  # the cell's method has no prior
+        return Change(f"{place}: {what}", (name, path.stem, "COLMAP", SCENE), harmful and is_read)
 
     def run(self, programs: Programs) -> int:
         if self.outputs:
