@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
@@ -29,7 +30,7 @@ class Plan:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    table: str = "main"
+    table: Literal["main", "ablation", "readings"] = "main"
     scenes: list[dict[str, str]] = field(default_factory=list)  # scene, dataset, group
     methods: list[str] = field(default_factory=list)
     inits: list[str] = field(default_factory=list)

@@ -138,7 +138,9 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
         return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
-        return "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
+        text = "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
+        is_named = isinstance(error, HydraException) or bool(error.full_key)
+        return text if is_named or not words else f"{text} in: {' '.join(words)}"
     if isinstance(error, (OSError, *EXPECTED_ERRORS)):
         return str(error)
     command = f" in: {' '.join(words)}" if words else ""

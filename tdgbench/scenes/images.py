@@ -137,8 +137,10 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     if degC is not None:
         if radiometry is None:
             raise SceneError(f"{path} holds temperatures; add temperature.json with `min` and `max` in °C")
-        if not np.isfinite(degC).all():
-            raise SceneError(f"{path} holds {int((~np.isfinite(degC)).sum())} pixels that are not finite")
+        wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))  # NaN included
+        if wrong.any():
+            limits = f"not finite or outside {TEMPERATURES[0]} to {TEMPERATURES[1]:g} °C"
+            raise SceneError(f"{path} holds {int(wrong.sum())} pixels that are {limits}")
         low, high = radiometry.range.min, radiometry.range.max
         return np.clip((degC - low) / (high - low), 0, 1).astype(np.float32)
     if values.min() < 0 or values.max() > 65535:

@@ -105,17 +105,18 @@ def count_rows(path: Path) -> int:
     """Number of Gaussians that a PLY file's header states; nothing else of the file is read.
 
     Raises ValueError where `path` is not a regular file, its header is no PLY header of numbers only, or the file is
-    too short for the rows that the header states (so that nobody makes room for them).
+    too short or too long for the rows that the header states (so that no memory is taken for rows that are not there).
     """
     if not path.is_file():
         raise ValueError(f"{path.name} is missing or not a regular file")
     with path.open("rb") as file:
-        header, end, _ = file.read(MAX_HEADER).partition(b"end_header")
-    if not header.startswith(b"ply") or not end:
+        header, end, rest = file.read(MAX_HEADER).partition(b"end_header")
+    line_end = b"\r\n" if rest.startswith(b"\r\n") else b"\n"
+    if not header.startswith(b"ply") or not rest.startswith(line_end):
         raise ValueError("it has no PLY header")
     lines = [line.split() for line in header.decode("ascii").splitlines()]
     counts: dict[str, int] = {}
-    needed, ascii_text = len(header) + len(end) + 1, ["format", "ascii", "1.0"] in lines
+    needed, ascii_text = len(header) + len(end) + len(line_end), ["format", "ascii", "1.0"] in lines
     for words in lines:
         if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
             counts[words[1]] = count = int(words[2])
@@ -126,8 +127,9 @@ def count_rows(path: Path) -> int:
     if set(counts) != {"vertex"}:
         raise ValueError(f"its elements are {', '.join(counts) or 'none'}, not vertex alone")
     size = path.stat().st_size
-    if needed > size:
-        raise ValueError(f"it has {size} bytes, too few for the {counts['vertex']} rows that its header states")
+    if needed > size or (needed < size and not ascii_text):
+        many = "few" if needed > size else "many"
+        raise ValueError(f"it has {size} bytes, too {many} for the {counts['vertex']} rows that its header states")
     return counts["vertex"]
 
 

@@ -59,12 +59,7 @@ def build_tables(experiment: Path) -> Tables:
     records, plan = results.records, results.plan
     if not records and not plan.scenes:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
-    if plan.table == "ablation":
-        tables = _ablation(records, plan, experiment)
-    elif plan.table in ("main", "readings"):
-        tables = _main(records, plan, experiment)
-    else:
-        raise ValueError(f"{experiment}: table is {plan.table!r}; it must be main, ablation or readings")
+    tables = (_ablation if plan.table == "ablation" else _main)(records, plan, experiment)
     if plan.table == "readings":
         cells = reading_cells(records)
         tables.readings, tables.effects = readings(cells), effects(cells)

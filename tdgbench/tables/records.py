@@ -35,7 +35,7 @@ def read_results(experiment: Path) -> Results:
             found[place] = record
             problems += _view_problems(folder, record)
         elif record.failure is None:
-            problem = f"its record is in another cell's folder, {folder}; move it to {place}, or delete it"
+            problem = f"{folder / FILE} is in another cell's folder; move it to {place}, or delete it"
             problems.append(f"{record.title}: {problem}")
             found.setdefault(place, replace(record, status="failed", failure=Failure(READ_STAGE, problem, "")))
         else:

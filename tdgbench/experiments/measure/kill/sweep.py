@@ -194,9 +194,8 @@ def _conclude(sweep: Sweep, calm: Calm, results: Path) -> list[str]:
     before = _finished(results / sweep.name)
     status = sweep.start(results).wait(timeout=MAX_SECONDS)
     if status != 0:
-        return [
-            f"the last run ended with status {status}: {_log(results).read_text(encoding='utf-8', errors='replace')[-500:]}"
-        ]
+        last = _log(results).read_text(encoding="utf-8", errors="replace")[-500:]
+        return [f"the last run ended with status {status}: {last}"]
     after = _finished(results / sweep.name)
     lost = [
         f"{path.relative_to(results)} was lost or written again" for path, t in before.items() if after.get(path) != t
