@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
 from tdgbench.scenes.inputs import is_folder, listed, utf8_name
-from tdgbench.scenes.layout import LAYOUT, Description, ReadOptions, read_scene
+from tdgbench.scenes.layout import LAYOUT, Description, FolderPath, ReadOptions, read_scene
 from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.scene import Scene
 
@@ -45,7 +45,7 @@ class RegisteredDataset:
     """
 
     def __init__(
-        self, root: str, options: ReadOptions, dataset: Literal["rgbt_scenes", "thermalmix"] | None = None
+        self, root: FolderPath, options: ReadOptions, dataset: Literal["rgbt_scenes", "thermalmix"] | None = None
     ) -> None:
         self.root = Path(root)
         self.options = options
@@ -106,7 +106,7 @@ class RegisteredDataset:
 class FolderDataset:
     """Any capture in the RGBT-Scenes layout: `root` is the scene, or holds one folder per scene."""
 
-    def __init__(self, root: str, options: ReadOptions) -> None:
+    def __init__(self, root: FolderPath, options: ReadOptions) -> None:
         self.root = Path(root)
         self.options = options
 

@@ -117,6 +117,9 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
     with opened_image(path) as opened:
+        if opened.format == "PNG":
+            opened.verify()  # the checksums, which decoding ignores; the image is closed then
+    with opened_image(path) as opened:
         image: Image.Image = opened
         if image.mode in (*TO_GRAY, *TO_COLOR):
             image = image.convert("L" if image.mode in TO_GRAY else "RGB")

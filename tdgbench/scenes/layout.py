@@ -29,6 +29,9 @@ ASPECT_TOLERANCE = 0.01
 WIDEST = 16384  # px, of resized images
 
 
+FolderPath = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]  # of a data set; no control characters
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """Options of reading a scene.

@@ -33,7 +33,7 @@ HEADER = b"# Number of "  # COLMAP's, not that of other writers
 COUNTED = re.compile(HEADER + rb"\w+: (\d{1,18})\b")
 HEADER_SIZE = 1000  # bytes at a file's beginning that hold it
 MAX_ID = 2**32 - 1
-NUMBERS = re.compile(r"[-+0-9.eE\s]*")
+OF_NUMBERS = b"-+0123456789.eE \t\r\n\v\f"  # characters of numbers and between them
 NO_POINT_WORD = str(NO_POINT)
 
 
@@ -171,7 +171,7 @@ def _points2D(line: _Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Of the other positions, which nothing needs, only the characters are checked: to read 10 million would take seconds.
     """
-    if len(line.words) % 3 or not NUMBERS.fullmatch(line.text):
+    if len(line.words) % 3 or line.text.encode().translate(None, OF_NUMBERS):
         raise line.damaged(f"has {len(line.words)} words; each 2-D point has 3 numbers")
     x, y = line.words[0::3], line.words[1::3]
     line.words = [NO_POINT_WORD if word == "-1" else word for word in line.words[2::3]]
@@ -188,19 +188,22 @@ def read_points(path: Path) -> Points:
     colors: list[int] = []
     lengths: list[int] = []
     tracks: list[int] = []
-    for line in _lines(path):
-        words, count = line.words, len(line.words)
-        try:  # not word by word, since models have millions of points
+    for number, text in enumerate(_text_lines(path), start=1):
+        words = text.split()  # and no _Line, since models have millions of points
+        if not words or words[0][0] == "#":
+            continue
+        try:
             ids.append(int(words[0]))
             xyz += map(float, words[1:4])
             colors += map(int, words[4:7])
-            lengths.append((count - 8) // 2)
+            lengths.append((len(words) - 8) // 2)
             tracks += map(int, words[8:])
             float(words[7])
         except (ValueError, IndexError) as error:
-            raise line.damaged(f"is no point: {error}") from error
-        if count % 2 or not line.is_plain:
-            raise line.damaged(f"has {count} words; a point has 8 numbers and 2 for each image of its track")
+            raise _Line(path, number, text).damaged(f"is no point: {error}") from error
+        if len(words) % 2 or "_" in text or not text.isascii():
+            what = f"has {len(words)} words; a point has 8 numbers and 2 for each image of its track"
+            raise _Line(path, number, text).damaged(what)
     _complete(path, ids)
     try:
         return Points(

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.layout import Description, ReadOptions, read_scene
+from tdgbench.scenes.layout import Description, FolderPath, ReadOptions, read_scene
 from tdgbench.scenes.names import scene_name
 from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.worlds import WORLDS
@@ -27,7 +27,7 @@ class SyntheticDataset:
 
     def __init__(
         self,
-        root: str,
+        root: FolderPath,
         options: ReadOptions,
         width: Annotated[int, Field(ge=8, le=4096)] = 160,
         height: Annotated[int, Field(ge=8, le=4096)] = 120,
