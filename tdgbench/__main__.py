@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
+from typing import NoReturn
 
-from tdgbench.signals import Interrupted, interruptible
+from tdgbench.signals import SIGNALS, Interrupted, interruptible
 from tdgbench.terminal import guard_streams, say
 
 TRACEBACK = "HYDRA_FULL_ERROR"  # environment variable that asks for tracebacks
@@ -23,10 +25,10 @@ def main() -> int:
         sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
     with interruptible() as interruption:
         try:
-            from tdgbench.command import run  # its imports take seconds, in which Ctrl-C works
+            from tdgbench import command  # its imports take seconds, in which Ctrl-C works
 
             interruption.begin()
-            return run(sys.argv[1:])
+            return command.run(sys.argv[1:])
         except (Exception, Interrupted) as error:
             interruption.end()
             if interruption.signal is not None:
@@ -54,5 +56,13 @@ def _kept() -> str:
     return f"; {kept(callback.folder)}"
 
 
+def run() -> NoReturn:
+    """Run `main` and end the process. A signal that comes while the interpreter shuts down changes nothing."""
+    status = main()
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -82,3 +82,11 @@ def _of_session(session: int) -> list[str]:
     """Processes of a session that still run."""
     listed = subprocess.run(["ps", "-eo", "sid=,stat=,args="], capture_output=True, text=True).stdout.splitlines()
     return [line for line in listed if line.split()[0] == str(session) and not line.split()[1].startswith("Z")]
+
+
+def test_a_signal_after_the_work_changes_no_status():
+    """The interpreter takes a moment to shut down; nothing is left to interrupt then."""
+    at_exit = "import atexit, os, signal, sys; atexit.register(os.kill, os.getpid(), signal.SIGTERM); "
+    code = f"{at_exit}sys.argv = ['tdgbench', '--version']; from tdgbench.__main__ import run; run()"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert (run.returncode, run.stderr) == (0, "")
