@@ -143,7 +143,8 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
         wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))  # NaN included
         if wrong.any():
             limits = f"not finite or outside {TEMPERATURES[0]} to {TEMPERATURES[1]:g} °C"
-            raise SceneError(f"{path} holds {int(wrong.sum())} pixels that are {limits}")
+            why = "" if values.dtype.kind == "f" else "; is degC_per_count in temperature.json right?"
+            raise SceneError(f"{path} holds {int(wrong.sum())} pixels that are {limits}{why}")
         low, high = radiometry.range.min, radiometry.range.max
         return np.clip((degC - low) / (high - low), 0, 1).astype(np.float32)
     if values.min() < 0 or values.max() > 65535:

@@ -133,8 +133,11 @@ def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
 
 @torch.no_grad()
 def _psnr(step: Step) -> float:
-    """PSNR of the thermal render, dB."""
-    mse = (step.thermal.image - step.target).square().mean().item()
+    """PSNR of the thermal render, dB; finite for every finite render."""
+    difference = step.thermal.image - step.target
+    mse = difference.square().mean().item()
+    if math.isinf(mse):  # the squares exceed float32
+        mse = difference.double().square().mean().item()
     return -10 * math.log10(max(mse, 1e-12))
 
 

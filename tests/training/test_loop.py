@@ -1,10 +1,12 @@
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
+from tdgbench.training import loop
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
@@ -111,3 +113,9 @@ def test_a_nan_that_no_view_shows_is_found_too(small_scene):
     method.model.gaussians.means[3, 1] = torch.nan
     with pytest.raises(NonFiniteError, match="thermal means is not finite at iteration 1"):
         train(method, 5)
+
+
+def test_the_psnr_of_a_finite_render_is_finite():
+    image = torch.full((2, 2, 1), 1e30)
+    step = SimpleNamespace(thermal=SimpleNamespace(image=image), target=torch.zeros_like(image))
+    assert loop._psnr(step) == pytest.approx(-600)
