@@ -5,6 +5,7 @@ A new experiment is one class that `job._target_` of one file in `conf/experimen
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -113,7 +114,7 @@ def _status_1_on_error() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        say(in_words(error), "error:", stderr=True)
+        say(in_words(error, sys.argv[1:]), "error:", stderr=True)
         raise SystemExit(1) from error
 
 
