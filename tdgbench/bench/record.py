@@ -187,14 +187,14 @@ class Record:
         write_text(folder / FILE, json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
-def read_record(folder: Path) -> Record | None:
-    """Read the record in a cell's folder; None without one.
+def read_record(folder: Path, *, complete: bool = False) -> Record | None:
+    """Read the record in a cell's folder; None without one. complete: it must also have what tables do without.
 
     Raises ValueError, naming the file, for anything else: types are checked, and whether status and failure agree.
     """
     path = folder / FILE
     try:
-        return _validator().validate_json(read_text(path), strict=True)
+        return _validator().validate_json(read_text(path), strict=True, context=COMPLETE if complete else None)
     except FileNotFoundError:
         return None
     except ValidationError as error:

@@ -8,17 +8,14 @@ from pathlib import Path
 from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.record import FILE, Failure, Record, read_record, schema_problems
+from tdgbench.bench.record import Failure, Record, read_record
 from tdgbench.files import put_in_place, whole_folder
 
 
 def readable_record(folder: Path) -> Record | None:
     """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
-    path = folder / FILE
     try:
-        if not path.is_file() or schema_problems(path.read_text(encoding="utf-8")):
-            return None
-        return read_record(folder)
+        return read_record(folder, complete=True)
     except (ValueError, OSError, RecursionError):
         return None
 
