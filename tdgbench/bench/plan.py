@@ -18,6 +18,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from tdgbench.bench.reading import read_text
 from tdgbench.files import write_text
+from tdgbench.scenes import Description
 
 FILE = "experiment.json"
 OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
@@ -31,7 +32,7 @@ class Plan:
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     table: Literal["main", "ablation", "readings"] = "main"
-    scenes: list[dict[str, str]] = field(default_factory=list)  # scene, dataset, group
+    scenes: list[Description] = field(default_factory=list)
     methods: list[str] = field(default_factory=list)
     inits: list[str] = field(default_factory=list)
     variant_keys: list[str] = field(default_factory=list)

@@ -43,8 +43,9 @@ class SfmPointsPrior:
         inverse, weight = self._splat_points(scene.points.points, camera.resized(width, height))
         if np.count_nonzero(weight) < MIN_POINTS:
             raise PriorError(
-                f"view {view.name} of {scene.name} sees {np.count_nonzero(weight)} sparse points; "
-                f"prior=sfm_points needs {MIN_POINTS}"
+                f"view {view.name} of {scene.name} sees sparse points in {np.count_nonzero(weight)} cells of a grid of "
+                f"{width} × {height} cells; prior=sfm_points needs {MIN_POINTS}: raise data.width "
+                "or prior.estimator.grid_width if they are small, or choose another prior"
             )
         thermal = resize(view.thermal, width, height).mean(axis=2)
         dense = self._solve(inverse, weight, thermal)

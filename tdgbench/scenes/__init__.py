@@ -2,12 +2,13 @@
 
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.layout import ReadOptions
+from tdgbench.scenes.layout import Description, ReadOptions
 from tdgbench.scenes.scene import Camera, PointCloud, Scene, TemperatureRange, View
 
 __all__ = [
     "Camera",
     "Dataset",
+    "Description",
     "FolderDataset",
     "MissingScenesError",
     "PointCloud",

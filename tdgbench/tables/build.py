@@ -82,7 +82,7 @@ def _main(records: list[Record], plan: Plan, experiment: Path) -> Tables:
 
 def _ablation(records: list[Record], plan: Plan, experiment: Path) -> Tables:
     main = ablation_rows(records, plan)
-    datasets = {s["dataset"] for s in plan.scenes} | {r.dataset for r in records}
+    datasets = {s.dataset for s in plan.scenes} | {r.dataset for r in records}
     of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
     differences = difference(main, ablation_as_published(main["init"].unique()), ABLATION_KEYS)
     against = with_verdicts(differences, main, ABLATION_KEYS) if of_paper else None

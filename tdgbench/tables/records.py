@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from tdgbench.bench.paths import cell_folder_of
@@ -62,10 +62,10 @@ def _with_planned_names(experiment: Path, folder: Path, record: Record, plan: Pl
 
 def _planned(record: Record, plan: Plan) -> Iterator[Record]:
     for scene in plan.scenes:
-        named = replace(record, scene=scene.get("scene", ""), dataset=scene.get("dataset", ""))
+        named = replace(record, **asdict(scene))
         for method in (record.method, *plan.methods):
             for init in (record.init, *plan.inits):
-                yield replace(named, method=method, init=init, group=scene.get("group", ""))
+                yield replace(named, method=method, init=init)
 
 
 def _view_problems(folder: Path, record: Record) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
+from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.measures import EXTRA, PUBLISHED, TRAINING, RecordMeasure, digits, measure
@@ -66,17 +68,17 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
         by_place.setdefault(place, []).append(record)
     labels = {label for label, _, _ in by_place}
     scenes = _scenes(chosen, plan)
-    of_paper = any(s["dataset"] in DATASETS.values() for s in scenes)
+    of_paper = any(s.dataset in DATASETS.values() for s in scenes)
     without_records = {*plan.methods, *(methods.paper_pair() if of_paper else ())} - {r.method for r in chosen}
     rows = []
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
-            cells = by_place.get((method, scene["dataset"], scene["scene"]), [])
+            cells = by_place.get((method, scene.dataset, scene.scene), [])
             for metric in (*PUBLISHED, *EXTRA):
                 pairs = [metric_value(r, metric) for r in cells] or [(np.nan, NO_RECORD)]
                 value = float(np.mean([v for v, _ in pairs]))  # NaN if any seed lacks it
                 reason = next((reason for _, reason in pairs if reason), "")
-                rows.append({"method": method, **scene, "metric": metric, "value": value, "reason": reason})
+                rows.append({"method": method, **asdict(scene), "metric": metric, "value": value, "reason": reason})
     return pd.DataFrame(rows, columns=[*KEYS, "value", "reason"])
 
 
@@ -150,15 +152,12 @@ def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.Dat
     return pd.DataFrame(result, columns=[*KEYS, "value", "reason"])
 
 
-def _scenes(records: list[Record], plan: Plan) -> list[dict[str, str]]:
+def _scenes(records: list[Record], plan: Plan) -> list[Description]:
     """The planned scenes and those of records; with one of the paper's scenes, all of them."""
-    keys = {(s["dataset"], s["scene"]): s for s in plan.scenes}
+    found = {(s.dataset, s.scene): s for s in plan.scenes}
     for r in records:
-        keys.setdefault((r.dataset, r.scene), {"scene": r.scene, "dataset": r.dataset, "group": r.group})
-    paper = {
-        (DATASETS[s.dataset], s.name): {"scene": s.name, "dataset": DATASETS[s.dataset], "group": s.group}
-        for s in SCENES
-    }
-    if any(key in paper for key in keys):
-        keys = {**paper, **{k: v for k, v in keys.items() if k not in paper}}
-    return list(keys.values())
+        found.setdefault((r.dataset, r.scene), Description(r.scene, r.dataset, r.group))
+    paper = {(DATASETS[s.dataset], s.name): Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES}
+    if found.keys() & paper.keys():
+        found = {**paper, **{k: v for k, v in found.items() if k not in paper}}
+    return list(found.values())

@@ -2,11 +2,12 @@ import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.plan import FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
+from tdgbench.scenes import Description
 
 
 def test_round_trip(tmp_path):
     assert read_plan(tmp_path) == Plan()
-    plan = Plan("ablation", [{"scene": "a", "dataset": "b", "group": ""}], ["tdg"], ["random"], ["x.y"])
+    plan = Plan("ablation", [Description("a", "b", "")], ["tdg"], ["random"], ["x.y"])
     plan.write(tmp_path / "new")
     assert read_plan(tmp_path / "new") == plan
 
@@ -37,7 +38,7 @@ def test_values_are_the_texts_that_the_cells_see():
     assert number_of_jobs(config(None, ["seed=interval(0,9)"])) is None
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"scenes": 3}', '{"colour": "red"}'])
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"scenes": 3}', '{"scenes": [{}]}', '{"colour": "red"}'])
 def test_a_broken_plan_is_named(tmp_path, content):
     (tmp_path / FILE).write_text(content, encoding="utf-8")
     with pytest.raises(ValueError, match=rf"{FILE} is not the plan of a sweep \(.*run the sweep again"):

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -13,13 +14,14 @@ from rich.console import Console
 
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import FILE, Failure
+from tdgbench.scenes import Description
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.show import show
 from tests.helpers.records import write
 
-ORBIT, NIGHT = ({"scene": name, "dataset": "synthetic", "group": "360"} for name in ("orbit", "night"))
+ORBIT, NIGHT = (Description(name, "synthetic", "360") for name in ("orbit", "night"))
 
 
 @pytest.fixture
@@ -69,18 +71,14 @@ def test_a_broken_record_is_na_with_its_reason(experiment, capsys, spoil):
 
 
 def test_a_broken_record_counts_for_the_planned_scene_alone(tmp_path):
-    Plan(scenes=[{"scene": "a b", "dataset": "synthetic", "group": ""}], methods=["tdg"], inits=["colmap"]).write(
-        tmp_path
-    )
+    Plan(scenes=[Description("a b", "synthetic", "")], methods=["tdg"], inits=["colmap"]).write(tmp_path)
     folder = write(tmp_path, scene="a b", dataset="synthetic", group="")
     (folder / FILE).write_text("{}")
     assert list(values(tmp_path)) == ["a b", "Average"]
 
 
 def test_a_scene_that_is_planned_twice_counts_once(experiment):
-    Plan(scenes=[ORBIT, dict(ORBIT), NIGHT, {**NIGHT, "group": "x"}], methods=["tdg"], inits=["colmap"]).write(
-        experiment
-    )
+    Plan(scenes=[ORBIT, ORBIT, NIGHT, replace(NIGHT, group="x")], methods=["tdg"], inits=["colmap"]).write(experiment)
     assert values(experiment) == {"orbit": 21.0, "night": 21.0, "Average": 21.0}
 
 
@@ -103,7 +101,9 @@ def test_a_failed_cell_never_shows_numbers(experiment):
     assert set(main.loc["night", "reason"]) == {"failed in train: ValueError: a"}
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"scenes": 3}', '{"scenes": [{"scene": 1}]}', '{"new": 1}', "\udcff"])
+@pytest.mark.parametrize(
+    "content", ["{", "[]", '{"scenes": 3}', '{"scenes": [{"scene": 1}]}', '{"scenes": [{}]}', '{"new": 1}', "\udcff"]
+)
 def test_a_broken_plan_is_a_problem(experiment, content):
     (experiment / "experiment.json").write_bytes(content.encode(errors="surrogateescape"))
     tables = build_tables(experiment)

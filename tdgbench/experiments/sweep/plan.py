@@ -35,7 +35,7 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
         say(dataset.explain_missing(missing), "error:", stderr=True)
     plan = Plan(
         table=cfg.table,
-        scenes=[vars(one) for one in scenes],
+        scenes=scenes,
         methods=options.get("method", [cfg.method.name]),
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH],

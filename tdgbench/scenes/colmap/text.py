@@ -34,6 +34,7 @@ COUNTED = re.compile(HEADER + rb"\w+: (\d{1,18})\b")
 HEADER_SIZE = 1000  # bytes at a file's beginning that hold it
 MAX_ID = 2**32 - 1
 OF_NUMBERS = b"-+0123456789.eE \t\r\n\v\f"  # characters of numbers and between them
+OF_INTEGERS = b"0123456789 \t\r\n\v\f"
 NO_POINT_WORD = str(NO_POINT)
 
 
@@ -186,36 +187,69 @@ def read_points(path: Path) -> Points:
     ids: list[int] = []
     xyz: list[float] = []
     colors: list[int] = []
-    lengths: list[int] = []
-    tracks: list[int] = []
-    for number, text in enumerate(_text_lines(path), start=1):
-        words = text.split()  # and no _Line, since models have millions of points
+    rows: list[int] = []
+    tracks: list[str] = []
+    lines = _text_lines(path)
+    for number, text in enumerate(lines, start=1):
+        words = text.split(maxsplit=8)  # and no _Line, since models have millions of points
         if not words or words[0][0] == "#":
             continue
         try:
             ids.append(int(words[0]))
             xyz += map(float, words[1:4])
             colors += map(int, words[4:7])
-            lengths.append((len(words) - 8) // 2)
-            tracks += map(int, words[8:])
             float(words[7])
         except (ValueError, IndexError) as error:
             raise _Line(path, number, text).damaged(f"is no point: {error}") from error
-        if len(words) % 2 or "_" in text or not text.isascii():
-            what = f"has {len(words)} words; a point has 8 numbers and 2 for each image of its track"
-            raise _Line(path, number, text).damaged(what)
+        if "_" in text or not text.isascii():
+            raise _Line(path, number, text).damaged("has a word that is no number")
+        rows.append(number)
+        tracks.append(words[8] if len(words) > 8 else "")
     _complete(path, ids)
+    try:
+        lengths, numbers = _tracks(tracks)
+    except _BadTrackError as error:
+        number = rows[error.row]
+        raise _Line(path, number, lines[number - 1]).damaged(error.reason) from error
     try:
         return Points(
             np.array(ids, np.uint64),
             np.array(xyz, np.float64).reshape(-1, 3),
             np.array(colors, np.uint8).reshape(-1, 3),
-            np.array(lengths, np.int64),
-            np.array(tracks[0::2], np.uint32),
-            np.array(tracks[1::2], np.uint32),
+            lengths,
+            numbers[0::2],
+            numbers[1::2],
         )
     except OverflowError as error:
         raise DamagedModelError(path, f"an id or a color is out of its range ({error})") from error
+
+
+class _BadTrackError(Exception):
+    def __init__(self, row: int, reason: str) -> None:
+        super().__init__(row, reason)
+        self.row, self.reason = row, reason
+
+
+def _tracks(rows: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths (P,) of tracks and their numbers (2 L,), all rows at once: image id, index, image id, index ..."""
+    text = "".join(row + "\n" for row in rows).encode()
+    characters = np.frombuffer(text, np.uint8)
+    is_digit = (characters >= ord("0")) & (characters <= ord("9"))
+    if text.translate(None, OF_INTEGERS):
+        odd = next(i for i, row in enumerate(rows) if row.encode().translate(None, OF_INTEGERS))
+        raise _BadTrackError(odd, "has a track with a word that is no image id and no index")
+    is_start = is_digit.copy()
+    is_start[1:] &= ~is_digit[:-1]
+    words = np.diff(np.cumsum(is_start)[characters == ord("\n")], prepend=0)
+    if np.any(words % 2):
+        row = int(np.argmax(words % 2))
+        what = f"has {8 + words[row]} words; a point has 8 numbers and 2 for each image of its track"
+        raise _BadTrackError(row, what)
+    numbers = np.fromstring(text, np.int64, sep=" ")[: words.sum()]  # of no words it makes one zero
+    if np.any(numbers > MAX_ID):
+        row = int(np.searchsorted(np.cumsum(words), np.argmax(numbers > MAX_ID), side="right"))
+        raise _BadTrackError(row, f"has a number outside 0 to {MAX_ID}")
+    return words // 2, numbers.astype(np.uint32)
 
 
 def read_rigs(path: Path) -> list[Rig]:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import read_model
+from tdgbench.scenes.colmap.text import read_points
 from tests.helpers.models import FORMATS, copied
 from tests.helpers.paths import ROOT
 
@@ -25,6 +26,7 @@ import resource, sys
 from pathlib import Path
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import read_model
+from tdgbench.scenes.colmap.text import read_points
 resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
 resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
 for folder in sys.argv[1:]:
@@ -147,3 +149,30 @@ def test_changed_bytes_give_a_model_or_one_error(models, tmp_path, kind, number,
         assert all(np.isfinite(one.camera.world_to_camera).all() for one in read.images.values())
         assert all(np.isfinite(one.camera.K).all() for one in read.images.values())
         assert read.points is None or np.isfinite(read.points.points).all()
+
+
+@pytest.mark.parametrize(
+    ("track", "reason"),
+    [
+        ("1 2 3", r"line 4 has 11 words; a point has 8 numbers and 2 for each image of its track"),
+        ("1 -2", r"line 4 has a track with a word that is no image id and no index"),
+        ("1 2.0", r"line 4 has a track with a word that is no image id and no index"),
+        ("1 4294967296", r"line 4 has a number outside 0 to 4294967295"),
+        ("1 99999999999999999999999", r"line 4 has a number outside 0 to 4294967295"),
+    ],
+)
+def test_tracks_of_a_text_file_are_pairs_of_numbers(tmp_path, track, reason):
+    path = tmp_path / "points3D.txt"
+    path.write_text(f"# points\n1 0 0 1 0 0 0 0.5 7 0\t8  1\r\n\n2 0 0 1 0 0 0 0.5 {track}\n3 0 0 1 0 0 0 0.5\n")
+    with pytest.raises(SceneError, match=reason):
+        read_points(path)
+
+
+def test_points_of_a_text_file_need_no_tracks(tmp_path):
+    path = tmp_path / "points3D.txt"
+    path.write_text("2 0 0 1 255 0 0 0.5\n1 0 0 1 0 0 9 0.5\n")
+    read = read_points(path)
+    assert read.ids.tolist() == [2, 1] and read.track_lengths.tolist() == [0, 0]
+    assert read.track_images.size == read.track_points2D.size == 0 and read.colors.tolist() == [[255, 0, 0], [0, 0, 9]]
+    path.write_text("2 0 0 1 255 0 0 0.5\n1 0 0 1 0 0 9 0.5 7 0\t8  1\n")
+    assert read_points(path).track_images.tolist() == [7, 8] and read_points(path).track_points2D.tolist() == [0, 1]
