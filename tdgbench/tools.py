@@ -29,5 +29,14 @@ TOOLS = {
         ),
         "tdgbench.tables.command",
     ),
+    "data": Tool(
+        (
+            ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),
+            ("check DIR", "which scenes are there, whole, aligned; how long Table 1 will take"),
+            ("prepare DIR OUT", "make a scene of camera files: temperatures, COLMAP model, undistorted images"),
+        ),
+        "tdgbench.data.command",
+    ),
+    "view": Tool((("CELL ...", "look at models in the browser"),), "tdgbench.view.command"),
     "verify": Tool((("DIR ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"),
 }

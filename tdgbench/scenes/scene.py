@@ -75,6 +75,7 @@ class View:
     load_thermal: Callable[[], np.ndarray] = field(repr=False)
     load_rgb: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     thermal_path: Path | None = None
+    load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
 
     @cached_property
@@ -88,6 +89,11 @@ class View:
         if self.load_rgb is None:
             raise SceneError(f"view {self.name} has no RGB image; a method that trains on RGB cannot use this scene")
         return self.load_rgb()
+
+    @cached_property
+    def valid(self) -> np.ndarray | None:
+        """(H, W) bool: the pixels whose thermal values were measured; None if all were."""
+        return None if self.load_valid is None else self.load_valid()
 
     @cached_property
     def true_depth(self) -> np.ndarray | None:

@@ -1,0 +1,26 @@
+"""`tdgbench data get|check|prepare`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+ACTIONS = {
+    "get": "download a published data set",
+    "check": "say what is in a folder of scenes",
+    "prepare": "make a scene of camera files",
+}
+
+
+def main(arguments: list[str]) -> int:
+    """Run an action; return the exit status.
+
+    Each action is a module tdgbench.data.<action>.command with `add_arguments(parser)` and `run(arguments) -> int`.
+    """
+    parser = argparse.ArgumentParser(prog="tdgbench data", description=__doc__)
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, summary in ACTIONS.items():
+        action = actions.add_parser(name, help=summary, description=summary)
+        importlib.import_module(f"tdgbench.data.{name}.command").add_arguments(action)
+    chosen = parser.parse_args(arguments)
+    return importlib.import_module(f"tdgbench.data.{chosen.action}.command").run(chosen)

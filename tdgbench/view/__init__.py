@@ -1,0 +1,1 @@
+"""Look at the models of cells in the browser."""
