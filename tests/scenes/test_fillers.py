@@ -44,7 +44,7 @@ def test_the_minimum_of_each_view_as_filler(views):
     made = {name: _with(view, np.s_[:, :6], view.min()) for name, view in views.items()}
     fillers = find_fillers(made)
     assert len(fillers.values) == N
-    for name, view in made.items():
+    for view in made.values():
         mask = fillers.mask(view)
         assert mask[:, :7].all() and mask[:, 7:].mean() < 0.01
 
