@@ -83,7 +83,7 @@ def noise(width: int, height: int, views: int) -> Scene:
         pose[0, 3] = number
         images = [rng.random((height, width, channels), np.float32) for channels in (1, 3)]
         found.append(View(f"v{number:02d}", Camera(K, pose, width, height), *(partial(np.copy, i) for i in images)))
-    points = PointCloud(rng.normal(size=(20, 3)) + [0, 0, 5], rng.random((20, 3), np.float32))
+    points = PointCloud(rng.normal(5, 1, (20, 3)), rng.random((20, 3), np.float32))
     return Scene("noise", "", "", found, [], points, TemperatureRange(10, 50), "", "", 1)
 
 
