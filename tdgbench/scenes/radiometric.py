@@ -1,0 +1,224 @@
+"""Temperatures and photos in the files of thermal cameras: FLIR radiometric JPEG, TIFF or PNG of counts or °C.
+
+FLIR files are decoded by flyr 5 (https://bitbucket.org/nimmerwoner/flyr, EUPL 1.2). Its temperature is the object's,
+as the camera would show it: counts are corrected with the emissivity, distance, humidity, atmospheric, reflected and
+window temperatures that the file itself states (`flyr/thermogram.py`); T = B / ln(R1 / (R2 (DN + O)) + F) in kelvin.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import TEMPERATURES, opened_image
+from tdgbench.scenes.inputs import read_bytes, regular_file
+from tdgbench.scenes.validate import MAX_PIXELS
+
+JPEG_START, JPEG_SCAN, APP1, APP3 = b"\xff\xd8", 0xDA, 0xE1, 0xE3
+FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
+DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
+JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
+MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
+COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
+TIFF_STARTS = (b"II*\0", b"MM\0*")
+
+
+@dataclass(frozen=True)
+class PhotoMapping:
+    """Where the thermal image lies in the embedded photo, as the camera states it (FLIR's picture-in-picture record).
+
+    The thermal image covers 1 / real_to_ir of the photo's width; its centre lies (offset_x, offset_y) px of the photo
+    right of and below the photo's centre (flyr/thermogram.py, `picture_in_picture_pil`).
+    """
+
+    real_to_ir: float
+    offset_x: int  # px of the photo
+    offset_y: int
+
+
+@dataclass(frozen=True)
+class Thermogram:
+    """Content of a FLIR file. celsius: (H, W) float64, NaN where invalid. photo: (h, w, 3) uint8."""
+
+    celsius: np.ndarray
+    photo: np.ndarray | None
+    mapping: PhotoMapping | None
+    settings: dict[str, float]  # emissivity, distance in m, temperatures in K, Planck constants ...
+
+
+def is_radiometric(path: Path) -> bool:
+    """Whether a file holds temperatures: FLIR or DJI radiometric JPEG, TIFF of one 16-bit or float channel.
+
+    Decides by the file's first bytes and headers, not by its name. Raises SceneError for what is no regular file.
+    """
+    with regular_file(path).open("rb") as file:
+        start = file.read(4)
+        if start[:2] == JPEG_START:
+            return _maker(file) is not None
+    if start not in TIFF_STARTS:
+        return False
+    with opened_image(path) as image:
+        return image.mode in (*COUNT_MODES, "F")
+
+
+def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> np.ndarray:
+    """Temperatures (H, W) float64 in °C; NaN where the file holds none.
+
+    FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
+    counts × degC_per_count + degC_at_zero. Raises SceneError naming the file.
+    """
+    with regular_file(path).open("rb") as file:
+        is_jpeg = file.read(2) == JPEG_START
+    if is_jpeg:
+        return read_thermogram(path).celsius
+    with opened_image(path) as image:
+        mode, values = image.mode, np.asarray(image).astype(np.float64)
+    if mode in COUNT_MODES:
+        if degC_per_count is None:
+            raise SceneError(
+                f"{path} holds counts; say which temperature they mean: degC_per_count and degC_at_zero "
+                "(in temperature.json, or as options)"
+            )
+        values = values * degC_per_count + degC_at_zero
+    elif mode != "F":
+        raise SceneError(f"{path} has mode {mode}; temperatures are one channel of 16-bit counts or of float °C")
+    return _valid_or_nan(values, path)
+
+
+def embedded_photo(path: Path) -> np.ndarray | None:
+    """The photo (H, W, 3) uint8 inside a FLIR radiometric JPEG; None if it has none. Raises SceneError."""
+    with regular_file(path).open("rb") as file:
+        if file.read(2) != JPEG_START or _maker(file) != "FLIR":
+            return None
+    return read_thermogram(path).photo
+
+
+def read_thermogram(path: Path) -> Thermogram:
+    """Temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
+    content = read_bytes(path)
+    maker = _maker(io.BytesIO(content))
+    if maker == "DJI":
+        raise SceneError(
+            f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
+            "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
+        )
+    if maker is None:
+        raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            return _decode(content, path)
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # flyr raises many kinds on damaged files
+        raise SceneError(
+            f"{path} cannot be read as a FLIR radiometric JPEG: {type(error).__name__}: {error}; "
+            "copy it again from the camera, or leave it out"
+        ) from error
+
+
+def _decode(content: bytes, path: Path) -> Thermogram:
+    from flyr.embedded_image import parse_embedded_image
+    from flyr.picture_in_picture import parse_pip_info
+    from flyr.records import RecordIndex, extract_flir_app1, parse_flir_records
+    from flyr.thermal import parse_camera_info
+    from flyr.thermogram import FlyrThermogram
+
+    stream = extract_flir_app1(io.BytesIO(content))
+    stream.seek(0x1C)
+    if struct.unpack(">I", stream.read(4))[0] > MOST_RECORDS:
+        raise SceneError(f"{path} has a damaged FLIR directory; copy it again from the camera, or leave it out")
+    stream.seek(0)
+    records = parse_flir_records(stream)
+    for needed in (RecordIndex.RAW_DATA, RecordIndex.CAMERA_INFO):
+        if needed.value not in records:
+            raise SceneError(f"{path} has a FLIR segment without {needed.name.lower()}; use the camera's original file")
+    settings = parse_camera_info(stream, records[RecordIndex.CAMERA_INFO.value])
+    counts = _raw_counts(stream, records[RecordIndex.RAW_DATA.value], path)
+    photo = mapping = None
+    if RecordIndex.EMBEDDED_IMAGE.value in records:
+        photo = _as_rgb(parse_embedded_image(stream, records[RecordIndex.EMBEDDED_IMAGE.value])[2])
+    if RecordIndex.PICTURE_IN_PICTURE_INFO.value in records:
+        pip = parse_pip_info(stream, records[RecordIndex.PICTURE_IN_PICTURE_INFO.value])
+        mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
+    celsius = _valid_or_nan(FlyrThermogram(counts, settings).celsius, path)
+    return Thermogram(celsius, photo, mapping, {key: float(value) for key, value in settings.items()})
+
+
+def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:
+    """Counts (H, W) of the raw record. Byte order of a PNG is the one whose neighbours differ less.
+
+    Cameras write the 16-bit PNG in either order; flyr assumes swapped bytes.
+    """
+    offset = record[2]
+    stream.seek(offset + 2)
+    width, height = struct.unpack("<HH", stream.read(4))
+    if width * height > MAX_PIXELS:
+        raise SceneError(f"{path} states {width}×{height} raw pixels; it is damaged: copy it again from the camera")
+    stream.seek(offset + 32)
+    payload = stream.read(record[3])
+    if payload[:4] == JPEG_LS:
+        raise SceneError(
+            f"{path} holds raw counts as JPEG-LS, which is not decoded here; export it as float TIFF in °C"
+        )
+    if payload[:4] == b"\x89PNG":
+        with Image.open(io.BytesIO(payload), formats=("PNG",)) as image:
+            if image.size != (width, height):
+                raise ValueError(f"raw image of {image.size} px, stated as {(width, height)}")
+            counts = np.asarray(image).astype(np.uint16)
+        return min((counts.byteswap(), counts), key=_roughness)
+    if len(payload) < 2 * width * height:
+        raise ValueError(f"{len(payload)} bytes for {width}×{height} raw counts")
+    return np.frombuffer(payload, "<u2", width * height).reshape(height, width)
+
+
+def _roughness(counts: np.ndarray) -> float:
+    """Mean difference of horizontal neighbours."""
+    return float(np.abs(np.diff(counts.astype(np.int64), axis=1)).mean())
+
+
+def _as_rgb(photo: np.ndarray) -> np.ndarray:
+    if photo.ndim == 2:
+        photo = np.stack([photo] * 3, axis=-1)
+    if photo.dtype != np.uint8 or photo.shape[2] < 3:
+        raise ValueError(f"embedded photo of shape {photo.shape} and type {photo.dtype}")
+    return photo[..., :3]
+
+
+def _valid_or_nan(celsius: np.ndarray, path: Path) -> np.ndarray:
+    """Temperatures with NaN where they are not finite or cannot be. Raises SceneError if none is left."""
+    celsius = celsius.astype(np.float64)
+    celsius[~((celsius > TEMPERATURES[0]) & (celsius <= TEMPERATURES[1]))] = np.nan
+    if np.isnan(celsius).all():
+        raise SceneError(f"{path} holds no temperature between {TEMPERATURES[0]} and {TEMPERATURES[1]:g} °C")
+    return celsius
+
+
+def _maker(file: BinaryIO) -> str | None:
+    """`FLIR` or `DJI` if a JPEG has raw counts of such a camera. Reads the headers of its segments alone."""
+    has_app3 = is_dji = False
+    for marker, head in _segments(file):
+        if marker == APP1 and head.startswith(FLIR_SEGMENT):
+            return "FLIR"
+        has_app3 |= marker == APP3
+        is_dji |= marker == APP1 and head.startswith(b"Exif") and DJI_MAKE in head
+    return "DJI" if is_dji and has_app3 else None
+
+
+def _segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Marker and first 512 bytes of each segment of a JPEG before its pixels."""
+    file.seek(2)
+    while len(header := file.read(4)) == 4 and header[0] == 0xFF and header[1] != JPEG_SCAN:
+        length = max(0, struct.unpack(">H", header[2:])[0] - 2)
+        head = file.read(min(length, 512))
+        yield header[1], head
+        file.seek(length - len(head), io.SEEK_CUR)
