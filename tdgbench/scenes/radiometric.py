@@ -41,8 +41,8 @@ class PhotoMapping:
     """
 
     real_to_ir: float
-    offset_x: int  # px of the photo
-    offset_y: int
+    offset_x: float  # px of the photo
+    offset_y: float
 
 
 @dataclass(frozen=True)
