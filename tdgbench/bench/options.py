@@ -150,6 +150,10 @@ class _Data(_Group):
     width: Any
     channels: Any
     skip_unpaired: Any
+    thermal: Any
+    principal_point: Any
+    temperature: Any
+    filler: Any
 
 
 class _Options(_Group):

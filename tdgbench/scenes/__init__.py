@@ -2,7 +2,7 @@
 
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.layout import Description, ReadOptions
+from tdgbench.scenes.options import Description, ReadOptions
 from tdgbench.scenes.scene import Camera, PointCloud, Scene, TemperatureRange, View
 
 __all__ = [

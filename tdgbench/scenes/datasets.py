@@ -8,8 +8,10 @@ from typing import Literal, Protocol
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
 from tdgbench.scenes.inputs import is_folder, listed, utf8_name
-from tdgbench.scenes.layout import LAYOUT, Description, FolderPath, ReadOptions, read_scene
+from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
+from tdgbench.scenes.options import Description, FolderPath, ReadOptions
+from tdgbench.scenes.read import read_scene
 from tdgbench.scenes.scene import Scene
 
 
@@ -76,8 +78,8 @@ class RegisteredDataset:
         for key in dict.fromkeys(self._registered(name).dataset for name in names):
             missing = [name for name in names if self._registered(name).dataset == key]
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
-            lines.append(f"    get them from {registry.PUBLISHED_AT[key]}")
-        lines.append(f"  layout: {LAYOUT}; elsewhere: data.root=DIR")
+            lines.append(f"    get them from {registry.PUBLISHED_AT[key]}; layout: <scene>/ with {LAYOUTS[key].looks}")
+        lines.append("  elsewhere: data.root=DIR; other layouts: docs/data.md")
         return "\n".join(lines)
 
     def _registered(self, name: str) -> registry.RegisteredScene:
@@ -104,54 +106,70 @@ class RegisteredDataset:
 
 
 class FolderDataset:
-    """Any capture in the RGBT-Scenes layout: `root` is the scene, or holds one folder per scene."""
+    """Any captures in one of the layouts: `root` is the scene, or holds one folder per scene.
 
-    def __init__(self, root: FolderPath, options: ReadOptions) -> None:
+    layout: a key of LAYOUTS, of the data set of that name, whose scenes may also be in <root>/<title>, for example
+    <root>/ThermoScenes; None detects the layout of each scene.
+    """
+
+    def __init__(
+        self, root: FolderPath, options: ReadOptions, layout: Literal["thermoscenes", "ti_nsd"] | None = None
+    ) -> None:
+        self.layout = None if layout is None else LAYOUTS[layout]
         self.root = Path(root)
         self.options = options
 
     def names(self) -> list[str]:
-        if self._is_scene():
-            return [name for name in [self.root.resolve().name] if not is_hidden(name)]
-        if not is_folder(self.root):
+        root = self._root()
+        if self._is_scene(root):
+            return [name for name in [root.resolve().name] if not is_hidden(name)]
+        if not is_folder(root):
             return []
-        return [p.name for p in listed(self.root) if not is_hidden(p.name) and _holds_thermal(p)]
+        return [p.name for p in listed(root) if not is_hidden(p.name) and self._can_be_scene(p)]
 
     def missing(self, names: list[str]) -> list[str]:
         return [name for name in names if name not in self.names()]
 
     def explain_missing(self, names: list[str]) -> str:
         there = ", ".join(self.names()) or "none"
+        layouts = "; ".join(one.looks for one in ([self.layout] if self.layout else LAYOUTS.values()))
         return (
-            f"{', '.join(names)} not found in {self.root} (scenes there: {there}). Set data.root=DIR to a scene or to "
-            f"a folder of scenes whose names do not begin with a dot; layout: {LAYOUT}"
+            f"{', '.join(names)} not found in {self._root()} (scenes there: {there}). Set data.root=DIR to a scene or "
+            f"to a folder of scenes whose names do not begin with a dot; a scene is a folder with {layouts}"
         )
 
     def describe(self, name: str | int | None) -> Description:
-        if self._is_scene():
-            check_scene_name(self.root.resolve().name)
+        root = self._root()
+        if self._is_scene(root):
+            check_scene_name(root.resolve().name)
         names = self.names()
         name = scene_name(name, names)
         if name is None and len(names) != 1:
             wanted = ["a scene (scene=…)"]
             raise MissingScenesError(wanted, self.explain_missing(wanted))
-        return Description(check_scene_name(names[0] if name is None else name), "folder", "")
+        title = "folder" if self.layout is None else self.layout.title
+        return Description(check_scene_name(names[0] if name is None else name), title, "")
 
     def load(self, name: str | int | None) -> Scene:
-        description = self.describe(name)
+        description, root = self.describe(name), self._root()
         if description.scene not in self.names():
-            is_folder(self.root / description.scene / "thermal")  # its error says more, where there is one
+            self._is_scene(root / description.scene)  # its error says more, where there is one
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
-        folder = self.root if self._is_scene() else self.root / description.scene
-        return read_scene(folder, description, self.options)
+        folder = root if self._is_scene(root) else root / description.scene
+        return read_scene(folder, description, self.options, self.layout)
 
-    def _is_scene(self) -> bool:
-        return is_folder(utf8_name(self.root) / "thermal")
+    def _root(self) -> Path:
+        """The scene, or the folder of scenes."""
+        if self.layout is not None and is_folder(utf8_name(self.root) / self.layout.title):
+            return self.root / self.layout.title
+        return utf8_name(self.root)
 
+    def _is_scene(self, folder: Path) -> bool:
+        return detect(folder) is not None if self.layout is None else self.layout.fits(folder)
 
-def _holds_thermal(folder: Path) -> bool:
-    """Whether a folder is a scene. One that may not be read is none: it must not keep the others from being found."""
-    try:
-        return is_folder(folder / "thermal")
-    except SceneError:
-        return False
+    def _can_be_scene(self, folder: Path) -> bool:
+        """Whether a folder is a scene. One that may not be read is none, so that the others are found."""
+        try:
+            return self._is_scene(folder)
+        except SceneError:
+            return False

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import math
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
-from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.inputs import read_bytes, regular_file
+from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 from tdgbench.scenes.validate import MAX_PIXELS
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -23,61 +21,20 @@ FORMATS = ("PNG", "JPEG", "TIFF", "BMP")  # Pillow's names
 TO_GRAY = ("1", "LA", "La")  # modes of Pillow that are converted
 TO_COLOR = ("P", "PA", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
 READ_AS_THEY_ARE = ("L", "RGB", "I", "F", "I;16", "I;16B", "I;16L", "I;16N")
-TEMPERATURES = (-273.15, 1e5)  # °C; absolute zero, and beyond what cameras measure
-
-
-@dataclass(frozen=True)
-class Radiometry:
-    """Content of `temperature.json`. 16-bit images: degC = counts × degC_per_count + degC_at_zero."""
-
-    range: TemperatureRange
-    degC_per_count: float | None = None
-    degC_at_zero: float = 0.0
-
-
-def read_radiometry(path: Path) -> Radiometry | None:
-    """Read `temperature.json`; None if there is no such file.
-
-    Keys: min and max in °C; degC_per_count and degC_at_zero for 16-bit images. Raises SceneError.
-    """
-    if not is_there(path):
-        return None
-    try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
-        low, high = _number(content["min"]), _number(content["max"])
-        per_count = content.get("degC_per_count")
-        if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:
-            raise ValueError(f"min {low} and max {high} are no range in {TEMPERATURES[0]} to {TEMPERATURES[1]:g}")
-        if per_count is not None and _number(per_count) == 0:
-            raise ValueError("degC_per_count is 0")
-        return Radiometry(
-            TemperatureRange(low, high),
-            None if per_count is None else _number(per_count),
-            _number(content.get("degC_at_zero", 0.0)),
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise SceneError(f"{path} must hold finite numbers `min` < `max` in °C: {error!r}") from error
-
-
-def _number(value: object) -> float:
-    """A finite number. Raises ValueError or TypeError."""
-    number = float(value)  # type: ignore[arg-type]
-    if not math.isfinite(number) or isinstance(value, bool):
-        raise ValueError(f"{value} is no finite number")
-    return number
+MAX_BYTES = 16 * MAX_PIXELS  # of an image's file; four channels of 32 bits
 
 
 @contextmanager
-def opened_image(path: Path) -> Iterator[Image.Image]:
+def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Image]:
     """An image whose header is checked and whose pixels are not yet decoded. Raises SceneError naming the file.
 
-    Errors of decoding inside the context become SceneError, too.
+    Errors of decoding inside the context become SceneError, too. content: of the file, if it has been read.
     """
     regular_file(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # of sizes that are refused below
-            image = Image.open(path, formats=FORMATS)
+            image = Image.open(path if content is None else io.BytesIO(content), formats=FORMATS)
         with image:
             if image.width * image.height > MAX_PIXELS:
                 raise SceneError(
@@ -89,6 +46,9 @@ def opened_image(path: Path) -> Iterator[Image.Image]:
         raise
     except Image.DecompressionBombError as error:
         raise SceneError(f"{path} is too large an image ({error}); an image may have {MAX_PIXELS} pixels") from error
+    except UnidentifiedImageError as error:
+        what = f"cannot identify its format; images are {', '.join(FORMATS)}"
+        raise SceneError(f"{path} cannot be read as an image: {what}; copy or export it again") from error
     except Exception as error:  # Pillow's decoders raise many kinds
         raise SceneError(f"{path} cannot be read as an image: {error}; copy or export it again") from error
 
@@ -110,16 +70,24 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
+def read_image_bytes(path: Path) -> bytes:
+    """Content of an image's file. Raises SceneError for a file larger than any image."""
+    if regular_file(path).stat().st_size > MAX_BYTES:
+        raise SceneError(f"{path} has {path.stat().st_size} bytes; an image has {MAX_BYTES} at most. Export it again")
+    return read_bytes(path)
+
+
 def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     """Read an image as float32 (H, W, 1 or 3) in [0, 1].
 
     8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how.
     Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
-    with opened_image(path) as opened:
+    content = read_image_bytes(path)
+    with opened_image(path, content) as opened:
         if opened.format == "PNG":
             opened.verify()  # the checksums, which decoding ignores; the image is closed then
-    with opened_image(path) as opened:
+    with opened_image(path, content) as opened:
         image: Image.Image = opened
         if image.mode in (*TO_GRAY, *TO_COLOR):
             image = image.convert("L" if image.mode in TO_GRAY else "RGB")
@@ -139,7 +107,10 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
         degC = values.astype(np.float64) * radiometry.degC_per_count + radiometry.degC_at_zero
     if degC is not None:
         if radiometry is None:
-            raise SceneError(f"{path} holds temperatures; add temperature.json with `min` and `max` in °C")
+            raise SceneError(
+                f"{path} holds temperatures; add temperature.json with `min` and `max` in °C, or set "
+                "data.temperature=[min,max]"
+            )
         wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))  # NaN included
         if wrong.any():
             limits = f"not finite or outside {TEMPERATURES[0]} to {TEMPERATURES[1]:g} °C"

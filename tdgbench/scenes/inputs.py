@@ -6,9 +6,11 @@ A FIFO, a device or a socket would block or never end; a loop of links or a miss
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,6 +70,11 @@ def read_bytes(path: Path) -> bytes:
         return regular_file(path).read_bytes()
     except OSError as error:
         raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
+
+
+def read_json(path: Path) -> Any:
+    """Content of a JSON file. Raises SceneError for no regular file, ValueError or RecursionError for no JSON."""
+    return json.loads(read_bytes(path).decode("utf-8-sig"))
 
 
 def hash_of(path: Path) -> bytes:

@@ -1,4 +1,3 @@
-import json
 import struct
 import zlib
 
@@ -7,8 +6,9 @@ import pytest
 from PIL import Image
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import Radiometry, image_size, is_gray, read_image, read_radiometry, resize
+from tdgbench.scenes.images import image_size, is_gray, read_image, resize
 from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.temperature import Radiometry
 
 RANGE = Radiometry(TemperatureRange(10.0, 60.0), degC_per_count=0.01, degC_at_zero=-273.15)
 
@@ -46,17 +46,6 @@ def test_a_broken_image_is_named(tmp_path):
     (tmp_path / "bad.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
     with pytest.raises(SceneError, match=r"bad\.png cannot be read"):
         read_image(tmp_path / "bad.png")
-
-
-def test_radiometry_file(tmp_path):
-    path = tmp_path / "temperature.json"
-    assert read_radiometry(path) is None
-    path.write_text(json.dumps({"min": 16.8, "max": 48.3}))
-    assert read_radiometry(path) == Radiometry(TemperatureRange(16.8, 48.3))
-    for bad in ('{"min": 3}', '{"min": 5, "max": 4}', "[]", "nonsense"):
-        path.write_text(bad)
-        with pytest.raises(SceneError, match=r"temperature\.json must hold finite"):
-            read_radiometry(path)
 
 
 def test_resize_averages_areas():
@@ -116,20 +105,3 @@ def test_only_images_are_parsed(tmp_path):
     (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
     with pytest.raises(SceneError, match=r"a\.png cannot be read as an image: cannot identify"):
         read_image(tmp_path / "a.png")
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        '{"min": NaN, "max": 3}', '{"min": 1, "max": Infinity}', '{"min": -300, "max": 3}', '{"min": 1, "max": 1e300}',
-        '{"min": true, "max": 3}', '{"min": 1, "max": 2, "degC_per_count": NaN}', "null", "[" * 100000,
-        '{"min": 1, "max": 2, "degC_per_count": 0}', '{"min": 1, "max": 2, "degC_at_zero": -Infinity}', "\udcff",
-        '{"min": 1, "max": 1' + "0" * 5000 + "}",
-    ],
-    ids=range(12),
-)  # fmt: skip
-def test_temperatures_that_cannot_be(tmp_path, content):
-    path = tmp_path / "temperature.json"
-    path.write_bytes(content.encode("utf-8", "surrogateescape"))
-    with pytest.raises(SceneError, match=r"temperature\.json must hold finite numbers `min` < `max`"):
-        read_radiometry(path)

@@ -9,9 +9,10 @@ import numpy as np
 
 from tdgbench.data.prepare.sources import ViewFiles
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import Radiometry, opened_image, read_image
+from tdgbench.scenes.images import opened_image, read_image
 from tdgbench.scenes.inputs import regular_file
 from tdgbench.scenes.radiometric import COUNT_MODES, PhotoMapping, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.temperature import Radiometry
 
 
 @dataclass(frozen=True)

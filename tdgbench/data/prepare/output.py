@@ -10,8 +10,8 @@ from PIL import Image
 
 from tdgbench.scenes import Camera, PointCloud
 from tdgbench.scenes.colmap import write_model
+from tdgbench.scenes.temperature import FILE, robust_range
 
-PERCENTILES = 0.1, 99.9  # of the measured temperatures: the range of the image values, unless it is given
 SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
 NARROWEST = 0.01  # °C, of a range
 
@@ -60,14 +60,23 @@ class SceneWriter:
         if self.is_celsius:
             samples = np.concatenate(self._samples)
             if given is None:
-                low, high = (float(value) for value in np.percentile(samples, PERCENTILES))
-                given = (low, max(high, low + NARROWEST))
+                given = _range_of(samples)
             share = float(np.mean((samples < given[0]) | (samples > given[1])))
         assert given is not None
         content = {"unit": "degC", "min": given[0], "max": given[1]}
-        (self.folder / "temperature.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+        (self.folder / FILE).write_text(json.dumps(content) + "\n", encoding="utf-8")
         return given, share
 
     def model(self, cameras: dict[str, Camera], points: PointCloud) -> None:
         """Write the COLMAP model of the views, by image file."""
         write_model(self.folder / "sparse" / "0", list(cameras.items()), points)
+
+
+def _range_of(samples: np.ndarray) -> tuple[float, float]:
+    """Range of image values 0 and 1, in °C: robust, and never empty."""
+    try:
+        span = robust_range([samples])
+        return span.min, span.max
+    except ValueError:  # nearly all are equal
+        low = float(np.median(samples))
+        return low, low + NARROWEST

@@ -22,9 +22,9 @@ from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reco
 from tdgbench.data.prepare.sources import ViewFiles, find_sources
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import read_radiometry
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.scenes.temperature import FILE, read_radiometry
 
 VIEWS_FOR_OFFSET = 24
 
@@ -71,12 +71,12 @@ def prepare(folder: Path, out: Path, options: PrepareOptions) -> Report:
 
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.
     """
-    if is_there(out):
-        raise SceneError(f"{out} is there already; choose another folder, or remove it")
     out.parent.mkdir(parents=True, exist_ok=True)
     with file_lock(out.with_name(f".{out.name}.lock")) as acquired:
         if not acquired:
             raise SceneError(f"another process is preparing {out}; wait for it, or choose another folder")
+        if is_there(out):
+            raise SceneError(f"{out} is there already; choose another folder, or remove it")
         with whole_folder(out) as part:
             report = Report(str(folder), str(out))
             _prepare(folder, part, options, report)
@@ -111,7 +111,7 @@ def _extract_all(folder: Path, work: Path, options: PrepareOptions, report: Repo
     """Read all files, and keep their content in `work`. Raises SceneError for sizes that differ, and too few views."""
     sources = find_sources(folder, options.pairs)
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
-    scale = count_scale(options.counts, read_radiometry(folder / "temperature.json"))
+    scale = count_scale(options.counts, read_radiometry(folder / FILE))
     captured = Captured(work)
     kinds: dict[tuple, list[str]] = {}
     with step("files to read", len(sources.views)) as count:
@@ -144,7 +144,9 @@ def _extract_all(folder: Path, work: Path, options: PrepareOptions, report: Repo
     if captured.is_celsius and captured.is_inside:
         report.assumptions.append("temperatures are the object's, with emissivity, distance … as set in the camera")
     if not captured.is_celsius:
-        report.assumptions.append("thermal images show values, no temperatures: errors in °C need temperature.json")
+        known = is_there(folder / FILE)
+        what = f"whose °C {folder / FILE} gives" if known else "without °C: an error in °C needs temperature.json"
+        report.assumptions.append(f"thermal images show values {what}")
     return captured
 
 
@@ -217,7 +219,7 @@ def _write(
             count(index + 1)
     given = options.range
     if given is None and not captured.is_celsius:
-        radiometry = read_radiometry(folder / "temperature.json")
+        radiometry = read_radiometry(folder / FILE)
         given = None if radiometry is None else (radiometry.range.min, radiometry.range.max)
     report.temperature, report.clipped = writer.temperature(given)
     if structure is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, listed
-from tdgbench.scenes.layout import find_images
+from tdgbench.scenes.layouts.layout import find_files
 from tdgbench.scenes.radiometric import is_radiometric
 
 EXAMPLE = "--pairs '*_T.tiff' '*_V.jpg'"
@@ -45,7 +45,7 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
     if pairs is not None:
         found = _pair(*(_matching(folder, pattern) for pattern in pairs))
     elif is_folder(folder / "thermal") and is_folder(folder / "rgb"):
-        found = _pair(find_images(folder / "thermal")[0], find_images(folder / "rgb")[0])
+        found = _pair(find_files(folder / "thermal")[0], find_files(folder / "rgb")[0])
     else:
         found = _by_content(folder / "raw_images" if is_folder(folder / "raw_images") else folder)
     if not found.views:

@@ -17,7 +17,8 @@ from tdgbench.experiments.stress.case import Case, Close, Expected, Raises
 from tdgbench.experiments.stress.outcome import Observed
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, View
-from tdgbench.scenes.images import read_image, read_radiometry
+from tdgbench.scenes.images import read_image
+from tdgbench.scenes.temperature import read_radiometry
 from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal
 
 FAMILY = "losses"

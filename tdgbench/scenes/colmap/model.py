@@ -54,7 +54,9 @@ def read_model(folder: Path) -> ReadModel:
         raise SceneError(f"{tables.file('images')} has no registered image; {REMEDY}")
     poses = camera_poses(tables)
     check_points(tables)
-    cameras = {key: to_pinhole(entry, tables.file("cameras")) for key, entry in tables.cameras.items()}
+    cameras = {
+        key: to_pinhole(entry, f"{tables.file('cameras')}: camera {entry.id}") for key, entry in tables.cameras.items()
+    }
     posed: dict[str, RegisteredImage] = {}
     for image_id, image in tables.images.items():
         where = f"{tables.file('images')}: image {image.name!r}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -77,13 +76,12 @@ class Undistortion:
         return SceneError(f"{self.where}: the distortion {', '.join(distortion)} {what}. Correct the model")
 
 
-def to_pinhole(entry: CameraEntry, file: Path) -> tuple[Camera, pycolmap.Camera, Undistortion | None]:
+def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, pycolmap.Camera, Undistortion | None]:
     """Intrinsics of a camera as a pinhole at the world's origin, COLMAP's camera, and how to resample images.
 
-    A camera that is no pinhole becomes pycolmap's undistorted one. Raises SceneError for numbers that cannot be a
-    camera's.
+    where: file and camera, for messages. A camera that is no pinhole becomes pycolmap's undistorted one. Raises
+    SceneError for numbers that cannot be a camera's.
     """
-    where = f"{file}: camera {entry.id}"
     if not np.isfinite(entry.params).all():
         raise SceneError(f"{where} has parameters that are not finite. Correct the model")
     check_size(entry.width, entry.height, where)

@@ -9,8 +9,10 @@ from typing import Annotated
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.layout import Description, FolderPath, ReadOptions, read_scene
+from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.names import scene_name
+from tdgbench.scenes.options import Description, FolderPath, ReadOptions
+from tdgbench.scenes.read import read_scene
 from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import write_scene
@@ -60,7 +62,7 @@ class SyntheticDataset:
         folder = self.root / "synthetic" / self._folder_name(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
-        return read_scene(folder, description, self.options)
+        return read_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
 
     def _folder_name(self, name: str) -> str:
         """Names all parameters and a hash of the generator, so that another generator writes another folder."""

@@ -10,6 +10,7 @@ import numpy as np
 from tdgbench.bench.init import ColmapPoints
 from tdgbench.priors import DepthEstimator, PriorError
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
+from tdgbench.scenes.read import LAYOUT_NOTE
 from tdgbench.terminal import say
 
 FILE = "loaded.npz"
@@ -23,7 +24,7 @@ def load_scene(root: str, scene: str, prior: DepthEstimator) -> int:
             "points": ColmapPoints().points(found).points,
             "colors": ColmapPoints().points(found).colors,
         }
-        content["notes"] = found.notes
+        content["notes"] = [note for note in found.notes if not note.startswith(LAYOUT_NOTE)]
         content["extent"] = found.extent
         content["names"] = [view.name for view in found.views]
         content["train"] = [view.name for view in found.train]

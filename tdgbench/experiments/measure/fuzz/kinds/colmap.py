@@ -16,6 +16,7 @@ from tdgbench.experiments.measure.fuzz.colmap.model import MalformedError, Model
 from tdgbench.experiments.measure.fuzz.damage import damage, edit
 from tdgbench.experiments.measure.fuzz.inputs import SCENE
 from tdgbench.experiments.measure.fuzz.kinds.scene import SceneKind
+from tdgbench.scenes.read import LAYOUT_NOTE
 
 FLOATS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e300, -1e300, 1e-300, 1e9)
 NAMED = ("sparse/0", "COLMAP", "camera")  # an error about a model names one of these, a file or a view
@@ -74,7 +75,8 @@ class ColmapKind(SceneKind):
         except MalformedError as error:
             return f"a result in spite of a malformed model: {error}"
         problems = model.problems()
-        if not problems and not any(one["notes"] for one in self.records(SCENE)):
+        notes = [note for one in self.records(SCENE) for note in one["notes"] if not note.startswith(LAYOUT_NOTE)]
+        if not problems and not notes:
             problems = model.doubts()
         return f"a result in spite of: {problems[0]}" if problems else ""
 

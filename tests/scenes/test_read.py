@@ -68,19 +68,21 @@ def test_without_rgb(folder):
 
 def test_errors_name_the_file(folder):
     (folder / "thermal" / "view003.png").unlink()
-    with pytest.raises(SceneError, match=r"have no thermal image \(view003\)"):
-        load(folder)
-    scene = load(folder, skip_unpaired=True)
-    assert len(scene.views) == 9 and "view003" in scene.notes[0]
+    with pytest.raises(
+        SceneError, match=r"have no thermal image \(view003\); add them, or set data.skip_unpaired=true"
+    ):
+        load(folder, skip_unpaired=False)
+    scene = load(folder)
+    assert len(scene.views) == 9 and "view003" in scene.notes[1]
     (folder / "thermal" / "view004.png").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"view004\.png cannot be read"):
-        _ = [view.thermal for view in load(folder, skip_unpaired=True).views]
+        load(folder)
 
 
 def test_views_without_pose_are_omitted(folder):
     shutil.copy(folder / "thermal" / "view001.png", folder / "thermal" / "extra.png")
     scene = load(folder)
-    assert len(scene.views) == 10 and "extra" in scene.notes[0]
+    assert len(scene.views) == 10 and "extra" in scene.notes[1]
 
 
 def test_duplicates_and_wrong_shapes(folder):

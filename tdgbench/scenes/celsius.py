@@ -1,0 +1,162 @@
+"""Thermal images from temperatures: arrays in °C, or radiometric files of cameras.
+
+Pixels that were not measured are masked (`fillers`); the others are scaled so that the range of temperatures is 0 to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.fillers import Fillers, find_fillers, given_filler
+from tdgbench.scenes.inputs import read_array
+from tdgbench.scenes.measured import (
+    UNMEASURED,
+    Kept,
+    Measured,
+    Source,
+    ThermalImages,
+    decide_channels,
+    read_mask,
+    resample,
+)
+from tdgbench.scenes.options import ReadOptions
+from tdgbench.scenes.radiometric import read_celsius
+from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.temperature import PERCENTILES, Radiometry, robust_range, sampled
+from tdgbench.scenes.validate import check_size
+
+Reader = Callable[[Path], np.ndarray]  # temperatures (H, W) in °C; not finite where there is none
+
+
+def array_reader(radiometry: Radiometry | None) -> Reader:
+    """Reader of .npy files: °C, or counts where temperature.json says what they mean."""
+    return partial(_read_array, radiometry=radiometry)
+
+
+def file_reader(radiometry: Radiometry | None) -> Reader:
+    """Reader of cameras' radiometric files."""
+    if radiometry is None:
+        return read_celsius
+    return partial(read_celsius, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
+
+
+def _read_array(path: Path, radiometry: Radiometry | None) -> np.ndarray:
+    values = read_array(path)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim != 2 or 0 in values.shape:
+        raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
+    check_size(values.shape[1], values.shape[0], str(path))
+    if values.dtype.kind in "iu" and radiometry is not None and radiometry.degC_per_count is not None:
+        return values * radiometry.degC_per_count + radiometry.degC_at_zero
+    return values
+
+
+class _Scaling(NamedTuple):
+    """How temperatures become a view's image."""
+
+    read: Reader
+    fillers: Fillers
+    range: TemperatureRange
+
+
+def celsius_images(
+    sources: Mapping[str, Source],
+    read: Reader,
+    train: list[str],
+    options: ReadOptions,
+    given: TemperatureRange | None,
+) -> ThermalImages:
+    """Images of one channel, or of three equal ones. Raises SceneError.
+
+    train: views whose temperatures give the range, unless it is given.
+    """
+    raw = {name: read(source.path).astype(np.float32) for name, source in sources.items()}
+    fillers = _fillers(raw, options.filler)
+    measured, filled = {}, []
+    for name, source in sources.items():
+        degC = raw.pop(name)
+        invalid = fillers.mask(degC)
+        filled.append(invalid.mean())
+        measured[name] = _measure(degC, invalid, source)
+    span = given or _range_of({name: measured[name] for name in train}, sources)
+    scaling, kept, clipped, count = _Scaling(read, fillers, span), {}, 0, 0
+    for name, source in sources.items():
+        one = measured.pop(name)
+        values = one.image[..., 0] if one.valid is None else one.image[one.valid]
+        clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
+        count += values.size
+        kept[name] = Kept(_scaled(one, span), partial(_make, source, scaling))
+    if clipped == count:
+        folder = next(iter(sources.values())).path.parent
+        raise SceneError(
+            f"{folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
+            "temperature.json"
+        )
+    notes = _notes(fillers, filled, span, given, clipped / count)
+    return ThermalImages(kept, decide_channels(options.channels, are_gray=True), span, notes)
+
+
+def _make(source: Source, scaling: _Scaling) -> Measured:
+    degC = scaling.read(source.path).astype(np.float32)
+    return _scaled(_measure(degC, scaling.fillers.mask(degC), source), scaling.range)
+
+
+def _fillers(degC: Mapping[str, np.ndarray], wanted: str | float) -> Fillers:
+    if wanted == "auto":
+        return find_fillers(degC)
+    return Fillers() if wanted == "none" else given_filler(float(wanted))
+
+
+def _measure(degC: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
+    """Temperatures (height, width, 1) of a view, in °C, without the `invalid` ones and those that its mask hides."""
+    hidden = read_mask(source, degC[..., None])
+    return Measured(*resample(degC[..., None], invalid if hidden is None else invalid | hidden, source))
+
+
+def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source]) -> TemperatureRange:
+    values = [one.image.ravel() if one.valid is None else one.image[one.valid][:, 0] for one in measured.values()]
+    try:
+        return robust_range(sampled(one, len(values)) for one in values)
+    except ValueError as error:
+        raise SceneError(
+            f"{next(iter(sources.values())).path.parent}: the temperatures of the training views give no range "
+            f"({error}); set data.temperature=[min,max] in °C"
+        ) from error
+
+
+def _scaled(measured: Measured, span: TemperatureRange) -> Measured:
+    """The image in [0, 1], in place of the temperatures."""
+    image, valid = measured
+    image -= np.float32(span.min)
+    image /= np.float32(span.max - span.min)
+    np.clip(image, 0, 1, out=image)
+    if valid is not None:
+        image[~valid] = UNMEASURED
+    return Measured(image, valid)
+
+
+def _notes(
+    fillers: Fillers, filled: list[float], span: TemperatureRange, given: TemperatureRange | None, clipped: float
+) -> list[str]:
+    notes = []
+    if fillers.values:
+        values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
+        notes.append(
+            f"{np.mean(filled):.1%} of the pixels are masked, as not measured or filled with {values} °C "
+            "(data.filler=none keeps fillers)"
+        )
+    elif any(filled):
+        notes.append(f"{np.mean(filled):.2%} of the pixels hold no temperature and are masked")
+    origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
+    notes.append(
+        f"the image's range is {span.min:.2f} to {span.max:.2f} °C{origin}; {clipped:.2%} of the pixels are outside "
+        "and clipped"
+    )
+    return notes

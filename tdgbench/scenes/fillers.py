@@ -1,0 +1,143 @@
+"""Find pixels of temperature arrays that were never measured, but hold an ordinary number.
+
+An array that was warped into another camera has one constant value outside the thermal camera's field: 0, the scene's
+minimum, or another number. A measured region is never exactly constant, but arrays made from 8-bit images or by
+simulation may be, and a scene may really have 0 °C. So a value is a filler only if
+
+- in one view or more it fills a connected region that touches the border and has at least SMALLEST of the view; and
+- either the regions lie in the same place of the image in SAME_PLACE of the views (the field of a thermal camera does,
+  objects do not), or the value is 0, which warping functions fill with by default, and all other temperatures of the
+  scene are above it or all are below it.
+
+Pixels of that value that are connected to the border are masked in every view; where the value is outside the range of
+all other temperatures, so are those inside, such as holes of a warp. A masked region grows by one pixel, since warping
+mixes the filler into the pixels at its edge. NaN, infinities and temperatures that cannot be are masked anyway.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from tdgbench.scenes.temperature import PERCENTILES, TEMPERATURES, sampled
+
+SMALLEST = 0.005  # of a view's pixels, that a filled region has
+SAME_PLACE = 0.9  # of the views, in which a pixel is in a filled region
+OVERLAP = 0.5  # of a filled region, that lies in the place that most views share
+FEWEST_VIEWS = 3  # from which a shared place says something
+MOST_CANDIDATES = 4  # values of a view's border that are tried; a warp has one or two
+ZERO = 0.0  # °C, OpenCV's and scipy's default outside the source of a warp
+NEIGHBOURS = np.ones((3, 3), bool)
+
+
+@dataclass(frozen=True)
+class Fillers:
+    """Values that stand for pixels without a measurement, °C."""
+
+    values: tuple[float, ...] = ()
+    beyond: tuple[float, ...] = ()  # those outside the range of all other temperatures
+
+    def mask(self, degC: np.ndarray) -> np.ndarray:
+        """Pixels (H, W) bool of temperatures (H, W) in °C that were not measured."""
+        invalid = impossible(degC)
+        for value in self.values:
+            same = degC == value
+            filled = same if value in self.beyond else connected_to_border(same)
+            invalid |= ndimage.binary_dilation(filled, NEIGHBOURS) if filled.any() else filled
+        return invalid
+
+
+def given_filler(value: float) -> Fillers:
+    """All pixels of this value."""
+    return Fillers((value,), (value,))
+
+
+def impossible(degC: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) bool that are NaN, infinite, at or below absolute zero, or above what cameras measure."""
+    with np.errstate(invalid="ignore"):
+        return ~((degC > TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))
+
+
+def connected_to_border(pixels: np.ndarray) -> np.ndarray:
+    """Those of the pixels (H, W) bool that are connected to the border through others of them.
+
+    >>> connected_to_border(np.array([[1, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 0]], bool)).astype(int)
+    array([[1, 0, 0, 0],
+           [1, 0, 0, 0],
+           [0, 0, 0, 0]])
+    """
+    labels, _ = ndimage.label(pixels)
+    return pixels & np.isin(labels, np.unique(_border(labels)))
+
+
+def find_fillers(views: Mapping[str, np.ndarray]) -> Fillers:
+    """Fillers of a scene, of the temperatures (H, W) in °C of all its views."""
+    regions = [region for view in views.values() for region in _filled_regions(view)]
+    if not regions:
+        return Fillers()
+    placed = {region.value for region in _in_the_same_place(regions, len(views))}
+    low, high = _range_without(views.values(), {region.value for region in regions})
+    values = sorted({r.value for r in regions if r.value in placed or (r.value == ZERO and not low <= ZERO <= high)})
+    return Fillers(tuple(values), tuple(value for value in values if not low <= value <= high))
+
+
+class _Region(NamedTuple):
+    """Pixels of one value in one view that are connected to its border."""
+
+    value: float
+    shape: tuple[int, int]
+    packed: np.ndarray  # of the pixels (H, W) bool, 8 in a byte
+
+    def pixels(self) -> np.ndarray:
+        height, width = self.shape
+        return np.unpackbits(self.packed, count=height * width).reshape(self.shape).astype(bool)
+
+
+def _filled_regions(degC: np.ndarray) -> Iterator[_Region]:
+    border = _border(degC)
+    values, counts = np.unique(border[~impossible(border)], return_counts=True)
+    for value in values[np.argsort(-counts, kind="stable")[:MOST_CANDIDATES]]:
+        same = degC == value
+        if same.mean() >= SMALLEST:
+            pixels = connected_to_border(same)
+            if pixels.mean() >= SMALLEST:
+                yield _Region(float(value), degC.shape, np.packbits(pixels))
+
+
+def _in_the_same_place(regions: list[_Region], views: int) -> Iterator[_Region]:
+    """The regions that lie where most views have one."""
+    shape = Counter(region.shape for region in regions).most_common(1)[0][0]
+    count = np.zeros(shape, np.int32)
+    for region in regions:  # those of one view do not overlap
+        if region.shape == shape:
+            count += region.pixels()
+    shared = count >= SAME_PLACE * views
+    if views < FEWEST_VIEWS or shared.mean() < SMALLEST:
+        return
+    for region in regions:
+        if region.shape == shape:
+            pixels = region.pixels()
+            if (pixels & shared).sum() >= OVERLAP * pixels.sum():
+                yield region
+
+
+def _range_without(views, values: set[float]) -> tuple[float, float]:
+    """Lowest and highest temperature (°C), without PERCENTILES at the ends, of the pixels with other values."""
+    views = list(views)
+    others = [v[~(impossible(v) | np.isin(v, list(values)))] for v in views]
+    others = [sampled(one, len(views)) for one in others]
+    together = np.concatenate(others)
+    if not len(together):
+        return -np.inf, np.inf
+    low, high = np.percentile(together, PERCENTILES)
+    return float(low), float(high)
+
+
+def _border(image: np.ndarray) -> np.ndarray:
+    """Values (N,) of the outermost pixels of an image (H, W)."""
+    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])

@@ -1,0 +1,71 @@
+"""Points of a PLY file, and the world that they are in."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import regular_file
+from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.validate import MAX_COORDINATE
+
+HEADER_SIZE = 2**16  # bytes that hold it
+SMALLEST_ROW = 6  # bytes of a point: three digits and the spaces between them
+REMEDY = "copy or download it again, or remove it and use init=random"
+CLEARLY_MORE = 1.5  # × as many points in the images decide for a world
+
+
+def read_points(path: Path) -> PointCloud:
+    """Vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
+    try:
+        with regular_file(path).open("rb") as file:
+            count = re.search(rb"\nelement vertex (\d{1,18})\s", file.read(HEADER_SIZE))
+        if count is None or int(count[1]) * SMALLEST_ROW > path.stat().st_size:
+            raise ValueError("its header states no vertices, or more than the file has bytes for")
+        vertex = PlyData.read(str(path))["vertex"]
+        xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
+        names = {one.name for one in vertex.properties}
+        colors = np.full(xyz.shape, 0.5, np.float32)
+        if {"red", "green", "blue"} <= names:
+            channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
+            scale = 255 if all(channel.dtype.kind in "iu" for channel in channels) else 1
+            colors = np.stack(channels, axis=-1).astype(np.float32) / np.float32(scale)
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # plyfile raises many kinds
+        raise SceneError(f"{path} cannot be read as a point cloud: {error}; {REMEDY}") from error
+    if not (np.abs(xyz) <= MAX_COORDINATE).all() or not ((colors >= 0) & (colors <= 1)).all():  # NaN included
+        raise SceneError(f"{path} has points or colours that are not finite, or beyond {MAX_COORDINATE:g}; {REMEDY}")
+    return PointCloud(xyz, colors)
+
+
+def where_they_are(
+    cloud: PointCloud, applied_transform: np.ndarray | None, cameras: list[Camera]
+) -> tuple[PointCloud, bool]:
+    """The points in the world of nerfstudio's frames, and whether they had to be moved there.
+
+    nerfstudio writes points in that world since its release 1.0 (`create_ply_from_colmap` of
+    nerfstudio/process_data/colmap_utils.py takes the applied_transform, (4, 4)); before, it wrote COLMAP's own
+    (nerfstudio_dataparser.py at 01595f7 still applied it on reading). The world decides in which clearly more points
+    lie in the images.
+    """
+    if applied_transform is None or not len(cloud.points):
+        return cloud, False
+    moved = cloud.points @ applied_transform[:3, :3].T + applied_transform[:3, 3]
+    if _visible(moved, cameras) > CLEARLY_MORE * _visible(cloud.points, cameras):
+        return PointCloud(moved, cloud.colors), True
+    return cloud, False
+
+
+def _visible(points: np.ndarray, cameras: list[Camera]) -> int:
+    """How often the points (N, 3) lie in front of the cameras and in their images."""
+    count = 0
+    for camera in cameras:
+        pixels, z = camera.project(points)
+        inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+        count += int(np.count_nonzero(inside & (z > 0)))
+    return count

@@ -1,0 +1,101 @@
+"""ThermoScenes of ThermoNeRF: nerfstudio's transforms.json with a thermal image per frame.
+
+Facts: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_nerf/thermal_nerf/thermal_dataparser.py and
+thermo_scenes/docs/Collect_new_dataset.md: `transforms.json` (or `transforms_thermal.json`) with `file_path` and
+`thermal_file_path` per frame; without the latter, the file of the same name in `thermal/`. 8-bit gray images span the
+`temperature_bounds.json`. The shipped split is that of `<split>_filenames`, or of file names with `train` or `eval`.
+RGB and thermal images share a camera, so both are undistorted alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.layouts.layout import Found, Layout, find_optional, model_folder
+from tdgbench.scenes.layouts.ply import read_points, where_they_are
+from tdgbench.scenes.layouts.transforms import Transforms, read_transforms
+from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_bounds, read_radiometry
+
+JSON_FILES = ("transforms.json", "transforms_thermal.json")
+POINTS = "sparse_pc.ply"  # nerfstudio's default
+TITLE = "ThermoScenes"
+
+
+def _fits(folder: Path) -> bool:
+    """A COLMAP model where RGBT-Scenes has it makes that layout the better one."""
+    return _json_file(folder) is not None and model_folder(folder, ("sparse/0", "sparse")) is None
+
+
+def _find(folder: Path) -> Found:
+    path = _json_file(folder)
+    if path is None:
+        raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
+    content = read_transforms(path)
+    by_name = find_optional(folder / "thermal", "thermal images")
+    thermal, rgb = {}, {}
+    for name, frame in content.frames.items():
+        stated = frame.thermal_file
+        place = by_name.get(name) if stated is None else folder / stated
+        if place is not None and is_there(place):
+            thermal[name] = _image(place)
+        if is_there(folder / frame.file):
+            rgb[name] = _image(folder / frame.file)
+    if not thermal:
+        raise SceneError(
+            f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
+            f"{folder / 'thermal'}, or name it with thermal_file_path"
+        )
+    bounds = read_bounds(folder / BOUNDS_FILE) or read_radiometry(folder / FILE)
+    files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
+    notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
+    ply = folder / (content.points or POINTS)
+    points = None
+    if is_there(ply):
+        poses = [frame.posed.camera for frame in content.frames.values()]
+        points, moved = where_they_are(read_points(ply), content.applied_transform, poses)
+        notes += [f"{ply.name} was in the world before applied_transform, which is applied to it"] if moved else []
+        files.append(ply)
+    posed = {name: frame.posed for name, frame in content.frames.items()}
+    return Found(posed, points, thermal, rgb, _shipped(content, path), bounds, files=files, notes=notes)
+
+
+def _json_file(folder: Path) -> Path | None:
+    return next((folder / name for name in JSON_FILES if is_there(folder / name)), None)
+
+
+def _image(path: Path) -> Path:
+    if path.suffix.lower() not in SUFFIXES:
+        raise SceneError(f"{path} is no image of {', '.join(SUFFIXES)}; export it as one of them")
+    return regular_file(path)
+
+
+def _shipped(content: Transforms, path: Path) -> dict[str, str]:
+    """`train` or `test` by view name. Lists of names decide, if there are any; `val` is tested where `test` is not."""
+    if content.lists:
+        test = content.lists.get("test") or content.lists.get("val", [])
+        parts: Mapping[str, Any] = {"train": content.lists.get("train", []), "test": test}
+        unknown = [name for names in content.lists.values() for name in names if name not in content.frames]
+        if unknown:
+            raise SceneError(f"{path} lists {unknown[0]} in its split, but has no such frame. Correct the list")
+        return {name: part for part, names in parts.items() for name in names}
+    shipped = {}
+    for name in content.frames:
+        if "train" in name:
+            shipped[name] = "train"
+        elif "eval" in name:
+            shipped[name] = "test"
+    return shipped
+
+
+LAYOUT = Layout(
+    "thermoscenes",
+    TITLE,
+    f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]",
+    _fits,
+    _find,
+)

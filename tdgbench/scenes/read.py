@@ -1,0 +1,213 @@
+"""Turn what a layout found in a folder into a scene."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.scenes.celsius import array_reader, celsius_images, file_reader
+from tdgbench.scenes.colmap import RegisteredImage
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import read_image
+from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
+from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
+from tdgbench.scenes.layouts.layout import find_files, find_optional
+from tdgbench.scenes.measured import Source, ThermalImages, resample, shown_images
+from tdgbench.scenes.options import Description, ReadOptions
+from tdgbench.scenes.scene import Camera, Scene, View
+from tdgbench.scenes.splits import split_names
+from tdgbench.scenes.temperature import Radiometry, check_range
+from tdgbench.scenes.validate import check_camera
+
+RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
+LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
+MOST_NAMED = 5  # views in a message
+
+
+def read_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None = None) -> Scene:
+    """Read the scene in a folder. layout: None detects it, which a note says.
+
+    Raises SceneError naming the file or view and the remedy.
+    """
+    detected = layout is None
+    layout = layout or detect(folder)
+    if layout is None:
+        looks = "; ".join(f"{one.title}: {one.looks}" for one in LAYOUTS.values())
+        raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
+    found = layout.find(folder)
+    thermal = _radiometric_files(folder, found) if options.thermal == "radiometric" else found.thermal
+    names, notes = _paired(folder, found.posed, thermal, options.skip_unpaired)
+    train, test, left_out = _split(folder, names, options.split, found.shipped)
+    names = sorted([*train, *test])
+    masks = find_optional(folder / "masks", "masks")
+    cameras = {name: _camera(found.posed[name], options) for name in names}
+    sources = {
+        name: Source(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
+        for name in names
+    }
+    images = _thermal_images(found, sources, train, options)
+    views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name), images) for name in names}
+    depth = [view.true_depth_path for view in views.values() if view.true_depth_path is not None]
+    return Scene(
+        name=description.scene,
+        dataset=description.dataset,
+        group=description.group,
+        train=[views[n] for n in train],
+        test=[views[n] for n in test],
+        points=found.points,
+        temperature=images.temperature,
+        split=options.split,
+        fingerprint=_fingerprint(
+            folder, [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *depth]
+        ),
+        channels=images.channels,
+        notes=[
+            *([f"{LAYOUT_NOTE}{layout.title}: {layout.looks}"] if detected else []),
+            *found.notes, *notes, *left_out, *_about_masks(masks, names), *images.notes,
+        ],
+        folder=folder,
+    )  # fmt: skip
+
+
+def _radiometric_files(folder: Path, found: Found) -> dict[str, Path]:
+    """Files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
+    if found.in_celsius:
+        return found.thermal
+    if not is_folder(folder / RAW_IMAGES):
+        raise SceneError(
+            f"{folder} has no {RAW_IMAGES}/ folder of radiometric files, which data.thermal=radiometric reads; add it, "
+            "or use data.thermal=shown"
+        )
+    raw = find_files(folder / RAW_IMAGES)[0]
+    if not set(raw) & set(found.thermal):
+        raise SceneError(
+            f"{folder / RAW_IMAGES} and the thermal images have no view in common ({sorted(raw)[:2]}, "
+            f"{sorted(found.thermal)[:2]}); rename the radiometric files after the views, or use data.thermal=shown"
+        )
+    return raw
+
+
+def _paired(
+    folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path], skip_unpaired: bool
+) -> tuple[list[str], list[str]]:
+    """Names of the views with a pose and a thermal image, and notes on the others."""
+    notes = []
+    unposed = sorted(set(thermal) - set(posed))
+    if unposed:
+        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {_some(unposed)}")
+    unpaired = sorted(set(posed) - set(thermal))
+    if unpaired and not skip_unpaired:
+        raise SceneError(
+            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({_some(unpaired)}); "
+            "add them, or set data.skip_unpaired=true"
+        )
+    if unpaired:
+        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {_some(unpaired)}")
+    names = sorted(set(posed) & set(thermal))
+    if not names:
+        raise SceneError(
+            f"{folder}: no thermal image has the name of a view with a pose "
+            f"(thermal: {sorted(thermal)[:2]}, poses: {sorted(posed)[:2]})"
+        )
+    return names, notes
+
+
+def _split(
+    folder: Path, names: list[str], how: str, shipped: Mapping[str, str]
+) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
+    """Names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
+    notes = []
+    if how == "folder" and shipped:
+        unplaced = [name for name in names if name not in shipped]
+        names = [name for name in names if name in shipped]
+        if unplaced:
+            notes.append(
+                f"{len(unplaced)} views are in no part of the shipped split and are omitted: {_some(unplaced)}"
+            )
+    try:
+        return *split_names(names, how, shipped), notes
+    except ValueError as error:
+        raise SceneError(f"{folder}: {error}") from error
+
+
+def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
+    """Camera of a view's images as they are resized."""
+    camera = posed.camera
+    if options.principal_point == "center":
+        K = camera.K.copy()
+        K[:2, 2] = camera.width / 2, camera.height / 2
+        camera = Camera(K, camera.world_to_camera, camera.width, camera.height)
+    if options.width is None:
+        return camera
+    camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))
+    return check_camera(camera, f"data.width={options.width}: view {posed.name}")
+
+
+def _thermal_images(
+    found: Found, sources: Mapping[str, Source], train: list[str], options: ReadOptions
+) -> ThermalImages:  # fmt: skip
+    radiometry = found.radiometry
+    given = None if radiometry is None else radiometry.range
+    if options.temperature is not None:
+        try:
+            given = check_range(*options.temperature)
+        except (ValueError, TypeError) as error:
+            raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
+        scale = (None, 0.0) if radiometry is None else (radiometry.degC_per_count, radiometry.degC_at_zero)
+        radiometry = Radiometry(given, *scale)
+    if found.in_celsius or options.thermal == "radiometric":
+        reader = array_reader(radiometry) if found.in_celsius else file_reader(radiometry)
+        return celsius_images(sources, reader, train, options, given)
+    return shown_images(sources, radiometry, options.channels)
+
+
+def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None, images: ThermalImages) -> View:
+    name = source.posed.name
+    depth = folder / "depth" / f"{name}.npy"
+    photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
+    return View(
+        name=name,
+        camera=camera,
+        load_thermal=partial(images.load, name),
+        load_rgb=None if photo is None else partial(_load_rgb, photo),
+        thermal_path=source.path,
+        load_valid=images.kept[name].valid,
+        true_depth_path=regular_file(depth) if is_there(depth) else None,
+    )
+
+
+def _load_rgb(source: Source) -> np.ndarray:
+    """RGB image of a view as float32 (height, width, 3)."""
+    image, _ = resample(read_image(source.path), None, source)
+    if image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    return np.ascontiguousarray(image, np.float32)
+
+
+def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
+    """Notes on masks/."""
+    if not masks:
+        return []
+    unknown = sorted(set(masks) - set(names))
+    notes = [f"masks/ hides pixels of {len(masks) - len(unknown)} of {len(names)} views"]
+    if unknown:
+        notes.append(f"{len(unknown)} masks belong to no view and are not used: {_some(unknown)}")
+    return notes
+
+
+def _some(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)[:MOST_NAMED])
+
+
+def _fingerprint(folder: Path, files: Iterable[Path]) -> str:
+    """Hash of the paths and contents of the files, each of which is read once."""
+    digest = hashlib.sha256()
+    for path in sorted(set(files)):
+        content = hash_of(path)
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]

@@ -1,0 +1,103 @@
+"""Temperatures of image values: of `temperature.json`, of ThermoScenes' bounds, or a range of the temperatures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import is_there, read_json
+from tdgbench.scenes.scene import TemperatureRange
+
+FILE = "temperature.json"
+BOUNDS_FILE = "temperature_bounds.json"
+TEMPERATURES = (-273.15, 1e5)  # °C; absolute zero, and beyond what cameras measure
+PERCENTILES = (0.1, 99.9)  # of the training views' temperatures, which become image values 0 and 1
+MOST_SAMPLES = 4_000_000  # temperatures that percentiles are computed of
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """Temperatures of image values. 16-bit images: degC = counts × degC_per_count + degC_at_zero."""
+
+    range: TemperatureRange
+    degC_per_count: float | None = None
+    degC_at_zero: float = 0.0
+
+
+def read_radiometry(path: Path) -> Radiometry | None:
+    """Read `temperature.json`; None if there is no such file.
+
+    Keys: min and max in °C; degC_per_count and degC_at_zero for 16-bit images. Raises SceneError.
+    """
+    return _read(path, "min", "max")
+
+
+def read_bounds(path: Path) -> Radiometry | None:
+    """Read ThermoScenes' `temperature_bounds.json`; None if there is no such file. Raises SceneError.
+
+    Source of the keys, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
+    """
+    return _read(path, "absolute_min_temperature", "absolute_max_temperature")
+
+
+def _read(path: Path, lowest: str, highest: str) -> Radiometry | None:
+    if not is_there(path):
+        return None
+    try:
+        content = read_json(path)
+        span = check_range(content[lowest], content[highest])
+        per_count = content.get("degC_per_count")
+        if per_count is not None and finite_number(per_count) == 0:
+            raise ValueError("degC_per_count is 0")
+        return Radiometry(
+            span,
+            None if per_count is None else finite_number(per_count),
+            finite_number(content.get("degC_at_zero", 0.0)),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise SceneError(f"{path} must hold finite numbers `{lowest}` < `{highest}` in °C: {error!r}") from error
+
+
+def check_range(low: Any, high: Any) -> TemperatureRange:
+    """The range of two finite numbers in °C, `low` below `high`. Raises ValueError or TypeError."""
+    low, high = finite_number(low), finite_number(high)
+    if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:
+        raise ValueError(f"min {low} and max {high} are no range in {TEMPERATURES[0]} to {TEMPERATURES[1]:g}")
+    return TemperatureRange(low, high)
+
+
+def finite_number(value: object) -> float:
+    """A finite number. Raises ValueError or TypeError."""
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number) or isinstance(value, bool):
+        raise ValueError(f"{value} is no finite number")
+    return number
+
+
+def robust_range(samples: Iterable[np.ndarray]) -> TemperatureRange:
+    """Range between PERCENTILES of temperatures (N,) in °C, in whole hundredths.
+
+    Raises ValueError if all temperatures are equal.
+
+    >>> robust_range([np.linspace(10, 20, 1001), np.full(1, 900.0)])
+    TemperatureRange(min=10.01, max=20.0)
+    """
+    low, high = np.percentile(np.concatenate(list(samples)).astype(np.float64), PERCENTILES, method="nearest")
+    if low == high:
+        raise ValueError(f"nearly all are {low:g} °C")
+    return check_range(math.floor(100 * low) / 100, math.ceil(100 * high) / 100)
+
+
+def sampled(values: np.ndarray, views: int) -> np.ndarray:
+    """Evenly spaced ones of the values (N,) of one of so many views, so that all views have MOST_SAMPLES at most.
+
+    >>> sampled(np.arange(9), views=1_000_000)
+    array([0, 3, 6])
+    """
+    return values[:: max(1, -(-len(values) * views // MOST_SAMPLES))]

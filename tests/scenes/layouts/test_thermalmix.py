@@ -1,0 +1,170 @@
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.scenes import ReadOptions, RegisteredDataset, SceneError
+from tests.helpers.layouts import DISTORTIONS, celsius, write_thermalmix
+
+
+def framed(degC, number):
+    """Filler 0 where a warp has nothing, as OpenCV writes it; the frame is not the same in all views."""
+    degC = degC.copy()
+    degC[: 3 + number % 2] = 0
+    degC[:, :5] = 0
+    return degC
+
+
+@pytest.mark.parametrize(
+    ("model", "photos"), [("colmap_sparse/0", "rgb"), ("sparse/0", "images"), ("colmap/sparse/0", "images_2")]
+)
+def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, load, model, photos):
+    scene = load(write_thermalmix(small_gray_scene, tmp_path / "lion", model=model, photos=photos, camera="PINHOLE"))
+    assert (len(scene.train), len(scene.test), scene.channels) == (8, 2, 1)
+    view, original = scene.train[0], small_gray_scene.train[0]
+    assert view.thermal.shape == (36, 48, 1) and view.rgb.shape == (36, 48, 3)
+    span = scene.temperature
+    shown = span.min + view.thermal[..., 0] * (span.max - span.min)
+    expected = celsius(original, small_gray_scene).clip(span.min, span.max)
+    assert np.allclose(shown, expected, atol=1e-4)
+    assert scene.notes[0].startswith("layout ThermalMix: warped_thermal/") and "lost" in scene.notes[1]
+
+
+def test_the_first_place_is_taken(small_gray_scene, tmp_path, load):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
+    shutil.copytree(folder / "colmap_sparse", folder / "sparse")
+    (folder / "sparse" / "0" / "cameras.bin").write_bytes(b"damaged")
+    shutil.copytree(folder / "rgb", folder / "images_8")
+    scene = load(folder)
+    assert len(scene.views) == 10
+    shutil.rmtree(folder / "colmap_sparse")
+    with pytest.raises(SceneError, match=r"sparse/0/cameras\.bin is damaged"):
+        load(folder)
+
+
+@pytest.mark.parametrize("camera", DISTORTIONS)
+def test_rgb_and_temperatures_are_undistorted_alike(small_gray_scene, tmp_path, load, camera):
+    """Where an array is the photo, the loaded images are equal, whatever the camera."""
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera=camera, photos="images")
+    raw = {}
+    for path in sorted((folder / "images").iterdir()):
+        raw[path.stem] = np.asarray(Image.open(path))[..., 0].astype(np.float64)
+        np.save(folder / "warped_thermal" / f"{path.stem}.npy", raw[path.stem][..., None])
+    scene = load(folder, temperature=[0, 255], filler="none")
+    for view in scene.views:
+        assert np.allclose(view.thermal[..., 0], view.rgb[..., 0], atol=1e-6)
+        unchanged = view.thermal.shape == (36, 48, 1) and np.allclose(view.thermal[..., 0], raw[view.name] / 255)
+        assert unchanged == (not DISTORTIONS[camera])
+
+
+def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path, load):
+    def holes(degC, number):
+        degC = framed(degC, number)
+        degC[20, 20], degC[20, 22], degC[20, 24] = np.nan, np.inf, -1000
+        return degC
+
+    scene = load(write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE", change=holes))
+    for number, view in enumerate(scene.views):
+        expected = np.ones((36, 48), bool)
+        expected[: 4 + number % 2] = False  # one more than was filled: warping mixes there
+        expected[:, :6] = False
+        expected[20, [20, 22, 24]] = False
+        assert np.array_equal(view.valid, expected)
+        assert (view.thermal[~view.valid] == 0).all() and np.isfinite(view.thermal).all()
+    assert scene.temperature.min > 10 and "masked, as not measured or filled with 0 °C" in scene.notes[2]
+    kept = load(tmp_path / "lion", filler="none")
+    assert kept.temperature.min == 0 and kept.views[0].valid.sum() == 36 * 48 - 3
+
+
+def test_masked_pixels_never_reach_valid_ones(small_gray_scene, tmp_path, load):
+    """Undistorted and resized, valid pixels are the same whatever the filler is."""
+    scenes = []
+    for filler in (0.0, -5000.0, np.nan):
+        folder = write_thermalmix(
+            small_gray_scene, tmp_path / str(filler) / "lion", camera="OPENCV",
+            change=lambda degC, number, filler=filler: np.where(framed(degC, number) == 0, filler, degC),
+        )  # fmt: skip
+        scenes.append(load(folder, width=30, temperature=[10, 50], filler="none" if filler != 0 else 0.0))
+    zero, far, nan = ([view.thermal for view in scene.views] for scene in scenes)
+    valid = [view.valid for view in scenes[0].views]  # grown by a pixel
+    assert all(0.1 < v.mean() < 0.9 for v in valid)
+    for one, other, third, where in zip(zero, far, nan, valid, strict=True):
+        assert np.array_equal(one[where], other[where]) and np.array_equal(one[where], third[where])
+        assert one[where].min() > 0
+
+
+def test_the_range_is_that_of_the_training_views(small_gray_scene, tmp_path, load):
+    def hot(degC, number):
+        return degC + 100 if number in (0, 5) else degC  # the test views of eighty_twenty
+
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=hot)
+    scene = load(folder)
+    assert scene.temperature.max < 60 and "are outside and clipped" in scene.notes[-1]
+    assert scene.test[0].thermal.min() == 1
+    assert load(folder, temperature=[16.8, 48.3]).temperature.max == 48.3
+    (folder / "temperature.json").write_text('{"min": 10, "max": 50}')
+    assert load(folder).temperature.max == 50 and load(folder, temperature=[16.8, 48.3]).temperature.max == 48.3
+    with pytest.raises(SceneError, match=r"no temperature lies between 900 and 901 °C; correct data\.temperature"):
+        load(folder, temperature=[900, 901])
+    with pytest.raises(SceneError, match=r"data\.temperature=\[3, 2\]: min 3"):
+        load(folder, temperature=[3, 2])
+
+
+def test_names_of_table_1(small_gray_scene, tmp_path):
+    write_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "lion")
+    for dataset in ("thermalmix", None):
+        scene = RegisteredDataset(str(tmp_path), ReadOptions(), dataset).load("Lion")
+        assert (scene.name, scene.dataset, scene.channels) == ("Lion", "ThermalMix", 1)
+
+
+BAD = [
+    (lambda degC: np.full_like(degC, np.nan), "has no valid pixel: all of them are masked, or not measured"),
+    (lambda degC: np.full_like(degC, 1e9), "has no valid pixel"),
+    (lambda degC: np.stack([degC] * 3, axis=-1), r"has the shape \(36, 48, 3\); temperatures are \(H, W\) or"),
+    (lambda degC: degC[0], r"has the shape \(48,\)"),
+    (lambda degC: degC[:, :0], r"has the shape \(36, 0\)"),
+    (lambda degC: degC[:, :36], "is 36×36, but its camera is 48×36: the aspect ratios differ"),
+    (lambda degC: degC.astype(complex), "holds complex128; it must hold one array of real numbers"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), BAD, ids=range(len(BAD)))
+def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, load, make, message):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
+    path = folder / "warped_thermal" / "view003.npy"
+    np.save(path, make(np.load(path)))
+    with pytest.raises(SceneError, match=message) as error:
+        load(folder)
+    assert str(path) in str(error.value)
+
+
+def test_a_scene_of_one_temperature(small_gray_scene, tmp_path, load):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.full_like(degC, 20))
+    with pytest.raises(SceneError, match=r"give no range \(nearly all are 20 °C\); set data\.temperature=\[min,max\]"):
+        load(folder, filler="none")
+
+
+def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion")
+    shutil.rmtree(folder / "rgb")
+    with pytest.raises(SceneError, match="has no RGB image"):
+        _ = load(folder).views[0].rgb
+    shutil.rmtree(folder / "colmap_sparse")
+    with pytest.raises(SceneError, match=r"no COLMAP model in colmap_sparse/0; run COLMAP.*read as ThermalMix"):
+        load(folder)
+    shutil.rmtree(folder / "warped_thermal")
+    (folder / "warped_thermal").mkdir()
+    with pytest.raises(SceneError, match=r"warped_thermal holds no array; put <view>\.npy"):
+        load(folder)
+
+
+def test_arrays_of_counts(small_gray_scene, tmp_path, load):
+    """A scale of temperature.json turns integers into °C."""
+    folder = write_thermalmix(
+        small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.round((degC + 100) * 40).astype(np.uint16)
+    )
+    (folder / "temperature.json").write_text('{"min": 10, "max": 60, "degC_per_count": 0.025, "degC_at_zero": -100}')
+    original = celsius(small_gray_scene.train[0], small_gray_scene)
+    shown = 10 + 50 * load(folder).train[0].thermal
+    assert abs(shown.mean() - original.mean()) < 0.5
