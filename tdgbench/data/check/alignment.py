@@ -1,7 +1,8 @@
 """Offset between the edges of RGB and thermal images of the same views, in px.
 
 The edge maps of a view (gradient magnitudes, since signs differ between the modalities) are correlated over all shifts
-up to 5 % of the width. The mean over views has its peak at the offset. Resampling the views gives its spread.
+up to 5 % of the width (16 px at least). The mean over views has its peak at the offset; resampling the views gives the
+spread of it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from tdgbench.scenes.images import is_gray
 
 SMOOTHING = 1.5  # px, σ of the Gaussian before the gradient
 STRONGEST = 99.0  # percentile of edges beyond which they count no more
-LARGEST_SHIFT = 0.05  # of the width
+LARGEST_SHIFT, SHORTEST_RANGE = 0.05, 16  # of the width; px
 FEWEST_VIEWS = 3
 MIN_PROMINENCE = 6.0  # of the peak over the other shifts, in their robust standard deviations
 MAX_SPREAD = 3.0  # px
@@ -77,7 +78,8 @@ def edge_offset(pairs: Sequence[ViewPair]) -> Offset | Untrusted:
 
 def edge_correlation(pair: ViewPair) -> np.ndarray:
     """Correlation (2R + 1, 2R + 1) of a view's edge maps at shifts of -R to R px: rows are y, columns x."""
-    radius = max(AROUND_PEAK + 2, round(LARGEST_SHIFT * pair.rgb.shape[1]))
+    height, width = pair.rgb.shape[:2]
+    radius = min(max(SHORTEST_RANGE, round(LARGEST_SHIFT * width)), (min(height, width) - 1) // 2)
     rgb, thermal = (_edges(image, pair.valid) for image in (pair.rgb, pair.thermal))
     norm = np.linalg.norm(rgb) * np.linalg.norm(thermal)
     if norm == 0:
