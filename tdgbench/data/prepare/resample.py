@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+from PIL import Image
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from tdgbench.data.prepare.mapping import Mapping, Size
 from tdgbench.scenes import Camera, SceneError
 from tdgbench.scenes.colmap import Undistortion
-from tdgbench.scenes.images import resize
 
 SMALLEST = 16  # px, of the output's sides
 
@@ -42,8 +42,8 @@ class Grid:
         return Camera(self.K, world_to_camera, *self.size)
 
     def rgb(self, image: np.ndarray) -> np.ndarray:
-        """RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then area-averaged."""
-        return resize(self.crop.apply(image).astype(np.float32), *self.size)
+        """RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
+        return _averaged(self.crop.apply(image).astype(np.float32), self.size)
 
     def thermal(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
@@ -96,6 +96,14 @@ def no_distortion(rgb: Size) -> pycolmap.Camera:
     """A camera that leaves images as they are, where no model is known."""
     width, height = rgb
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[width, width, width / 2, height / 2])
+
+
+def _averaged(image: np.ndarray, size: Size) -> np.ndarray:
+    """Image (h, w, C) at a smaller size. A box filter of whole pixels would move edges by up to half a pixel."""
+    if size == image.shape[1::-1]:
+        return image
+    planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
+    return np.stack([np.asarray(plane.resize(size, Image.Resampling.HAMMING)) for plane in planes], axis=-1)
 
 
 def _thermal_positions(rgb_positions: tuple[np.ndarray, np.ndarray], mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
