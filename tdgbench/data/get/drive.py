@@ -55,6 +55,8 @@ def download(source: Source, file: RemoteFile, target: Path, patience: Patience,
 
     report: called with the number of bytes that are there.
     """
+    if target.is_file():  # gdown would ask for it before it looks
+        return
     timeout = (patience.connect_seconds, patience.read_seconds)
     try:
         gdown.download(

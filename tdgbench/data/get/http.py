@@ -18,6 +18,7 @@ REPEATABLE = frozenset({408, 425, 429, 500, 502, 503, 504})  # status codes that
 PERMANENT = (requests.exceptions.SSLError, requests.exceptions.ProxyError, requests.exceptions.InvalidURL,
              requests.exceptions.MissingSchema, requests.exceptions.InvalidSchema,
              requests.exceptions.TooManyRedirects)  # fmt: skip
+CUT = (requests.exceptions.ConnectionError, requests.exceptions.ChunkedEncodingError)
 NO_NAME = ("NameResolutionError", "gaierror")  # classes of errors that have no status: the name has no address
 
 
@@ -60,8 +61,8 @@ class Attempts:
         self._failures += 1
         if self._failures >= self._patience.attempts:
             raise GetError(
-                f"{self._what} cannot be fetched: {reason} ({self._failures} times in a row); run the same command later: it "
-                "goes on from what is there"
+                f"{self._what} cannot be fetched: {reason} ({self._failures} times in a row); run the same command "
+                "later: it goes on from what is there"
             ) from error
         if asked is not None and asked > self._patience.longest_seconds:
             raise GetError(
@@ -135,4 +136,4 @@ def _innermost(error: BaseException) -> str:
         if isinstance(one, BaseException):
             causes = (one.__cause__, one.__context__, getattr(one, "reason", None), *one.args)
             seen += [cause for cause in causes if isinstance(cause, BaseException) and cause not in seen]
-    return "" if isinstance(error, requests.exceptions.ConnectionError) else str(error)
+    return "" if isinstance(error, CUT) else str(error)

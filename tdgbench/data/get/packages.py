@@ -81,7 +81,7 @@ def sort_out(source: Source, files: Iterable[RemoteFile]) -> Listing:
     others: list[PurePosixPath] = []
     for name, root in scenes.items():
         inside = tuple(file for file in files if root in file.path.parents)
-        packages.append(Package(str(root), inside, name, root))
+        packages.append(Package(str(root) if root.parts else name, inside, name, root))
     taken = {file.path for package in packages for file in package.files}
     for file in (file for file in files if file.path not in taken):
         if is_archive(file.path.name):

@@ -14,7 +14,7 @@ from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
 STEP = 10  # percent between two plain lines
-SECONDS = 60.0  # between two plain lines of less than a step
+SHORTEST_SECONDS, LONGEST_SECONDS = 5.0, 60.0  # between two plain lines
 
 
 def amount(count: int | None, unit: str = "bytes") -> str:
@@ -31,7 +31,8 @@ def amount(count: int | None, unit: str = "bytes") -> str:
 class Meter:
     """Shows how much of one thing is done. Made by `meter`.
 
-    total: None if it is not known. Lines: one per step of 10 %, at most one a minute between them.
+    total: None if it is not known. Where there is no terminal, a line comes at steps of 10 %, but not within 5 seconds,
+    and after a minute without one.
     """
 
     def __init__(self, title: str, total: int | None, unit: str, out: Console) -> None:
@@ -66,9 +67,9 @@ class Meter:
             say(f"{self.title}: {self._percent(done)}{state}")
 
     def _is_due(self, done: int) -> bool:
-        if time.monotonic() - self._shown_at >= SECONDS:
-            return True
-        return self.total is not None and done < self.total and 100 * (done - self._shown) >= STEP * self.total
+        waited = time.monotonic() - self._shown_at
+        is_step = self.total is not None and 100 * (done - self._shown) >= STEP * self.total
+        return done != self.total and (waited >= LONGEST_SECONDS or (is_step and waited >= SHORTEST_SECONDS))
 
     def _percent(self, done: int) -> str:
         return f"{100 * done // self.total} %, " if self.total else ""

@@ -35,13 +35,15 @@ class ResumingDownloader:
     def __call__(self, url: str, output_file: str, _pooch: Any) -> None:
         attempts = Attempts(self.patience, url)
         self.part.touch()
-        while (before := self._there()) < self.size:
+        furthest = self._there()
+        while (there := self._there()) < self.size:
             try:
-                self._continue(url, before)
+                self._continue(url, there)
                 if self._there() < self.size:
                     raise RepeatableError(f"the server sent {self._there()} of {self.size} bytes")
             except (RepeatableError, requests.exceptions.RequestException) as error:
-                if self._there() > before:
+                if self._there() > furthest:  # and not only further than before: a server may make it begin anew for ever
+                    furthest = self._there()
                     attempts.succeeded()
                 attempts.failed(error)
         Path(output_file).unlink()
