@@ -62,6 +62,8 @@ def _body(url: str, patience: Patience) -> bytes:
 def _file(entry: Any) -> RemoteFile:
     """A file as the API describes it. Raises ValueError, KeyError or TypeError."""
     name, size, checksum, url = entry["key"], entry["size"], entry["checksum"], entry["links"]["self"]
+    if not isinstance(name, str):
+        raise ValueError(f"the file name {name!r} is no text")
     path = safe_path(name)
     if isinstance(path, str) or len(path.parts) != 1:
         raise ValueError(f"the file name {name!r} {path if isinstance(path, str) else 'is no name'}")
