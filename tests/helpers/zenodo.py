@@ -13,14 +13,13 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import NamedTuple
 
-
 STEP = 10_000  # bytes that are sent at once
 
 
 class Fault(NamedTuple):
     """What goes wrong with one answer.
 
-    status: instead of the content. cut: bytes after which the connection ends, though the length was announced as whole.
+    status: instead of the content. cut: bytes after which the connection ends, though the whole length was announced.
     ranges: False ignores the header Range. seconds: wait after each 10 000 bytes. extra: bytes appended to the content.
     """
 

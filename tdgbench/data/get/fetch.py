@@ -104,29 +104,38 @@ def _fetch(job: Job, found: Listing) -> bool:
     before = states(job, found.packages, there)
     missing = [package for package, one in before.items() if one is State.MISSING]
     _check_space(job, missing)
-    problems = [problem for package, one in before.items() if (problem := _problem(job, package, one, there))]
-    fetched = 0
+    problems = [
+        *_problems_of_listing(job, found),
+        *(problem for package, one in before.items() if (problem := _problem_of_scene(package, one, there))),
+    ]
+    for problem in problems:
+        _say_problem(problem)
+    fetched, refused = 0, 0
     for package in missing:
         try:
             fetched += _fetch_package(job, package)
         except BadFileError as error:
-            problems.append(str(error))
-    problems += [
+            _say_problem(str(error))
+            refused += 1
+    whole = sum(one.is_of(package) for package in before for one in there.values() if before[package] is State.THERE)
+    bad = len(problems) + refused
+    end = _count(bad, "problem") if bad else f"{_count(whole, 'scene')} already there and whole"
+    _say(f"{job.folder}: {_count(fetched, 'scene')} fetched, {end}")
+    return not bad
+
+
+def _problems_of_listing(job: Job, found: Listing) -> list[str]:
+    """Published archives that cannot be unpacked; what is no part of a scene is named, but no problem."""
+    if found.others:
+        _say(f"not fetched, being no part of a scene: {', '.join(map(str, found.others))} ({job.source.page})")
+    return [
         f"{path} cannot be unpacked by this program: open {job.source.page} in a browser and unpack it to "
         f"{job.folder}/<Scene>"
         for path in found.unreadable
     ]
-    if found.others:
-        _say(f"not fetched, being no part of a scene: {', '.join(map(str, found.others))} ({job.source.page})")
-    for problem in problems:
-        say(one_line(problem), "problem:", stderr=True)
-    whole = sum(found.is_of(package) for package in before for found in there.values())
-    end = f", {_count(len(problems), 'problem')}" if problems else f", {_count(whole, 'scene')} already there and whole"
-    _say(f"{job.folder}: {_count(fetched, 'scene')} fetched{end}")
-    return not problems
 
 
-def _problem(job: Job, package: Package, one: State, there: Mapping[str, Found]) -> str | None:
+def _problem_of_scene(package: Package, one: State, there: Mapping[str, Found]) -> str | None:
     """What is wrong with a package that is there; None if nothing is. A scene of other origin is no problem."""
     if one is State.THERE:
         made = [found for found in there.values() if found.is_of(package)]
@@ -215,6 +224,10 @@ def _remove(job: Job, package: Package) -> None:
 
 def _say(text: str) -> None:
     say(one_line(text))
+
+
+def _say_problem(text: str) -> None:
+    say(one_line(text), "problem:", stderr=True)
 
 
 def _count(number: int, noun: str) -> str:

@@ -12,8 +12,11 @@ import requests
 
 from tdgbench import __version__
 from tdgbench.data.get.errors import GetError
+from tdgbench.terminal import say
+from tdgbench.text import one_line
 
 HEADERS = {"User-Agent": f"tdgbench/{__version__}", "Accept-Encoding": "identity"}  # offsets count bytes on disk
+SAID_SECONDS = 2.0  # shorter waits are not worth a line
 REPEATABLE = frozenset({408, 425, 429, 500, 502, 503, 504})  # status codes that may be gone in a moment
 PERMANENT = (requests.exceptions.SSLError, requests.exceptions.ProxyError, requests.exceptions.InvalidURL,
              requests.exceptions.MissingSchema, requests.exceptions.InvalidSchema,
@@ -69,7 +72,10 @@ class Attempts:
                 f"{self._what} cannot be fetched: {reason}; run the same command in {asked:.0f} s"
             ) from error
         wait = min(self._patience.first_seconds * 2 ** (self._failures - 1), self._patience.longest_seconds)
-        time.sleep(wait if asked is None else max(asked, 0.0))
+        wait = wait if asked is None else max(asked, 0.0)
+        if wait >= SAID_SECONDS:
+            say(one_line(f"{reason}; trying again in {wait:.0f} s"), "note:", "yellow", stderr=True)
+        time.sleep(wait)
 
     def succeeded(self) -> None:
         """Bytes have come: failures are counted anew."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from tdgbench.data.get.archives.checking import File, checked_files, size
 from tdgbench.data.get.archives.reading import Archive, opened, readable, stem
@@ -89,7 +88,7 @@ def place_archive(place: Place, package: Package, archive: Path) -> Placed:
 
 
 def place_files(place: Place, package: Package, downloaded: Mapping[PurePosixPath, Path]) -> Placed:
-    """Put the single files of a scene into its place; they are linked, or copied where links are not possible.
+    """Copy the single files of a scene into its place.
 
     downloaded: each file on disk by its published path. Raises OSError.
     """
@@ -98,29 +97,29 @@ def place_files(place: Place, package: Package, downloaded: Mapping[PurePosixPat
         contents = {}
         for path, file in downloaded.items():
             inside = path.relative_to(package.root)
-            target = part.joinpath(inside)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.link(file, target)
-            except OSError:  # a file system without links
-                shutil.copyfile(file, target)
-            contents[str(inside)] = Content.of(target)
+            with file.open("rb") as source:
+                contents[str(inside)] = _written(source, part.joinpath(inside), file.stat().st_size, lambda _: None)
         SceneRecord(place.source.page, package.identities, [package.scene], contents).write(part)
     return Placed({package.scene: len(contents)}, [])
 
 
 def _unpacked(archive: Archive, path: Path, file: File, target: Path, show: Callable[[int], None]) -> Content:
     """Unpack a file to a place where nothing is; its content must have the size that the archive declares."""
+    with readable(path), archive.open(file.member) as source:
+        content = _written(source, target, file.member.size, show)
+    if content.size != file.member.size:
+        raise BadFileError(f"{path} cannot be unpacked: {file.path} has not the {file.member.size} bytes it declares")
+    return content
+
+
+def _written(source: IO[bytes], target: Path, most: int, show: Callable[[int], None]) -> Content:
+    """Write a new file, and end after `most` bytes at the latest. `show` is called with the size of each piece."""
     target.parent.mkdir(parents=True, exist_ok=True)
     digest, count = hashlib.sha256(), 0
-    with readable(path), archive.open(file.member) as source, target.open("xb") as out:
-        while chunk := source.read(CHUNK):
-            count += len(chunk)
-            if count > file.member.size:
-                break
+    with target.open("xb") as out:
+        while count < most and (chunk := source.read(min(CHUNK, most - count))):
             out.write(chunk)
             digest.update(chunk)
+            count += len(chunk)
             show(len(chunk))
-    if count != file.member.size:
-        raise BadFileError(f"{path} cannot be unpacked: {file.path} has not the {file.member.size} bytes it declares")
     return Content(size=count, sha256=digest.hexdigest())

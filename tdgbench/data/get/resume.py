@@ -42,7 +42,9 @@ class ResumingDownloader:
                 if self._there() < self.size:
                     raise RepeatableError(f"the server sent {self._there()} of {self.size} bytes")
             except (RepeatableError, requests.exceptions.RequestException) as error:
-                if self._there() > furthest:  # and not only further than before: a server may make it begin anew for ever
+                if (
+                    self._there() > furthest
+                ):  # and not only further than before: a server may make it begin anew for ever
                     furthest = self._there()
                     attempts.succeeded()
                 attempts.failed(error)

@@ -18,6 +18,7 @@ from tdgbench.data.get.remote import RemoteFile, first_clash, safe_path
 from tdgbench.data.get.sources import Source
 
 ADDRESS = "https://zenodo.org"
+ATTEMPTS = 3  # nothing is lost if the list does not come, and a user without a network should know soon
 LARGEST = 2**24  # bytes of an answer; a record has 100 files at most
 
 
@@ -28,7 +29,7 @@ def list_record(source: Source, address: str = ADDRESS, patience: Patience = PAT
     """
     url = f"{address.rstrip('/')}/api/records/{source.identifier}"
     what = f"the list of files of {source.folder} ({url})"
-    attempts = Attempts(patience, what)
+    attempts = Attempts(patience._replace(attempts=min(patience.attempts, ATTEMPTS)), what)
     while True:
         try:
             content = _body(url, patience)

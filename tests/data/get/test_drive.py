@@ -1,7 +1,7 @@
 """Google Drive folders.
 
-Google is not asked. What is faked is gdown's `download_folder` and `download`: what they return, write and raise in gdown
-6.5.1 as its sources say. The requests that gdown makes, and Google's answers, are not tested.
+Google is not asked. gdown's `download_folder` and `download` are faked: what they return, write and raise, as gdown
+6.5.1's sources say. The requests that gdown makes, and Google's answers, are not tested.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def test_a_quota_names_the_address_and_loses_nothing(tmp_path, monkeypatch):
     one = drive(monkeypatch, TRUCK)
     last = list(TRUCK)[-1]
     one.fails[last] = gdown.FileURLRetrievalError(
-        "Failed to retrieve file url:\n\n\tToo many users have viewed or downloaded this file recently.\n\nYou may still"
+        "Failed to retrieve file url:\n\n\tToo many users have viewed or downloaded this file recently.\n\nYou may"
     )
     with pytest.raises(GetError) as error:
         fetch(job(tmp_path))
@@ -108,7 +108,9 @@ def test_a_quota_names_the_address_and_loses_nothing(tmp_path, monkeypatch):
 )
 def test_a_folder_that_cannot_be_listed(tmp_path, monkeypatch, error):
     drive(monkeypatch, TRUCK).fails[""] = error
-    with pytest.raises(GetError, match=r"cannot be listed: (.*status code 404|no answer in time).*chen-hangyu") as raised:
+    with pytest.raises(
+        GetError, match=r"cannot be listed: (.*status code 404|no answer in time).*chen-hangyu"
+    ) as raised:
         fetch(job(tmp_path))
     assert PAGE in str(raised.value) and "Max retries" not in str(raised.value)
 
@@ -141,10 +143,17 @@ def test_an_archive_that_is_no_archive(tmp_path, monkeypatch, capsys):
     assert fetch(job(tmp_path, force=True)) and one.got == ["Truck.zip"] * 2
 
 
-def test_copies_where_links_are_not_possible(tmp_path, monkeypatch):
-    def refuse(*paths):
-        raise OSError(1, "Operation not permitted")
+def test_permissions_follow_the_umask(tmp_path, monkeypatch):
+    """gdown's files are private to the user."""
+    one = drive(monkeypatch, TRUCK)
+    download = one.download
 
-    drive(monkeypatch, TRUCK)
-    monkeypatch.setattr("tdgbench.data.get.place.os.link", refuse)
-    assert fetch(job(tmp_path)) and (tmp_path / "RGBT-Scenes" / "Truck" / "sparse" / "0" / "cameras.bin").is_file()
+    def private(*, output, **keywords):
+        download(output=output, **keywords)
+        Path(output).chmod(0o600)
+
+    monkeypatch.setattr(gdown, "download", private)
+    assert fetch(job(tmp_path))
+    image = tmp_path / "RGBT-Scenes" / "Truck" / "rgb" / "0000.jpg"
+    (tmp_path / "file").touch()
+    assert image.stat().st_mode == (tmp_path / "file").stat().st_mode

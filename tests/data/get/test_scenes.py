@@ -15,7 +15,10 @@ def paths(*names: str) -> list[PurePosixPath]:
     ("files", "folders"),
     [
         (["lion/warped_thermal/1.npy", "lion/colmap_sparse/0/cameras.bin"], ["lion"]),  # ThermalMix
-        (["R/Truck/rgb/train/1.jpg", "R/Truck/raw_images/1.jpg", "R/Dimsum/colmap/sparse/0/x"], ["R/Truck", "R/Dimsum"]),
+        (
+            ["R/Truck/rgb/train/1.jpg", "R/Truck/raw_images/1.jpg", "R/Dimsum/colmap/sparse/0/x"],
+            ["R/Truck", "R/Dimsum"],
+        ),
         (["T/facades/a/transforms.json", "T/objects/b/thermal/1.png"], ["T/facades/a", "T/objects/b"]),  # ThermoScenes
         (["images_4/1.jpg", "notes.txt"], ["."]),
         (["lion/depth/rgb/1.png", "lion/rgb/1.png"], ["lion"]),  # the inner folder comes first
@@ -36,5 +39,5 @@ def test_scenes_have_the_names_of_the_table():
 
 
 def test_two_scenes_of_one_name():
-    with pytest.raises(BadFileError, match="a.zip holds two scenes Lion: a/lion and b/Lion"):
+    with pytest.raises(BadFileError, match=r"a\.zip holds two scenes Lion: a/lion and b/Lion"):
         by_scene(SOURCES["thermalmix"], paths("a/lion/rgb/1.jpg", "b/Lion/rgb/1.jpg"), "x", "a.zip")

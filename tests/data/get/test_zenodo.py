@@ -80,7 +80,9 @@ def test_a_record_that_is_gone(server):
 
 
 def test_without_a_network():
-    with pytest.raises(GetError, match=r"the name of the server has no address here \(is there a network\?\) \(3 times"):
+    with pytest.raises(
+        GetError, match=r"the name of the server has no address here \(is there a network\?\) \(3 times"
+    ):
         list_record(SOURCE, patience=QUICK)
 
 

@@ -74,12 +74,16 @@ class ZipArchive(Archive):
 
 
 class TarArchive(Archive):
-    def __init__(self, file: tarfile.TarFile) -> None:
-        self._file = file
+    """A tar file; `stream` is its content, decompressed."""
+
+    def __init__(self, file: tarfile.TarFile, stream: IO[bytes]) -> None:
+        self._file, self._stream = file, stream
 
     def members(self) -> Iterator[Member]:
         for info in self._file:
             yield Member(info.name, _tar_kind(info), info.size, info)
+        if len(self._stream.read(LARGEST_READ)) == LARGEST_READ:  # to the end, where the sum of the compressed data is
+            raise tarfile.ReadError(f"{LARGEST_READ} bytes or more follow the last member")
 
     def open(self, member: Member) -> AbstractContextManager[IO[bytes]]:
         content = self._file.extractfile(member.handle)
@@ -144,7 +148,7 @@ def _open(file: IO[bytes], stack: ExitStack) -> Archive:
     decompress = next((opener for start, opener in _COMPRESSED.items() if magic.startswith(start)), None)
     plain = stack.enter_context(decompress(file)) if decompress else file
     reader = cast(IO[bytes], _ShortReads(plain))
-    return TarArchive(stack.enter_context(tarfile.open(fileobj=reader, mode="r:", encoding="utf-8")))
+    return TarArchive(stack.enter_context(tarfile.open(fileobj=reader, mode="r:", encoding="utf-8")), reader)
 
 
 @contextmanager

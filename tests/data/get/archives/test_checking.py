@@ -62,7 +62,7 @@ def test_equal_names(tmp_path):
     with zipfile.ZipFile(out, "w") as archive:
         for content in ("one", "two"):
             archive.writestr("lion/1.jpg", content)
-    with pytest.raises(BadFileError, match="may take for one: 'lion/1.jpg'"):
+    with pytest.raises(BadFileError, match=r"may take for one: 'lion/1.jpg'"):
         files_of(tmp_path / "a.zip", out.getvalue())
 
 
@@ -108,12 +108,13 @@ def test_encrypted_members(tmp_path):
     content = bytearray(zipped({"lion/1.jpg": b"1"}))
     content[6] |= 1  # flags of the local header
     content[content.index(b"PK\x01\x02") + 8] |= 1  # and of the central directory
-    with pytest.raises(BadFileError, match="'lion/1.jpg' is encrypted"):
+    with pytest.raises(BadFileError, match=r"'lion/1\.jpg' is encrypted"):
         files_of(tmp_path / "a.zip", bytes(content))
 
 
 def test_names_in_other_encodings(tmp_path):
     """A zip name without the flag of UTF-8 is UTF-8 all the same, or refused; so is one of a tar file."""
+
     def renamed(content: bytes, name: bytes) -> bytes:
         return content.replace(b"lion/123456.jpg", name)
 

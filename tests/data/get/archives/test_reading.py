@@ -1,3 +1,4 @@
+import gzip
 import io
 import tarfile
 
@@ -40,21 +41,45 @@ def test_folders(tmp_path):
 
 
 @pytest.mark.parametrize("where", [0.1, 0.5, 0.9, 0.999])
-@pytest.mark.parametrize("pack", [zipped, tarred, lambda files: tarred(files, "xz"), lambda files: tarred(files, "bz2")])
+@pytest.mark.parametrize(
+    "pack", [zipped, tarred, lambda files: tarred(files, "xz"), lambda files: tarred(files, "bz2")]
+)
 def test_archives_that_end_early(tmp_path, pack, where):
     content = pack(FILES)
     (tmp_path / "a").write_bytes(content[: int(where * len(content))])
-    with pytest.raises(BadFileError, match="a cannot be unpacked: .*; --force downloads it again"), readable(tmp_path / "a"):
+    with (
+        pytest.raises(BadFileError, match=r"a cannot be unpacked: .*; --force downloads it again"),
+        readable(tmp_path / "a"),
+    ):
         contents(tmp_path / "a")
 
 
-@pytest.mark.parametrize("content", [b"", b"<html>", b"PK\x03\x04", b"\x1f\x8b\x08\x00", b"BZh91AY", bytes(100)])
+@pytest.mark.parametrize(
+    "pack",
+    [zipped, *(lambda files, c=c: tarred(files, c) for c in ("gz", "bz2", "xz"))],
+    ids=["zip", "tar.gz", "tar.bz2", "tar.xz"],
+)
+def test_a_changed_byte_is_found(tmp_path, pack):
+    """By the sums inside the archives, where nobody publishes one."""
+    content = bytearray(pack(FILES))
+    content[len(content) // 2] ^= 1
+    (tmp_path / "a").write_bytes(content)
+    with pytest.raises(BadFileError, match="a cannot be unpacked"), readable(tmp_path / "a"):
+        contents(tmp_path / "a")
+
+
+def test_much_after_the_last_member(tmp_path):
+    tail = bytes(2**24)
+    (tmp_path / "a").write_bytes(gzip.compress(tarred(FILES, "") + tail, 1))
+    with pytest.raises(BadFileError, match="16777216 bytes or more follow"), readable(tmp_path / "a"):
+        contents(tmp_path / "a")
+
+
+@pytest.mark.parametrize("content", [b"", b"<html>", b"PK\x03\x04", b"\x1f\x8b\x08\x00", b"BZh91AY"])
 def test_what_is_no_archive(tmp_path, content):
     (tmp_path / "a.zip").write_bytes(content)
-    with readable(tmp_path), pytest.raises(BadFileError, match=r"a.zip cannot be unpacked|no archive"):
-        with readable(tmp_path / "a.zip"):
-            assert contents(tmp_path / "a.zip") == {}
-            raise BadFileError("no archive")
+    with pytest.raises(BadFileError, match=r"a\.zip cannot be unpacked"), readable(tmp_path / "a.zip"):
+        contents(tmp_path / "a.zip")
 
 
 def test_a_full_disk_is_no_damaged_archive(tmp_path):
