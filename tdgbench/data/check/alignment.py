@@ -19,6 +19,7 @@ SMOOTHING = 1.5  # px, σ of the Gaussian before the gradient
 STRONGEST = 99.0  # percentile of edges beyond which they count no more
 LARGEST_SHIFT, SHORTEST_RANGE = 0.05, 16  # of the width; px
 FEWEST_VIEWS = 3
+SMALLEST = 96  # px, of the shorter side: measured on aligned images, errors were 0.4 px at 120 px, and 2 px at 36 px
 MIN_PROMINENCE = 6.0  # of the peak over the other shifts, in their robust standard deviations
 MAX_SPREAD = 3.0  # px
 AROUND_PEAK = 6  # px that belong to the peak
@@ -61,6 +62,8 @@ def edge_offset(pairs: Sequence[ViewPair]) -> Offset | Untrusted:
     """
     if len(pairs) < FEWEST_VIEWS:
         return Untrusted(f"{len(pairs)} views with both images; {FEWEST_VIEWS} are needed")
+    if min(pairs[0].rgb.shape[:2]) < SMALLEST:
+        return Untrusted(f"images of {pairs[0].rgb.shape[1]}×{pairs[0].rgb.shape[0]} px are too small")
     surfaces = np.stack([edge_correlation(pair) for pair in pairs])
     mean = surfaces.mean(axis=0)
     radius = mean.shape[0] // 2
@@ -78,8 +81,7 @@ def edge_offset(pairs: Sequence[ViewPair]) -> Offset | Untrusted:
 
 def edge_correlation(pair: ViewPair) -> np.ndarray:
     """Correlation (2R + 1, 2R + 1) of a view's edge maps at shifts of -R to R px: rows are y, columns x."""
-    height, width = pair.rgb.shape[:2]
-    radius = min(max(SHORTEST_RANGE, round(LARGEST_SHIFT * width)), (min(height, width) - 1) // 2)
+    radius = max(SHORTEST_RANGE, round(LARGEST_SHIFT * pair.rgb.shape[1]))
     rgb, thermal = (_edges(image, pair.valid) for image in (pair.rgb, pair.thermal))
     norm = np.linalg.norm(rgb) * np.linalg.norm(thermal)
     if norm == 0:

@@ -55,8 +55,10 @@ def test_unrelated_images_have_no_offset():
 
 
 def test_flat_images_and_few_views_have_no_offset():
-    flat = ViewPair(np.full((40, 60, 3), 0.5, np.float32), np.full((40, 60, 1), 0.5, np.float32))
+    flat = ViewPair(np.full((100, 120, 3), 0.5, np.float32), np.full((100, 120, 1), 0.5, np.float32))
     assert isinstance(edge_offset([flat] * 4), Untrusted)
+    small = ViewPair(*(image[:40, :60] for image in flat[:2]))
+    assert "60×40 px are too small" in edge_offset([small] * 4).reason
     assert "2 views" in edge_offset(made_pairs((0, 0), views=2)).reason
     assert isinstance(edge_offset([]), Untrusted)
 
