@@ -32,7 +32,8 @@ def main() -> int:
         except (Exception, Interrupted) as error:
             interruption.end()
             if interruption.signal is not None:
-                say(f"interrupted by {interruption.signal.name}{_kept()}", stderr=True)
+                notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+                say(f"interrupted by {interruption.signal.name}{notes or _kept()}", stderr=True)
                 return interruption.status
             if wants_traceback:
                 raise

@@ -19,8 +19,9 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import TEMPERATURES, opened_image
+from tdgbench.scenes.images import opened_image
 from tdgbench.scenes.inputs import read_bytes, regular_file
+from tdgbench.scenes.temperature import TEMPERATURES
 from tdgbench.scenes.validate import MAX_PIXELS
 
 JPEG_START, JPEG_SCAN, APP1, APP3 = b"\xff\xd8", 0xDA, 0xE1, 0xE3
@@ -41,8 +42,8 @@ class PhotoMapping:
     """
 
     real_to_ir: float
-    offset_x: int  # px of the photo
-    offset_y: int
+    offset_x: float  # px of the photo
+    offset_y: float
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,102 @@
+"""Print the check of scenes: a table, or JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.table import Table
+
+from tdgbench.data.check.alignment import Offset
+from tdgbench.data.check.scenes import SceneCheck
+from tdgbench.data.check.table1_time import Table1Time
+from tdgbench.terminal import console, printable, say
+from tdgbench.text import one_line
+
+UNCUT = 1000  # characters, width of tables where there is no terminal
+COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
+
+
+def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) -> None:
+    """Print one row per scene, then problems and notes, one line each."""
+    screen = console()
+    if not screen.is_terminal:
+        screen.width = UNCUT
+    table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
+    for heading in ("scene", "layout", "views", "split", "size", "ch", "°C", "masked", "edges, px", "status"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        table.add_row(*_row(check))
+    screen.print(table)
+    for check in checks:
+        for problem in check.problems:
+            say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
+        for note in check.notes:
+            say(f"{check.name}: {one_line(note)}", "note", "dim")
+    say(time if isinstance(time, str) else time.text())
+    usable = sum(check.status == "ok" for check in checks)
+    say(f"{usable} of {len(checks)} scenes can be used")
+
+
+def _row(check: SceneCheck) -> list[str]:
+    status = f"[{COLORS[check.status]}]{check.status}[/]"
+    layout = one_line(check.layout).replace("[", r"\[")
+    if not check.views:
+        return [one_line(check.name).replace("[", r"\["), layout, *[""] * 7, status]
+    views = str(check.views) if check.published is None else f"{check.views} of {check.published}"
+    span = check.temperature
+    return [
+        one_line(check.name).replace("[", r"\["),
+        layout,
+        views,
+        f"{check.train} + {check.test}",
+        ", ".join(f"{width}×{height}" for width, height in check.sizes[:2]) + (" …" if check.sizes[2:] else ""),
+        str(check.channels),
+        "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f}",
+        "n/a" if check.masked is None else f"{100 * check.masked:.1f} %",
+        f"{check.offset.px:.1f} ± {check.offset.spread:.1f}" if isinstance(check.offset, Offset) else "n/a",
+        status,
+    ]
+
+
+def as_json(root: Path, checks: list[SceneCheck], time: Table1Time | str, is_paper: bool) -> str:
+    """The check as JSON with stable keys, described in docs/data.md."""
+    return json.dumps(
+        {
+            "format": 1,
+            "root": str(root),
+            "scenes_of": "paper" if is_paper else "folder",
+            "usable": all(check.status == "ok" for check in checks),
+            "scenes": [_scene_json(check) for check in checks],
+            "table1_hours": None if isinstance(time, str) else list(time.hours),
+            "table1": time if isinstance(time, str) else time.text(),
+        },
+        indent=1,
+    )
+
+
+def _scene_json(check: SceneCheck) -> dict[str, object]:
+    offset = check.offset
+    is_known = isinstance(offset, Offset)
+    return {
+        "name": check.name,
+        "dataset": check.dataset,
+        "status": check.status,
+        "folder": check.folder or None,
+        "layout": check.layout or None,
+        "views": check.views,
+        "views_published": check.published,
+        "views_with_rgb": check.rgb,
+        "train": check.train,
+        "test": check.test,
+        "sizes_px": [list(size) for size in check.sizes],
+        "channels": check.channels,
+        "temperature_degC": None if check.temperature is None else list(check.temperature),
+        "masked_share": check.masked,
+        "points": check.points,
+        "edge_offset_px": offset.px if isinstance(offset, Offset) else None,
+        "edge_offset": offset._asdict() if isinstance(offset, Offset) else None,
+        "edge_offset_unknown": None if is_known or offset is None else offset.reason,  # type: ignore[union-attr]
+        "problems": check.problems,
+        "notes": check.notes,
+    }

@@ -1,0 +1,111 @@
+"""How long the trainings of Table 1 will take here: a range from a short timed training on one scene.
+
+A step costs more the more Gaussians there are, and how many a scene will have is known only after its training. So
+steps are timed twice: with the scene's sparse points, which is the least, and with ten times as many.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
+
+from tdgbench.bench.setup import set_up
+from tdgbench.resources import conf_folder
+from tdgbench.scenes import PointCloud, Scene
+from tdgbench.scenes.registry import SCENES
+from tdgbench.splats.cpu import pool
+from tdgbench.training.loop import train
+
+METHODS = ("msmg", "tdg")
+GROWTH = 10  # times the sparse points: Gaussians of the upper end
+WARM_UP, AT_A_TIME = 5, 10  # steps
+TRAINING_VIEWS = 8  # of the timed training: few, so that priors of the others are not estimated
+
+
+@dataclass(frozen=True)
+class Table1Time:
+    """Hours of training of Table 1: 14 scenes like the measured one, one seed. ms: of a step by method, low, high."""
+
+    hours: tuple[float, float]
+    ms: dict[str, tuple[float, float]]
+    iterations: dict[str, int]
+    scene: str
+    gaussians: tuple[int, int]
+    size: tuple[int, int]
+    threads: int
+
+    def text(self) -> str:
+        low, high = self.hours
+        steps = "; ".join(
+            f"{method} {a:.0f} to {b:.0f} ms × {self.iterations[method]} steps" for method, (a, b) in self.ms.items()
+        )
+        return (
+            f"Table 1 will train {low:.1f} to {high:.1f} hours here: {len(SCENES)} scenes, one seed, one after the "
+            f"other ({steps}; measured on {self.scene}, {self.size[0]}×{self.size[1]} px, {self.gaussians[0]} and "
+            f"{self.gaussians[1]} Gaussians, {self.threads} threads). Noisy scenes may grow beyond that; depth priors "
+            "and scores are not included"
+        )
+
+
+def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> Table1Time | str:
+    """Time steps of each method for `seconds` with few and with many Gaussians; or say why that cannot be done."""
+    if scene.points is None:
+        return "n/a: no scene with sparse points to time a training on"
+    if any(view.load_rgb is None for view in scene.train):
+        return "n/a: no scene with RGB images of all training views to time a training on"
+    few, many = _part(scene, 1), _part(scene, GROWTH)
+    ms: dict[str, tuple[float, float]] = {}
+    iterations, counts = {}, (0, 0)
+    torch.set_num_threads(1)  # as in a cell: the kernels use a pool of threads
+    pool.set_threads(None)
+    try:
+        for method in METHODS:
+            begin(f"timing steps of {method} on {scene.name}, {2 * seconds:g} s")
+            cfg = _config(method)
+            iterations[method] = int(cfg.budget.iterations)
+            (low, first), (high, last) = (_step_ms(cfg, part, seconds) for part in (few, many))
+            ms[method], counts = (min(low, high), max(low, high)), (first, last)
+    except Exception as error:  # of a method, prior or backend that does not work here
+        return f"n/a: the timed training failed: {error}"
+    hours = [len(SCENES) * sum(iterations[m] * ms[m][end] for m in METHODS) / 3.6e6 for end in (0, 1)]
+    view = scene.train[0].camera
+    size = view.width, view.height
+    return Table1Time((hours[0], hours[1]), ms, iterations, scene.name, counts, size, pool.get_threads())
+
+
+def _config(method: str) -> DictConfig:
+    overrides = [f"method={method}", "budget=paper", "prior=sfm_points", "skip=default"]
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        return compose("config", overrides=overrides)
+
+
+def _part(scene: Scene, growth: int) -> Scene:
+    """The scene with a few training views, and with `growth` times its points, spread by their mean spacing."""
+    cloud = scene.points
+    assert cloud is not None
+    chosen = np.linspace(0, len(scene.train) - 1, min(TRAINING_VIEWS, len(scene.train))).round().astype(int)
+    if growth > 1:
+        spacing = np.median(np.ptp(cloud.points, axis=0)) / max(1.0, np.sqrt(len(cloud.points)))
+        shift = np.random.default_rng(0).normal(0, spacing / 2, (growth, *cloud.points.shape))
+        shift[0] = 0
+        points = (cloud.points[None] + shift).reshape(-1, 3)
+        cloud = PointCloud(points, np.tile(cloud.colors, (growth, 1)))
+    return replace(scene, train=[scene.train[i] for i in chosen], points=cloud)
+
+
+def _step_ms(cfg: DictConfig, scene: Scene, seconds: float) -> tuple[float, int]:
+    """Milliseconds of a training step, and the number of Gaussians of the thermal model."""
+    method, _ = set_up(cfg, scene)
+    train(method, WARM_UP)
+    spent, steps = 0.0, 0
+    while spent < seconds:
+        start = time.perf_counter()
+        train(method, AT_A_TIME)  # from iteration 1 again: density control, which begins later, is never reached
+        spent, steps = spent + time.perf_counter() - start, steps + AT_A_TIME
+    return 1e3 * spent / steps, len(method.models()["thermal"])

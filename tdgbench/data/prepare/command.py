@@ -1,0 +1,79 @@
+"""`tdgbench data prepare DIR OUT`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from tdgbench.data.prepare.extract import CountScale
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.terminal import say
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", type=Path, metavar="DIR", help="folder of the camera's files")
+    parser.add_argument("out", type=Path, metavar="OUT", help="the scene's folder, which must not exist")
+    parser.add_argument("--pairs", nargs=2, metavar=("THERMAL", "RGB"),
+                        help="names of the files, * stands for the view: '*_T.tiff' '*_V.jpg'")  # fmt: skip
+    parser.add_argument("--degC-per-count", type=_number, metavar="A", help="16-bit thermal: degC = counts × A + B")
+    parser.add_argument("--degC-at-zero", type=_number, default=0.0, metavar="B")
+    parser.add_argument("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
+                        help="thermal covers 1/RATIO of the RGB width, its centre X, Y px off")  # fmt: skip
+    parser.add_argument("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
+    parser.add_argument("--width", type=_positive, metavar="PX", help="of the output; default: the thermal resolution")
+    parser.add_argument("--range", nargs=2, type=_number, metavar=("MIN", "MAX"),
+                        help="°C of image values 0 and 1; default: percentiles 0.1 and 99.9")  # fmt: skip
+    parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
+    parser.add_argument("--matching", choices=("exhaustive", "sequential"), default="exhaustive",
+                        help="sequential: neighbours by name, for videos")  # fmt: skip
+    parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of the RGB camera")
+    parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
+    parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prepare a scene and print its report. Exit status 0 if every file is in the scene, else 1."""
+    report = prepare(arguments.source, arguments.out, _options(arguments))
+    say(report.text().rstrip())
+    if arguments.no_sfm:
+        return 0 if report.is_complete else 1
+    say(f"train: tdgbench method=splat dataset=folder data.root={arguments.out}")
+    return 0 if report.is_complete else 1
+
+
+def _options(arguments: argparse.Namespace) -> PrepareOptions:
+    """Options of a preparation. Raises SceneError for those that contradict each other."""
+    if arguments.mapping is not None and arguments.homography is not None:
+        raise SceneError("--mapping and --homography both say where the thermal image lies; give one of them")
+    if arguments.degC_per_count == 0:
+        raise SceneError("--degC-per-count is 0; it must be the °C of one count")
+    if arguments.range is not None and not arguments.range[0] < arguments.range[1]:
+        raise SceneError("--range: MIN must be below MAX")
+    sfm = SfmOptions(arguments.matching, arguments.camera_model, arguments.seed, arguments.threads)
+    return PrepareOptions(
+        pairs=None if arguments.pairs is None else (arguments.pairs[0], arguments.pairs[1]),
+        counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),
+        mapping=None if arguments.mapping is None else PhotoMapping(*arguments.mapping),
+        homography=arguments.homography,
+        width=arguments.width,
+        range=None if arguments.range is None else (arguments.range[0], arguments.range[1]),
+        sfm=None if arguments.no_sfm else sfm,
+    )
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return number
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return number

@@ -1,0 +1,79 @@
+"""Read the camera's files of a view: temperatures or shown thermal values, and the RGB image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.data.prepare.sources import ViewFiles
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.images import opened_image, read_image
+from tdgbench.scenes.inputs import regular_file
+from tdgbench.scenes.radiometric import COUNT_MODES, PhotoMapping, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.temperature import Radiometry
+
+
+@dataclass(frozen=True)
+class CountScale:
+    """Meaning of 16-bit counts: degC = counts × degC_per_count + degC_at_zero. None: they have none."""
+
+    degC_per_count: float | None = None
+    degC_at_zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """Content of a view's files.
+
+    thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
+    float32 in [0, 1]. mapping: as a FLIR file states it, of its own photo.
+    """
+
+    thermal: np.ndarray
+    rgb: np.ndarray
+    mapping: PhotoMapping | None
+
+    @property
+    def is_celsius(self) -> bool:
+        return self.thermal.ndim == 2
+
+    @property
+    def sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Width and height of RGB and of thermal."""
+        return self.rgb.shape[1::-1], self.thermal.shape[1::-1]  # type: ignore[return-value]
+
+
+def extract(files: ViewFiles, scale: CountScale) -> Extracted:
+    """Read a view's files. Raises SceneError naming the file."""
+    if files.rgb is None:
+        thermogram = read_thermogram(files.thermal)
+        if thermogram.photo is None:
+            raise SceneError(f"{files.thermal} holds no photo; put an RGB image of the same name beside it")
+        return Extracted(thermogram.celsius, thermogram.photo.astype(np.float32) / 255, thermogram.mapping)
+    rgb = read_rgb(files.rgb)
+    if holds_celsius(files.thermal, scale):
+        return Extracted(read_celsius(files.thermal, scale.degC_per_count, scale.degC_at_zero), rgb, None)
+    return Extracted(read_image(files.thermal), rgb, None)
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    """RGB image (H, W, 3) float32 in [0, 1]. Raises SceneError."""
+    image = read_image(path)
+    return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
+
+
+def holds_celsius(path: Path, scale: CountScale) -> bool:
+    """Whether temperatures can be read from a thermal file; else it shows values without a scale."""
+    if is_radiometric(regular_file(path)):
+        return True
+    with opened_image(path) as image:
+        return image.mode in COUNT_MODES and scale.degC_per_count is not None
+
+
+def count_scale(given: CountScale, radiometry: Radiometry | None) -> CountScale:
+    """Scale of 16-bit counts: as given, else as the folder's temperature.json says."""
+    if given.degC_per_count is not None or radiometry is None:
+        return given
+    return CountScale(radiometry.degC_per_count, radiometry.degC_at_zero)

@@ -1,0 +1,92 @@
+"""Report of a preparation: what was read, registered, failed and why, file by file; and what was assumed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+Status = Literal["written", "not registered", "not read", "left out"]
+
+
+@dataclass
+class FileReport:
+    """What became of one file or pair of files. reason: empty if all is well."""
+
+    file: str
+    rgb: str  # file of the RGB image; "inside" for the photo of a radiometric file
+    view: str
+    status: Status
+    reason: str = ""
+    invalid: float = 0.0  # share of the output's pixels without a measured value
+
+
+@dataclass
+class Report:
+    """Report of a preparation. Sizes are (width, height) in px, temperatures in °C."""
+
+    source: str
+    out: str
+    files: list[FileReport] = field(default_factory=list)
+    assumptions: list[str] = field(default_factory=list)
+    rgb_size: tuple[int, int] | None = None
+    thermal_size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None
+    temperature: tuple[float, float] | None = None
+    clipped: float | None = None  # share of measured pixels outside of `temperature`
+    camera: str | None = None
+    models: list[int] = field(default_factory=list)  # registered images of each model that COLMAP found
+    error_px: float | None = None
+    points: int | None = None
+    edge_offset: dict[str, float] | str | None = None  # of thermal edges from RGB edges; a string says why unknown
+
+    def count(self, status: Status) -> int:
+        return sum(one.status == status for one in self.files)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every file became part of the scene."""
+        return self.count("written") == len(self.files)
+
+    def json(self) -> str:
+        return json.dumps({**asdict(self), "complete": self.is_complete}, indent=1, ensure_ascii=False) + "\n"
+
+    def text(self) -> str:
+        """The report in lines. Files without a problem are counted, others are listed."""
+        lines = [f"{self.source} -> {self.out}", *self._facts(), "", "assumed:"]
+        lines += [f"  {text}" for text in self.assumptions]
+        lines += ["", f"{self.count('written')} of {len(self.files)} views are in the scene"]
+        lines += [f"  {f.status}: {f.file}: {f.reason}" for f in self.files if f.status != "written"]
+        partly = [f for f in self.files if f.status == "written" and f.invalid > 0]
+        if partly:
+            most = max(partly, key=lambda f: f.invalid)
+            lines.append(
+                f"  {len(partly)} views have pixels without a measured value, {100 * most.invalid:.1f} % in "
+                f"{most.view}: see masks/"
+            )
+        return "\n".join(lines) + "\n"
+
+    def _facts(self) -> list[str]:
+        lines = []
+        if self.rgb_size and self.thermal_size and self.size:
+            sizes = ["×".join(map(str, size)) for size in (self.rgb_size, self.thermal_size, self.size)]
+            lines.append(f"  RGB {sizes[0]} px, thermal {sizes[1]} px, output {sizes[2]} px")
+        if self.temperature is not None:
+            low, high = self.temperature
+            clipped = "" if not self.clipped else f"; {100 * self.clipped:.2g} % of the pixels are outside"
+            lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json){clipped}")
+        if self.models:
+            others = f"; smaller models: {', '.join(map(str, self.models[1:]))} images" if self.models[1:] else ""
+            lines.append(
+                f"  COLMAP registers {self.models[0]} images: {self.points} points, {self.error_px:.2f} px, "
+                f"{self.camera}{others}"
+            )
+        if isinstance(self.edge_offset, dict):
+            offset = self.edge_offset
+            lines.append(
+                f"  thermal edges lie {offset['px']:.1f} ± {offset['spread']:.1f} px from RGB edges "
+                f"(x {offset['x']:+.1f}, y {offset['y']:+.1f})"
+            )
+        elif self.edge_offset is not None:
+            lines.append(f"  offset of thermal from RGB edges: n/a ({self.edge_offset})")
+        return lines

@@ -1,0 +1,114 @@
+"""Find the camera's files of each view: a radiometric file with its own photo, or a thermal and an RGB file."""
+
+from __future__ import annotations
+
+import glob
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.inputs import check_view_name, is_folder, listed
+from tdgbench.scenes.layouts.layout import find_files
+from tdgbench.scenes.radiometric import is_radiometric
+
+EXAMPLE = "--pairs '*_T.tiff' '*_V.jpg'"
+
+
+@dataclass(frozen=True)
+class ViewFiles:
+    """Files of one view. rgb: None if the photo is inside the thermal file."""
+
+    view: str
+    thermal: Path
+    rgb: Path | None
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What a folder holds: views, and files that belong to none of them, with the reason."""
+
+    views: list[ViewFiles]
+    left_out: dict[Path, str] = field(default_factory=dict)
+
+
+def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
+    """Find the views in a folder of camera files.
+
+    pairs: patterns of the thermal and of the RGB files below the folder, in which `*` stands for the view's name. By
+    default, files in thermal/ and rgb/ are paired by name, where these folders are; else radiometric files (in the
+    folder or in raw_images/) with the RGB files of the same name, or with the photos inside them.
+    Raises SceneError if there is no view.
+    """
+    if not is_folder(folder):
+        raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
+    if pairs is not None:
+        found = _pair(*(_matching(folder, pattern) for pattern in pairs))
+    elif is_folder(folder / "thermal") and is_folder(folder / "rgb"):
+        found = _pair(find_files(folder / "thermal")[0], find_files(folder / "rgb")[0])
+    else:
+        found = _by_content(folder / "raw_images" if is_folder(folder / "raw_images") else folder)
+    if not found.views:
+        raise SceneError(_nothing_found(folder, pairs, found))
+    return found
+
+
+def _matching(folder: Path, pattern: str) -> dict[str, Path]:
+    """Files by view name: what the pattern's `*` stands for."""
+    before, star, after = pattern.partition("*")
+    if not star or "*" in after or Path(pattern).is_absolute() or ".." in Path(pattern).parts:
+        raise SceneError(f"--pairs: {pattern!r} must be a path below {folder} with one * for the view's name")
+    found = {}
+    for path in sorted(folder.glob(f"{glob.escape(before)}*{glob.escape(after)}")):
+        name = path.relative_to(folder).as_posix()
+        view = check_view_name(name[len(before) : len(name) - len(after)], f"{folder}: the file {name!r}")
+        found[view] = path
+    return found
+
+
+def _pair(thermal: dict[str, Path], rgb: dict[str, Path]) -> Sources:
+    """Pair files by view name; a FLIR file without an RGB file brings its own photo."""
+    views, left_out = [], {}
+    for view, path in thermal.items():
+        if view in rgb or _may_hold_photo(path):
+            views.append(ViewFiles(view, path, rgb.get(view)))
+        else:
+            left_out[path] = f"no RGB image is named {view}"
+    left_out.update({path: f"no thermal image is named {view}" for view, path in rgb.items() if view not in thermal})
+    return Sources(views, left_out)
+
+
+def _by_content(folder: Path) -> Sources:
+    thermal: dict[str, Path] = {}
+    rgb: dict[str, Path] = {}
+    left_out = {}
+    for path in listed(folder):
+        if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
+            continue
+        check_view_name(path.stem, f"{folder}: the file {path.name!r}")
+        try:
+            kind = thermal if is_radiometric(path) else rgb
+        except SceneError as error:
+            left_out[path] = str(error)
+            continue
+        if path.stem in kind:
+            left_out[path] = f"{kind[path.stem].name} is the same view; remove one of them"
+        else:
+            kind[path.stem] = path
+    found = _pair(thermal, rgb)
+    return Sources(found.views, {**left_out, **found.left_out})
+
+
+def _may_hold_photo(path: Path) -> bool:
+    try:
+        return path.suffix.lower() in (".jpg", ".jpeg") and is_radiometric(path)
+    except SceneError:
+        return False
+
+
+def _nothing_found(folder: Path, pairs: tuple[str, str] | None, found: Sources) -> str:
+    reasons = "; ".join(f"{path.name}: {reason}" for path, reason in list(found.left_out.items())[:2])
+    what = f"{folder} holds no pair of thermal and RGB images" + (f" ({reasons})" if reasons else "")
+    if pairs is not None:
+        return f"{what}; {pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
+    return f"{what}; it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}"

@@ -1,0 +1,69 @@
+import json
+
+import pytest
+
+from tdgbench.data.check.table1_time import Table1Time, table1_time
+from tests.helpers.command import tdgbench_here
+from tests.helpers.layouts import write_rgbt_scenes, write_ti_nsd
+from tests.helpers.paths import ROOT
+
+WITHOUT_TIME = ("--time", "0")
+
+
+def test_table(tmp_path, small_gray_scene):
+    name = "a_scene_whose_name_is_longer_than_what_a_table_of_eighty_columns_would_leave_to_it"
+    write_rgbt_scenes(small_gray_scene, tmp_path / "data" / name)
+    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    assert run.returncode == 0, run.stderr
+    (row,) = [line for line in run.stdout.splitlines() if line.startswith(f"│ {name} │")]  # not cut
+    assert [cell.strip() for cell in row.strip("│").split("│")] == [
+        name, "RGBT-Scenes", "10", "8 + 2", "48×36", "1", "n/a", "0.0 %", "n/a", "ok",
+    ]  # fmt: skip
+    assert "1 of 1 scenes can be used" in run.stdout and "time of Table 1: n/a (--time 0)" in run.stdout
+    assert f"checking {name}" in run.stderr
+
+
+def test_missing_and_broken_scenes_are_status_1(tmp_path, small_gray_scene):
+    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    assert run.returncode == 1 and run.stdout.count("missing ") == 2 * 14 and "0 of 14 scenes can be used" in run.stdout
+    folder = write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "a[bold]b")
+    (folder / "temperature.json").write_text("{}", encoding="utf-8")
+    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    assert run.returncode == 1 and "Traceback" not in run.stderr
+    assert "broken a[bold]b: " in run.stdout and "temperature.json must hold" in run.stdout
+
+
+def test_json_has_the_documented_keys(tmp_path, small_gray_scene):
+    write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "RGBT-Scenes" / "Truck")
+    run = tdgbench_here(tmp_path, "data", "check", "data", "--json", *WITHOUT_TIME)
+    content = json.loads(run.stdout)
+    assert run.returncode == 1 and content["format"] == 1 and content["scenes_of"] == "paper" and not content["usable"]
+    truck = next(scene for scene in content["scenes"] if scene["name"] == "Truck")
+    assert (truck["status"], truck["views"], truck["views_published"], truck["sizes_px"]) == ("ok", 10, 73, [[48, 36]])
+    page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+    for key in (*content, *truck):
+        assert f"`{key}`" in page, f"docs/data.md does not describe {key}"
+
+
+def test_time_is_unknown_without_what_a_training_needs(tmp_path, small_gray_scene):
+    folder = write_ti_nsd(small_gray_scene, tmp_path / "thermal_only")
+    run = tdgbench_here(tmp_path, "data", "check", str(folder), "--time", "1")
+    assert run.returncode == 0 and "time of Table 1: n/a: no scene with RGB images" in run.stdout
+
+
+@pytest.mark.parametrize("wrong", ["-1", "1e9", "nan", "soon"])
+def test_wrong_time(tmp_path, wrong):
+    run = tdgbench_here(tmp_path, "data", "check", ".", f"--time={wrong}")
+    assert run.returncode == 2 and "--time" in run.stderr
+
+
+def test_time_of_table_1(small_gray_scene):
+    begun = []
+    answer = table1_time(small_gray_scene, 0.05, begun.append)
+    assert isinstance(answer, Table1Time), answer
+    assert len(begun) == 2 and answer.iterations == {"msmg": 30000, "tdg": 10000}
+    few, many = answer.gaussians
+    assert few == 300 and many == 3000
+    low = 14 * (30000 * answer.ms["msmg"][0] + 10000 * answer.ms["tdg"][0]) / 3.6e6
+    assert answer.hours[0] == pytest.approx(low) and 0 < answer.hours[0] <= answer.hours[1]
+    assert f"{answer.hours[0]:.1f} to {answer.hours[1]:.1f} hours" in answer.text()

@@ -1,0 +1,100 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.data.check.alignment import Offset
+from tdgbench.data.check.scenes import check_scenes, find_place
+from tdgbench.scenes import ReadOptions
+from tdgbench.scenes.registry import SCENES
+from tdgbench.scenes.synthetic import SyntheticDataset
+from tests.helpers.layouts import write_rgbt_scenes, write_thermalmix
+
+
+@pytest.fixture(scope="module")
+def aligned_scene(tmp_path_factory):
+    """Views that are large enough for an offset."""
+    folder = str(tmp_path_factory.mktemp("synthetic"))
+    return SyntheticDataset(folder, ReadOptions(), width=160, height=120, views=6, points=300, seed=0).load("turntable")
+
+
+def checked(root, split="eighty_twenty"):
+    begun = []
+    place = find_place(root, split)
+    return place, {check.name: check for check in check_scenes(place, begun.append)}, begun
+
+
+def test_paper_scenes(tmp_path, small_scene, small_gray_scene):
+    write_rgbt_scenes(small_scene, tmp_path / "RGBT-Scenes" / "road block")
+    write_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "lion")
+    place, checks, begun = checked(tmp_path)
+    assert place.is_paper and list(checks) == [scene.name for scene in SCENES] and begun == ["RoadBlock", "Lion"]
+    block, lion = checks["RoadBlock"], checks["Lion"]
+    assert (block.status, block.layout, block.views, block.published) == ("ok", "RGBT-Scenes", 10, 71)
+    assert (block.train, block.test, block.rgb, block.channels, block.points) == (8, 2, 10, 3, 300)
+    assert block.sizes == [(48, 36)] and block.temperature is None and block.masked == 0
+    assert any("10 views can be used of 71" in note for note in block.notes)
+    assert (lion.status, lion.layout, lion.channels, lion.published) == ("ok", "ThermalMix", 1, None)
+    span = small_gray_scene.temperature
+    assert span.min - 1 < lion.temperature[0] < lion.temperature[1] < span.max + 1
+    assert checks["Pan"].status == "missing" and "tdgbench data get thermalmix" in checks["Pan"].problems[0]
+    assert checked(tmp_path / "ThermalMix")[1].keys() == {"Laptop", "Pan", "Lion", "Hand", "Face"}
+
+
+def test_nothing_there(tmp_path):
+    for root in (tmp_path, tmp_path / "nowhere"):
+        place, checks, begun = checked(root)
+        assert place.is_paper and not begun and {check.status for check in checks.values()} == {"missing"}
+
+
+def test_masked_pixels_and_missing_photos(tmp_path, small_gray_scene):
+    def with_nan(degC, number):
+        degC = degC.copy()
+        degC[:, :12] = np.nan
+        return degC
+
+    folder = write_thermalmix(small_gray_scene, tmp_path / "scene", change=with_nan, camera="PINHOLE")
+    (folder / "rgb" / f"{small_gray_scene.views[0].name}.jpg").unlink()
+    _, checks, _ = checked(tmp_path)
+    check = checks["scene"]
+    assert check.status == "ok" and check.masked == pytest.approx(0.25, abs=0.03) and check.rgb == 9
+    assert any("1 views have no RGB image" in note for note in check.notes)
+
+
+def test_offset_of_a_made_scene(tmp_path, aligned_scene):
+    folder = write_rgbt_scenes(aligned_scene, tmp_path / "scene")
+    check = checked(folder)[1]["scene"]
+    assert isinstance(check.offset, Offset) and check.offset.px < 0.5
+    for path in (folder / "thermal").rglob("*.jpg"):
+        with Image.open(path) as image:
+            pixels = np.roll(np.asarray(image), (3, 4), axis=(0, 1))
+        Image.fromarray(pixels).save(path, quality=95)
+    shifted = checked(folder)[1]["scene"].offset
+    assert (shifted.x - check.offset.x, shifted.y - check.offset.y) == pytest.approx((4, 3), abs=0.4)
+
+
+def test_broken_scenes_do_not_end_the_check(tmp_path, small_gray_scene):
+    for name in "abcd":
+        write_rgbt_scenes(small_gray_scene, tmp_path / name)
+    first, second, *_ = sorted((tmp_path / "a" / "thermal" / "train").iterdir())
+    for path in (first, second):
+        path.write_bytes(path.read_bytes()[:200])
+    photo = next((tmp_path / "b" / "rgb" / "train").iterdir())
+    photo.write_bytes(b"no image")
+    shutil.rmtree(tmp_path / "c" / "sparse")
+    _, checks, _ = checked(tmp_path)
+    assert {name: check.status for name, check in checks.items()} == {
+        "a": "broken", "b": "broken", "c": "broken", "d": "ok",
+    }  # fmt: skip
+    said = "\n".join(checks["a"].problems)
+    assert len(checks["a"].problems) == 2 and first.name in said and second.name in said  # not the first one alone
+    assert len(checks["b"].problems) == 1 and photo.name in checks["b"].problems[0] and checks["b"].views == 10
+    assert "no COLMAP model" in checks["c"].problems[0] and checks["c"].scene is None
+
+
+def test_one_scene_is_a_place(tmp_path, small_gray_scene):
+    place, checks, _ = checked(write_rgbt_scenes(small_gray_scene, tmp_path / "mine"), split="every_8th")
+    assert not place.is_paper and checks["mine"].test == 2
+    assert json.dumps(checks["mine"].notes)  # plain text

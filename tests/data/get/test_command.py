@@ -1,0 +1,107 @@
+"""`tdgbench data get`, in this process and, where signals are concerned, in a new one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tdgbench.data.get import http
+from tests.helpers.archives import scene_files, zipped
+from tests.helpers.command import tdgbench_here
+from tests.helpers.paths import ROOT
+from tests.helpers.zenodo import Fault, zenodo
+
+FILES = {"lion.zip": zipped(scene_files("lion")), "laptop.zip": zipped(scene_files("laptop", seed=1))}
+
+
+@pytest.fixture
+def server():
+    with zenodo(dict(FILES)) as one:
+        yield one
+
+
+def get(tmp_path, server, *options: str):
+    return tdgbench_here(tmp_path, "data", "get", "thermalmix", "data", "--zenodo", server.address, *options)
+
+
+def test_list_get_and_get_again(tmp_path, server):
+    listed = get(tmp_path, server, "--list")
+    assert listed.returncode == 0 and not (tmp_path / "data").exists() and server.requests == []
+    assert listed.stdout.splitlines() == [
+        "ThermalMix (Özer et al. 2024): https://zenodo.org/records/11065834",
+        "lion.zip, scene Lion: 150.6 kB, to be fetched",
+        "laptop.zip, scene Laptop: 150.6 kB, to be fetched",
+        "in all 301.2 kB",
+    ]
+    first = get(tmp_path, server, "--scene", "lion")
+    assert (first.returncode, first.stderr) == (0, ""), first.stderr
+    assert first.stdout.splitlines()[1:] == [
+        "data/ThermalMix/Lion: 5 files of lion.zip",
+        "data/ThermalMix: 1 scene fetched, 0 scenes already there and whole",
+    ]
+    assert "lion.zip, scene Lion: 150.6 kB, there\n" in get(tmp_path, server, "--list").stdout
+    again = get(tmp_path, server, "--scene", "lion")
+    assert again.returncode == 0 and "0 scenes fetched, 1 scene already there and whole" in again.stdout
+    assert [name for name, _ in server.requests] == ["lion.zip"]
+    forced = get(tmp_path, server, "--scene", "lion", "--force", "--keep")
+    assert forced.returncode == 0 and len(server.requests) == 2
+    assert (tmp_path / "data" / "ThermalMix" / ".get" / "lion.zip").is_file()
+
+
+def test_errors_are_one_line_and_status_1(tmp_path, server):
+    server.faults["lion.zip"] = [Fault(status=404)]
+    run = get(tmp_path, server)
+    assert run.returncode == 1 and run.stderr.startswith("error: http://127.0.0.1:") and run.stderr.count("\n") == 1
+    server.sums["lion.zip"] = "0" * 32
+    run = get(tmp_path, server)
+    assert run.returncode == 1 and run.stderr.startswith("problem: lion.zip is damaged") and run.stderr.count("\n") == 1
+    assert "1 scene fetched, 1 problem" in run.stdout
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, server):
+    (tmp_path / "data").write_text("a file", encoding="utf-8")
+    run = get(tmp_path, server)
+    assert run.returncode == 1 and "data" in run.stderr and run.stderr.count("\n") == 1
+
+
+def test_no_network(tmp_path, monkeypatch):
+    waited = []
+    monkeypatch.setattr(http.time, "sleep", waited.append)
+    run = tdgbench_here(tmp_path, "data", "get", "thermoscenes", "data", "--zenodo", "http://127.0.0.1:9/", "--list")
+    assert run.returncode == 1 and waited == [2.0, 4.0]
+    notes = [line for line in run.stderr.splitlines() if line.startswith("note: Connection refused; trying again in ")]
+    assert len(notes) == 2 and run.stderr.splitlines()[2].startswith("error: the list of files of ThermoScenes (http")
+
+
+@pytest.mark.parametrize("words", [["get", "kitti", "data"], ["get", "thermalmix"]])
+def test_wrong_arguments(tmp_path, words):
+    assert tdgbench_here(tmp_path, "data", *words).returncode == 2
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+def test_a_signal_ends_it_in_one_line_and_the_next_run_goes_on(tmp_path, server, ending):
+    server.faults["lion.zip"] = [Fault(seconds=0.3)]
+    words = [sys.executable, "-m", "tdgbench", "data", "get", "thermalmix", "data", "--zenodo", server.address]
+    process = subprocess.Popen(
+        words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    part = tmp_path / "data" / "ThermalMix" / ".get" / "lion.zip.part"
+    deadline = time.monotonic() + 100
+    while not (part.exists() and part.stat().st_size) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(ending)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 128 + ending
+    kept = part.stat().st_size
+    assert 0 < kept < len(FILES["lion.zip"]) and error == (
+        f"interrupted by {ending.name}; data/ThermalMix/.get keeps {kept / 1000:.1f} kB of downloads; the same command "
+        "goes on from there\n"
+    )
+    assert get(tmp_path, server).returncode == 0 and ("lion.zip", f"bytes={kept}-") in server.requests
+    assert (tmp_path / "data" / "ThermalMix" / "Lion" / "rgb" / "0000.jpg").is_file()

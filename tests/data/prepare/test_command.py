@@ -1,0 +1,53 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.command import tdgbench_here
+from tests.helpers.flir import FlirCamera, write_flir
+from tests.helpers.layouts import celsius
+
+
+def test_command_says_what_it_does(tmp_path, small_gray_scene):
+    (tmp_path / "camera").mkdir()
+    for view in small_gray_scene.views[:2]:
+        write_flir(tmp_path / "camera" / f"{view.name}.jpg", FlirCamera().counts(celsius(view, small_gray_scene)),
+                   (view.rgb * 255).astype("uint8"))  # fmt: skip
+    run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", "--no-sfm")
+    assert run.returncode == 0, run.stderr
+    lines = run.stdout.splitlines()
+    assert "files to read: 2" in lines and any(line.startswith("files to read: done in") for line in lines)
+    assert (tmp_path / "out" / "report.txt").read_text(encoding="utf-8").rstrip() in run.stdout
+    run = tdgbench_here(tmp_path, "data", "prepare", "camera", "other")
+    assert run.returncode == 1 and "2 usable pictures" in run.stderr and not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--mapping", "1", "0", "0", "--homography", "H.txt"),
+        ("--degC-per-count", "0"),
+        ("--degC-per-count", "nan"),
+        ("--range", "20", "10"),
+        ("--width", "0"),
+        ("--matching", "none"),
+    ],
+)
+def test_wrong_options(tmp_path, options):
+    (tmp_path / "camera").mkdir()
+    run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", *options)
+    assert run.returncode != 0 and not (tmp_path / "out").exists()
+    assert options[0] in run.stderr and "Traceback" not in run.stderr
+
+
+def test_real_flir_files(tmp_path):
+    """Two pictures: no model, but temperatures, photos and their mapping."""
+    if "TDGBENCH_FLIR" not in os.environ:
+        pytest.skip("TDGBENCH_FLIR=FOLDER names no folder of real FLIR files")
+    source = str(Path(os.environ["TDGBENCH_FLIR"]).resolve())
+    run = tdgbench_here(tmp_path, "data", "prepare", source, "out")
+    assert run.returncode == 1 and "2 usable pictures" in run.stderr
+    run = tdgbench_here(tmp_path, "data", "prepare", source, "out", "--no-sfm")
+    assert run.returncode == 0, run.stderr
+    assert "RGB 1080×1440 px, thermal 480×640 px, output 480×640 px" in run.stdout
+    assert "the thermal image covers 1/1.245 of the RGB image's width" in run.stdout

@@ -1,0 +1,213 @@
+import json
+import shutil
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+
+from tdgbench.data.prepare import prepare as module
+from tdgbench.data.prepare.extract import CountScale
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.sfm import Structure
+from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
+from tdgbench.scenes.colmap import read_model
+from tdgbench.scenes.radiometric import PhotoMapping, read_celsius
+from tests.helpers.flir import FlirCamera, write_flir
+from tests.helpers.layouts import celsius
+from tests.helpers.paths import SHARED
+
+EXTRACT = PrepareOptions(sfm=None)
+
+
+def capture(scene, folder, views=6):
+    """FLIR files of a scene: photos of twice the width, of which the thermal image covers all."""
+    folder.mkdir()
+    for view in scene.views[:views]:
+        photo = Image.fromarray(np.uint8(view.rgb * 255)).resize((96, 72))
+        counts = FlirCamera().counts(celsius(view, scene))
+        write_flir(folder / f"{view.name}.jpg", counts, np.asarray(photo), mapping=(1.0, 0, 0))
+    return folder
+
+
+def known_structure(scene, left_out=()):
+    """Stands in for COLMAP: the scene's own cameras, seen through some lens distortion."""
+
+    def reconstruct(images, names, work, options):
+        views = scene.views[: len(names)]
+        K = views[0].camera.K
+        camera = pycolmap.Camera(
+            model="SIMPLE_RADIAL", width=96, height=72, params=[2 * K[0, 0], 2 * K[0, 2], 2 * K[1, 2], 0.03]
+        )
+        poses = {
+            name: view.camera.world_to_camera
+            for name, view in zip(names, views, strict=True)
+            if view.name not in left_out
+        }
+        features = Counter(dict.fromkeys(names, 100))
+        return Structure(camera, poses, scene.points, 0.5, [len(poses)], features, Counter())
+
+    return reconstruct
+
+
+def test_scene_of_flir_files_is_read_back(tmp_path, small_gray_scene, monkeypatch):
+    monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene))
+    source = capture(small_gray_scene, tmp_path / "camera")
+    report = prepare(source, tmp_path / "scene", PrepareOptions())
+    assert report.is_complete and report.models == [6] and report.size == (47, 35)
+    assert report.rgb_size == (96, 72) and report.thermal_size == (48, 36)
+    scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
+    assert [view.name for view in scene.views] == [view.name for view in small_gray_scene.views[:6]]
+    assert scene.channels == 1 and len(scene.points.points) == len(small_gray_scene.points.points)
+    assert (scene.temperature.min, scene.temperature.max) == report.temperature
+    original = small_gray_scene.views[2]
+    view = scene.views[2]
+    assert np.allclose(view.camera.world_to_camera, original.camera.world_to_camera)
+    # Undistorted at a known place: the output's ray through the middle of each pixel, in the distorted thermal image.
+    degC = scene.temperature.min + view.thermal[..., 0] * (scene.temperature.max - scene.temperature.min)
+    source_camera = known_structure(small_gray_scene)(None, ["a"], None, None).camera
+    x, y = np.meshgrid(np.arange(47) + 0.5, np.arange(35) + 0.5)
+    rays = np.stack([x - view.camera.K[0, 2], y - view.camera.K[1, 2]], axis=-1) / view.camera.K[[0, 1], [0, 1]]
+    rays = np.concatenate([rays, np.ones((35, 47, 1))], axis=2).reshape(-1, 3)
+    seen = (source_camera.img_from_cam(rays) / 2 - 0.5).reshape(35, 47, 2).round().astype(int)
+    there = (seen >= 0).all(axis=2) & (seen[..., 0] < 48) & (seen[..., 1] < 36)
+    expected = read_celsius(source / f"{view.name}.jpg")[seen[..., 1] % 36, seen[..., 0] % 48]
+    assert np.median(np.abs(degC - expected)[there]) < 0.05 * np.ptp(expected)
+    photo = original.rgb[seen[..., 1] % 36, seen[..., 0] % 48]
+    assert view.rgb.shape == (35, 47, 3) and np.abs(view.rgb - photo)[there].mean() < 0.05
+
+
+def test_report_says_what_became_of_each_file(tmp_path, small_gray_scene, monkeypatch):
+    lost = small_gray_scene.views[1].name
+    monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene, [lost]))
+    source = capture(small_gray_scene, tmp_path / "camera")
+    broken = source / "broken.jpg"
+    broken.write_bytes((source / f"{lost}.jpg").read_bytes()[:3000])
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(source / "selfie.png")
+    report = prepare(source, tmp_path / "scene", PrepareOptions())
+    status = {one.view: one.status for one in report.files}
+    assert (status["broken"], status["selfie"], status[lost]) == ("not read", "left out", "not registered")
+    assert report.count("written") == 5 and not report.is_complete
+    text = (tmp_path / "scene" / "report.txt").read_text(encoding="utf-8")
+    assert text == report.text() and "5 of 8 views are in the scene" in text and "COLMAP finds no pose: 100" in text
+    stored = json.loads((tmp_path / "scene" / "report.json").read_text(encoding="utf-8"))
+    assert stored["complete"] is False and len(stored["files"]) == 8 and stored["models"] == [5]
+    assert not list((tmp_path / "scene").glob("*work*"))
+    assert len(list((tmp_path / "scene" / "thermal").iterdir())) == 5
+
+
+def test_extraction_alone(tmp_path, small_gray_scene):
+    source = capture(small_gray_scene, tmp_path / "camera", views=2)
+    report = prepare(source, tmp_path / "out", EXTRACT)
+    view = small_gray_scene.views[0]
+    degC = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.tiff"))
+    assert np.allclose(degC, read_celsius(source / f"{view.name}.jpg"), atol=1e-3)  # nothing is undistorted
+    assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
+    span = json.loads((tmp_path / "out" / "temperature.json").read_text(encoding="utf-8"))
+    assert (span["min"], span["max"]) == report.temperature and degC.min() - 1 < span["min"] < span["max"]
+
+
+def test_a_part_of_the_photo(tmp_path, small_gray_scene):
+    """The thermal image covers the middle half of the photo: the output is that half."""
+    source = tmp_path / "camera"
+    source.mkdir()
+    photo = np.zeros((144, 192, 3), np.uint8)
+    photo[36:108, 48:144] = 200
+    for view in small_gray_scene.views[:2]:
+        write_flir(source / f"{view.name}.jpg", FlirCamera().counts(celsius(view, small_gray_scene)), photo)
+    report = prepare(source, tmp_path / "out", replace(EXTRACT, mapping=PhotoMapping(2.0, 0, 0)))
+    rgb = np.asarray(Image.open(next((tmp_path / "out" / "rgb").iterdir())))
+    assert report.size == (48, 36) and rgb[2:-2, 2:-2].min() > 180
+    whole = prepare(source, tmp_path / "whole", EXTRACT)
+    assert whole.size == (48, 36) and "same field of view" in whole.text()
+    assert np.asarray(Image.open(next((tmp_path / "whole" / "rgb").iterdir()))).min() < 20
+
+
+def test_radiometric_tiff_pairs_and_masks(tmp_path):
+    source = tmp_path / "camera"
+    source.mkdir()
+    degC = np.tile(np.linspace(5, 25, 40), (30, 1))
+    for index in range(3):
+        counts = np.round((degC + 100) * 40).astype(np.uint16)
+        counts[3:6, 3:6] = 0  # -100 °C: measured, if unlikely
+        Image.fromarray(counts).save(source / f"{index}_T.tiff")
+        Image.fromarray(np.full((60, 80, 3), 100, np.uint8)).save(source / f"{index}_V.jpg")
+    options = replace(EXTRACT, pairs=("*_T.tiff", "*_V.jpg"), counts=CountScale(1 / 40, -100.0))
+    report = prepare(source, tmp_path / "out", options)
+    assert report.size == (40, 30) and report.is_complete
+    written = np.asarray(Image.open(tmp_path / "out" / "thermal" / "1.tiff"))
+    assert np.allclose(written[10:], degC[10:], atol=0.02) and not (tmp_path / "out" / "masks").exists()
+    with pytest.raises(SceneError, match="degC_per_count"):
+        prepare(source, tmp_path / "without", replace(options, counts=CountScale()))
+    for index in range(3):
+        values = degC.astype(np.float32)
+        values[3:6, 3:6] = np.nan
+        Image.fromarray(values).save(source / f"{index}_T.tiff")
+    report = prepare(source, tmp_path / "nan", options)
+    mask = np.asarray(Image.open(tmp_path / "nan" / "masks" / "2.png"))
+    assert set(np.unique(mask)) == {0, 255} and (mask[3:6, 3:6] == 0).all() and (mask == 0).mean() < 0.03
+    assert "see masks/" in report.text()
+    assert np.isfinite(np.asarray(Image.open(tmp_path / "nan" / "thermal" / "2.tiff"))).all()
+
+
+def test_errors_leave_nothing(tmp_path, small_gray_scene):
+    source = capture(small_gray_scene, tmp_path / "camera", views=2)
+    out = tmp_path / "out"
+    with pytest.raises(SceneError, match=r"2 usable pictures.*needs 3.*--no-sfm"):
+        prepare(source, out, PrepareOptions())
+    view = small_gray_scene.views[0]
+    write_flir(
+        source / "other.jpg", FlirCamera().counts(celsius(view, small_gray_scene)[:20]), np.zeros((72, 96, 3), np.uint8)
+    )
+    with pytest.raises(
+        SceneError, match=r"different cameras.*2 with RGB 96×72 and thermal 48×36.*1 with RGB 96×72 and"
+    ):
+        prepare(source, out, EXTRACT)
+    (source / "other.jpg").unlink()
+    with pytest.raises(SceneError, match="outside of the RGB image"):
+        prepare(source, out, replace(EXTRACT, mapping=PhotoMapping(5.0, 96, 0)))
+    assert not out.exists() and not [p for p in tmp_path.iterdir() if "part" in p.name]
+    out.mkdir()
+    with pytest.raises(SceneError, match="is there already"):
+        prepare(source, out, EXTRACT)
+
+
+def test_dji_files_are_reported_with_the_remedy(tmp_path):
+    source = tmp_path / "camera"
+    source.mkdir()
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(source / "plain.jpg")
+    plain = (source / "plain.jpg").read_bytes()
+    exif, app3 = b"\xff\xe1\x00\x20" + b"Exif\0\0MM DJI".ljust(30, b"\0"), b"\xff\xe3\x00\x10" + bytes(14)
+    (source / "plain.jpg").unlink()
+    (source / "DJI_0001_R.JPG").write_bytes(plain[:2] + exif + app3 + plain[2:])
+    with pytest.raises(SceneError, match="export it as float TIFF"):
+        prepare(source, tmp_path / "out", EXTRACT)
+
+
+@pytest.mark.slow
+def test_real_pairs_give_the_known_poses(tmp_path):
+    """12 views of a real scene: COLMAP finds the poses of its published model, up to a similarity."""
+    real = SHARED / "arco"
+    if not real.is_dir():
+        pytest.skip(f"the real scene is not at {real}")
+    names = sorted(path.name for path in (real / "rgb" / "train").iterdir())[::2][:12]
+    for kind in ("rgb", "thermal"):
+        (tmp_path / "camera" / kind).mkdir(parents=True)
+        for name in names:
+            shutil.copy(real / kind / "train" / name, tmp_path / "camera" / kind / name)
+    shutil.copy(real / "temperature.json", tmp_path / "camera")
+    report = prepare(tmp_path / "camera", tmp_path / "scene", PrepareOptions())
+    assert report.is_complete and report.models == [12] and report.error_px < 1
+    scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
+    known = read_model(real / "sparse" / "0").images
+    ours = np.stack([view.camera.center for view in scene.views])
+    theirs = np.stack([known[view.name].camera.center for view in scene.views])
+    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    u, stretch, vt = np.linalg.svd(theirs.T @ ours)
+    scale = stretch.sum() / np.square(ours).sum()
+    distance = np.linalg.norm(scale * ours @ (u @ vt).T - theirs, axis=1)
+    assert distance.max() < 0.02 * np.linalg.norm(theirs, axis=1).max()
+    assert scene.views[0].camera.K[0, 0] == pytest.approx(known[scene.views[0].name].camera.K[0, 0], rel=0.03)
+    assert scene.channels == 1 and scene.temperature.min == pytest.approx(11.584, abs=1e-3)
