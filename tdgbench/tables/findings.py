@@ -79,7 +79,7 @@ def _comparison(comparison: Comparison, main: pd.DataFrame) -> Iterable[str]:
     method, baseline = methods.label(pair.method), methods.label(pair.baseline)
     rows = [row for row in paired.itertuples() if row.metric in PUBLISHED and row.scenes]
     if not rows:
-        yield f"{method} against {baseline}: {_why_not(both)}"
+        yield f"{method} against {baseline}: {_why_not(both, 'no scene has results of both')}"
         return
     counts = [
         f"{row.better} of {row.scenes}{' scenes' * (row is rows[0])} in {measure(row.metric).label}{_p(row.p)}"
@@ -121,11 +121,12 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
         parts = []
         for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):
             values = group[group["metric"] == metric].dropna(subset="value").sort_values("value", ascending=False)
-            if len(values) > 1:
-                best, *others = (f"{as_text(metric, r.value, OVERALL)} with {r.init}" for r in values.itertuples())
-                parts.append(f"{measure(metric).label} {best}, {', '.join(others)}")
+            if len(values):
+                texts = (f"{as_text(metric, r.value, OVERALL)} with {r.init}" for r in values.itertuples())
+                parts.append(f"{measure(metric).label} {', '.join(texts)}")
         label = methods.label(str(method))
-        yield f"{label}, best points first: {'; '.join(parts)}" if parts else f"{label}: {_why_not(group)}"
+        what = f", best points first: {'; '.join(parts)}" if parts else f": {_why_not(group, 'scenes lack results')}"
+        yield f"{label}{what}"
 
 
 def _effects(effects: pd.DataFrame) -> Iterable[str]:
@@ -149,12 +150,12 @@ def _changes(number: int) -> str:
     return f"{number} {'change' if number == 1 else 'changes'}"
 
 
-def _why_not(rows: pd.DataFrame) -> str:
-    """Why rows have no number in common."""
-    reasons = list(dict.fromkeys(rows.loc[rows["value"].isna(), "reason"]))
+def _why_not(rows: pd.DataFrame, otherwise: str) -> str:
+    """Why nothing can be said of some rows. otherwise: what to say if several reasons, or none, are known."""
+    reasons = list(dict.fromkeys(rows.loc[rows["value"].isna(), "reason"])) if rows["value"].isna().all() else []
     if reasons == [NO_RECORD]:
         return "n/a: no scene is on disk, or none was run"
-    return f"n/a: {reasons[0] if len(reasons) == 1 else 'no scene has results of both'}"
+    return f"n/a: {reasons[0] if len(reasons) == 1 else otherwise}"
 
 
 def _p(value: float) -> str:

@@ -77,6 +77,7 @@ def test_na_says_why(tmp_path):
         "Published scores: n/a: none of the 102 has one of ours beside it",
     ]
     write(tmp_path, "tdg", status="failed", failure=Failure("prior", "PriorError: no weights", ""))
+    write(tmp_path, "msmg", "Lion", "ThermalMix", "360")
     assert build_tables(tmp_path).findings[0] == "TDg against MSMG: n/a: no scene has results of both"
 
 
