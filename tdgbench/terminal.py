@@ -11,11 +11,19 @@ from rich.console import Console
 from rich.text import Text
 
 UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
+UNLIMITED = 1_000_000  # width, in characters, where there is no terminal: tables are as wide as their content
 
 
 def console(stderr: bool = False) -> Console:
-    """A console on standard output, or on standard error. Its prints never raise."""
-    return Console(file=cast(TextIO, _guarded("stderr" if stderr else "stdout")), stderr=stderr)
+    """A console on standard output, or on standard error. Its prints never raise, and are flushed.
+
+    On a terminal it has the terminal's width. Elsewhere nothing is cut or wrapped, and it is not interactive, whatever
+    the environment says (COLUMNS, FORCE_COLOR).
+    """
+    stream = _guarded("stderr" if stderr else "stdout")
+    if stream.is_terminal():
+        return Console(file=cast(TextIO, stream), stderr=stderr)
+    return Console(file=cast(TextIO, stream), stderr=stderr, width=UNLIMITED, force_interactive=False)
 
 
 def say(text: str, label: str = "", style: str = "red", stderr: bool = False) -> None:
@@ -78,6 +86,13 @@ class GuardedStream:
                 self._stream.flush()
             except (OSError, ValueError) as error:
                 self._give_up(error)
+
+    def is_terminal(self) -> bool:
+        """Whether a person reads the stream; never raises."""
+        try:
+            return self._stream.isatty()
+        except (OSError, ValueError):  # ValueError: the stream was closed
+            return False
 
     def _give_up(self, error: Exception) -> None:
         """Discard what is buffered and all that follows; report it, unless this is standard error itself."""

@@ -1,4 +1,4 @@
-"""Names and messages from outside (scenes, methods, views, errors) as text of outputs: one line, and CSV fields."""
+"""Text of outputs: names and messages from outside in one line and in CSV fields, and durations."""
 
 from __future__ import annotations
 
@@ -22,6 +22,16 @@ def shortened(text: str, most: int) -> str:
     """
     line = one_line(text)
     return line if len(line) <= most else line[: most - 1] + "…"
+
+
+def duration(seconds: float) -> str:
+    """A time as h:mm:ss.
+
+    >>> duration(4000), duration(59.6), duration(100 * 3600)
+    ('1:06:40', '0:01:00', '100:00:00')
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
 
 
 def csv_text(text: str) -> str:

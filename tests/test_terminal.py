@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import io
 import os
+import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +17,7 @@ from tdgbench.terminal import GuardedStream, console, say
 from tests.helpers.paths import ROOT
 
 EIGHT_BITS = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
+STYLE = re.compile(r"\x1b\[[0-9;]*m")
 PROGRAM = r"""
 import sys
 from tdgbench.terminal import console, guard_streams, say
@@ -83,6 +86,43 @@ def test_a_console_prints_where_the_stream_is_now(capsys):
     console().print("out")
     console(stderr=True).print("err")
     assert capsys.readouterr() == ("out\n", "err\n")
+
+
+WIDE = """
+from rich.table import Table
+from tdgbench.terminal import console
+table = Table(*(f"column {i}" for i in range(40)))
+table.add_row(*("a name with spaces" for _ in range(40)))
+console().print(table)
+console(stderr=True).print("word " * 40)
+print(console().is_interactive, console(stderr=True).is_interactive)
+"""
+
+
+@pytest.mark.parametrize("variables", [{}, {"COLUMNS": "80", "FORCE_COLOR": "1", "TERM": "xterm"}])
+def test_nothing_is_cut_or_wrapped_where_there_is_no_terminal(variables):
+    environment = {key: value for key, value in os.environ.items() if key != "COLUMNS"}
+    environment |= {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", **variables}
+    run = subprocess.run([sys.executable, "-c", WIDE], env=environment, capture_output=True, text=True, timeout=60)
+    lines = STYLE.sub("", run.stdout).splitlines()
+    assert lines[3].count("a name with spaces") == 40 and "column 39" in lines[1] and "…" not in run.stdout
+    assert run.stderr == "word " * 40 + "\n" and lines[-1] == "False False"
+
+
+def test_a_terminal_keeps_its_width():
+    """A table is as wide as the terminal, and no wider."""
+    pty, fcntl, termios = (pytest.importorskip(name) for name in ("pty", "fcntl", "termios"))
+    reader, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 60, 0, 0))
+    environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
+    environment |= {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", "TERM": "xterm"}
+    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
+    program = WIDE.replace("40", "4")
+    subprocess.run([sys.executable, "-c", program], env=environment, **streams, timeout=60, check=True)
+    os.close(terminal)
+    text = STYLE.sub("", os.read(reader, 1 << 16).decode())
+    os.close(reader)
+    assert max(map(len, text.splitlines())) == 60 and "True True" in text and "a name with spaces" not in text
 
 
 def test_everything_is_printed_through_the_guard():

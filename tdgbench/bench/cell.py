@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -17,6 +16,7 @@ from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.options import check_names, check_options
+from tdgbench.bench.outcome import Outcome, finished
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
 from tdgbench.bench.run import CellRun
@@ -24,21 +24,6 @@ from tdgbench.files import settle
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
 from tdgbench.training.method import training_device
-
-Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a cell.
-
-    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), or
-    `elsewhere` (another process runs it).
-    """
-
-    status: Status
-    title: str
-    message: str = ""
 
 
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
@@ -105,7 +90,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         run.train()
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
     run.write()
-    return Outcome("ok", record.title, "; ".join([*_remarks(existing, record), *run.remarks]))
+    return finished(record, "; ".join([*_remarks(existing, record), *run.remarks]))
 
 
 def _remarks(existing: Record | None, record: Record) -> list[str]:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -101,8 +102,24 @@ def number_of_jobs(config: DictConfig) -> int | None:
 def compose_jobs(config: DictConfig) -> None:
     """Compose the configuration of every job of a sweep, so that a wrong choice fails before the first one."""
     loader = GlobalHydra.instance().config_loader()
-    for job in BasicSweeper.split_arguments(_overrides(config), None)[0]:
+    for job in overrides_of_jobs(config):
         loader.load_sweep_config(config, job)
+
+
+def overrides_of_jobs(config: DictConfig) -> list[list[str]]:
+    """The overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
+    return [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
+
+
+@cache
+def key_and_value(override: str) -> tuple[str, str]:
+    """The key of an override, without signs, and its value as text.
+
+    >>> key_and_value("+scene='1.10'")
+    ('scene', '1.10')
+    """
+    parsed = OverridesParser.create().parse_override(override)
+    return parsed.key_or_group, _as_text(parsed.value())
 
 
 def _with_keys(overrides: list[str], keys: Sequence[str]) -> list[str]:

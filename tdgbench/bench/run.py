@@ -103,6 +103,7 @@ class CellRun(SetupObserver):
 
     def train(self) -> None:
         """Set the method up and train it."""
+        self.progress.start(len(self.scene.train))
         self.scorer = instantiate(self.cfg.metrics)
         self._describe_scene()
         training = set_up(

@@ -34,6 +34,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     )  # fmt: skip
     html = environment.get_template("page.html.j2").render(
         name=experiment.resolve().name,
+        findings=tables.findings,
         table=main_scores(tables),
         further=further_scores(tables),
         legend=legend(tables),

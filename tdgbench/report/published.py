@@ -10,8 +10,8 @@ import pandas as pd
 from tdgbench.tables import methods
 from tdgbench.tables.build import Tables
 from tdgbench.tables.latex import LABELS
-from tdgbench.tables.measures import PUBLISHED, digits, measure
-from tdgbench.tables.verdicts import UNDECIDED, in_words, load_margins
+from tdgbench.tables.measures import PUBLISHED, as_text, digits, measure
+from tdgbench.tables.verdicts import UNDECIDED, comparable, in_words, load_margins
 
 
 def beside(published: Any, scene: str) -> tuple[str, str]:
@@ -21,17 +21,17 @@ def beside(published: Any, scene: str) -> tuple[str, str]:
     """
     if published is None or np.isnan(published.difference):
         return "", ""
-    form = f".{digits(published.metric, scene)}f"
-    details = [f"published {published.published:{form}}: {published.verdict}"]
+    metric = published.metric
+    details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
     if published.verdict == UNDECIDED:
         details[0] += f", {published.why}; seeds needed: {published.seeds_needed}"
     if not np.isnan(published.low):
         interval = f"{published.low:.4g} to {published.high:.4g}"
         details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")
     if published.papers > 1:
-        ends = dict.fromkeys(f"{end:{form}}" for end in (published.others_low, published.others_high))
+        ends = dict.fromkeys(as_text(metric, end, scene) for end in (published.others_low, published.others_high))
         details.append(f"other papers: {' to '.join(ends)}")
-    return f"{published.difference:+{form}}", "; ".join(details)
+    return as_text(metric, published.difference, scene, f"+.{digits(metric, scene)}f"), "; ".join(details)
 
 
 def published_section(tables: Tables) -> dict[str, Any] | None:
@@ -39,7 +39,8 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
     if tables.difference is None or tables.papers is None:
         return None
     margins = load_margins()
-    known = tables.difference[tables.difference["difference"].notna() & tables.difference["metric"].isin(margins)]
+    judged = comparable(tables.difference)
+    known = judged[judged["difference"].notna()]
     verdicts = [
         {"metric": measure(str(metric)).title, "margin": f"{margins[str(metric)]:g}", "counts": in_words(group)}
         for metric, group in known.groupby("metric", sort=False)

@@ -11,7 +11,7 @@ import pandas as pd
 from tdgbench.report.published import beside
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
-from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, digits, measure
+from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, as_text, measure
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.results import first_points, split_notes
 
@@ -83,13 +83,13 @@ def _published(tables: Tables, keys: list[str]) -> dict[tuple[Any, ...], Any]:
 def _number(row: Any, published: Any) -> dict[str, Any]:
     if np.isnan(row.value):
         return {"text": "n/a", "sort": "", "bold": False, "title": row.reason, "note": "", "verdict": ""}
-    form = f".{digits(row.metric, row.scene)}f"
-    text = f"{row.value:{form}}"
+    text = as_text(row.metric, row.value, row.scene)
     std = getattr(row, "std", np.nan)
     if not np.isnan(std):
-        text += f" ± {std:{form}}"
-    low, high = getattr(row, "low", np.nan), getattr(row, "high", np.nan)
-    interval = "" if np.isnan(low) else f"95 % interval over seeds and views: {low:.4g} to {high:.4g}"
+        text += f" ± {as_text(row.metric, std, row.scene)}"
+    ends = [getattr(row, end, np.nan) for end in ("low", "high")]
+    span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
+    interval = f"95 % interval over seeds and views: {span}" if span else ""
     note, details = beside(published, row.scene)
     title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""

@@ -1,4 +1,7 @@
-"""Build an experiment's tables: main.{csv,tex}; with published numbers difference.csv and between_papers.{csv,tex}."""
+"""Build an experiment's tables: main.{csv,tex}; with published numbers difference.csv and between_papers.{csv,tex}.
+
+findings.txt says in sentences what they hold.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.between_papers import all_averages, between_papers, with_others
 from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
 from tdgbench.tables.difference import difference
+from tdgbench.tables.findings import findings
 from tdgbench.tables.latex import ablation_table, main_table, papers_table, readings_table
 from tdgbench.tables.measures import ABLATION
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
@@ -47,6 +51,7 @@ class Tables:
     papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
+    findings: list[str] = field(default_factory=list)  # in sentences
     problems: list[str] = field(default_factory=list)  # what could not be read
 
 
@@ -66,6 +71,7 @@ def build_tables(experiment: Path) -> Tables:
     if tables.difference is not None:
         tables.papers = between_papers()
     tables.problems = results.problems
+    tables.findings = findings(tables)
     _write(tables)
     return tables
 
@@ -103,6 +109,7 @@ def _write(tables: Tables) -> None:
     for pair, paired, speed in tables.comparisons:
         suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
         files |= {f"{name}{suffix}.csv": to_csv(t) for name, t in (("paired", paired), ("speed", speed)) if not t.empty}
+    files["findings.txt"] = "".join(f"{sentence}\n" for sentence in tables.findings)
     tables.folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         write_text(tables.folder / name, text)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from tdgbench.tables.between_papers import all_averages, between_papers
 from tdgbench.tables.build import build_tables, write_claims
+from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show, show_averages, show_claims, show_papers, show_problems
+from tdgbench.tables.show import show, show_averages, show_claims, show_findings, show_papers, show_problems
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -33,6 +34,7 @@ def _tables(experiment: Path) -> int:
     except (ValueError, OSError) as error:
         return _refused(error)
     show(tables, console())
+    show_findings(tables.findings)
     return int(bool(tables.problems))
 
 
@@ -46,6 +48,7 @@ def _claims(experiments: list[Path]) -> int:
     show_averages(all_averages(), console())
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems, console())
+    show_findings(claims_in_words(claims))
     return int(bool(problems))
 
 

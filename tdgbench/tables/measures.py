@@ -10,6 +10,7 @@ from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.measure import Measure
 from tdgbench.tables.names import OVERALL
+from tdgbench.text import duration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +21,7 @@ class RecordMeasure(Measure):
 
 
 HOURS = RecordMeasure(
-    name="hours", label="time", meaning="training time", unit="h", latex="Time [h]", ratio=True, published=True,
+    name="hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True, published=True,
     of_record=lambda record: record.seconds["train"] / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
@@ -57,6 +58,20 @@ def digits(name: str, scene: str = "") -> int:
     if scene == OVERALL and described.overall_digits is not None:
         return described.overall_digits
     return described.digits
+
+
+def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
+    """A number as a reader sees it: with the paper's digits; hours, which files keep as numbers, as h:mm:ss.
+
+    form: format of numbers that are no time, in the place of the paper's digits; with `+`, times have a sign, too.
+
+    >>> as_text("ssim", 0.88991), as_text("hours", 0.5), as_text("hours", 0.01, form="+.3f")
+    ('0.890', '0:30:00', '+0:00:36')
+    """
+    if name != HOURS.name:
+        return format(value, form or f".{digits(name, scene)}f")
+    sign = "-" if value < 0 else "+" if form.startswith("+") else ""
+    return sign + duration(abs(value) * 3600)
 
 
 def half_unit(name: str, scene: str = "") -> float:

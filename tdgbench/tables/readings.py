@@ -198,11 +198,12 @@ def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     shown = with_setup(widest_average(changes), "effect")
     for place, group in shown.groupby(["effect", "iterations", "scene"], sort=False):
         by_metric = {row.metric: row for row in group.itertuples()}
-        rows.append([*(str(part) for part in place), *(_change_as_text(by_metric.get(m)) for m in COMPARED)])
+        rows.append([*(str(part) for part in place), *(change_as_text(by_metric.get(m)) for m in COMPARED)])
     return heads, rows
 
 
-def _change_as_text(row: Any) -> str:
+def change_as_text(row: Any) -> str:
+    """A change with its interval, where it has one. row: of `effects`, or None."""
     if row is None:
         return "n/a"
     form = ".2f" if row.kind == "ratio" else f"+.{digits(row.metric)}f"

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
-
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
-from tdgbench.tables import methods
 from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.measures import ABLATION, GAUSSIANS, HOURS, PUBLISHED, digits, measure
+from tdgbench.tables.measures import ABLATION, GAUSSIANS, HOURS, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, split_notes
-from tdgbench.tables.statistics import Comparison
 from tdgbench.tables.verdicts import in_words
+from tdgbench.terminal import say
 from tdgbench.text import one_line
+
+PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
 def show(tables: Tables, console: Console) -> None:
-    """Print the main table and its differences from the published one."""
+    """Print the main table and its differences from the published one; `show_findings` follows."""
     if tables.kind == "ablation":
         _show_ablation(tables, console)
     elif tables.readings is not None and tables.effects is not None:
@@ -45,14 +44,14 @@ def show(tables: Tables, console: Console) -> None:
             _say(console, f"{text}; {in_words(group)}")
     if tables.papers is not None:
         show_papers(tables.papers, console)
-    for comparison in tables.comparisons:
-        _show_comparison(comparison, console)
 
 
 def show_claims(claims: pd.DataFrame, console: Console) -> None:
     """Print each claim with its findings on the published table and on our results."""
     colors = {HOLDS: "green", FAILS: "red", UNDECIDED: "dim"}
-    table = Table("claim", "published table", "our results", show_lines=True)
+    widest = None if console.is_terminal else PROSE
+    heads = ("claim", "published table", "our results")
+    table = Table(*(Column(head, max_width=widest) for head in heads), show_lines=True)
     for row in claims.to_dict("records"):
         sides = [
             Text.assemble((row[side], colors[row[side]]), f": {row[f'{side}_seen']}") for side in ("published", "ours")
@@ -86,6 +85,12 @@ def show_papers(papers: pd.DataFrame, console: Console) -> None:
             _say(console, f"  {note}")
 
 
+def show_findings(findings: list[str]) -> None:
+    """Print what was found. A reader looks for it at the end, so nothing but errors is printed after it."""
+    for sentence in findings:
+        say(sentence, "found:", "bold")
+
+
 def show_problems(problems: list[str], console: Console) -> None:
     """Print what could not be read."""
     for problem in problems:
@@ -102,22 +107,6 @@ def _name(name: object) -> Text:
     return Text(one_line(str(name)))
 
 
-def _show_comparison(comparison: Comparison, console: Console) -> None:
-    """A method against its baseline: over scenes, and in time."""
-    (method, baseline), paired, speed = comparison
-    for row in paired.itertuples():
-        if not np.isnan(row.p):
-            better = f"is better in {row.metric} on {row.better} of {row.scenes} scenes (Wilcoxon p = {row.p:.3g})"
-            _say(console, f"{methods.label(method)} {better}", soft_wrap=False)
-    if speed["published"].notna().any():
-        both = speed.dropna()
-        gap = (both["ours"] / both["published"] - 1).abs()
-        ours, published = f"{both['ours'].mean():.2f}", f"{both['published'].mean():.2f}"
-        within = f"{int((gap < 0.1).sum())} of {len(both)} within 10 %"
-        names = f"{methods.label(method)} / {methods.label(baseline)}"
-        _say(console, f"time {names}: {ours}, published {published}; {within}", soft_wrap=False)
-
-
 def _show_main(tables: Tables, console: Console) -> None:
     main = tables.main
     columns = list(dict.fromkeys(main["method"]))
@@ -130,20 +119,13 @@ def _show_main(tables: Tables, console: Console) -> None:
             cells = []
             for metric in PUBLISHED:
                 row = values[method, dataset, scene, metric]
-                text = "n/a" if np.isnan(row.value) else _text(row.value, metric, scene)
+                text = "n/a" if np.isnan(row.value) else as_text(metric, row.value, scene)
                 if not np.isnan(row.std) and metric != HOURS.name:
-                    text += f" ± {_text(row.std, metric, scene)}"
+                    text += f" ± {as_text(metric, row.std, scene)}"
                 cells.append(Text(text, "bold" if row.bold else ""))
             title = scene if method == columns[0] else ""
             table.add_row(_name(title), _name(method), *cells, end_section=method == columns[-1])
     console.print(table)
-
-
-def _text(value: float, metric: str, scene: str) -> str:
-    """A number as it is printed; times as h:mm:ss."""
-    if metric == HOURS.name:
-        return str(timedelta(hours=round(value * 3600) / 3600))
-    return f"{value:.{digits(metric, scene)}f}"
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:
@@ -152,7 +134,7 @@ def _show_ablation(tables: Tables, console: Console) -> None:
     table = Table("method", "first points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
-        texts = ["n/a" if np.isnan(values[m]) else _text(values[m], m, OVERALL) for m in ABLATION]
+        texts = ["n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION]
         table.add_row(_name(method), _name(init), *texts)
     console.print(table)
     for origin in first_points(tables.main):
@@ -169,7 +151,7 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
         ["method", "iterations", "scene"], sort=False
     ):
         values = group.groupby("metric")["value"].mean()
-        texts = [_text(values[m], m, str(scene)) if m in values else "n/a" for m in PUBLISHED]
+        texts = [as_text(m, values[m], str(scene)) if m in values else "n/a" for m in PUBLISHED]
         gaussians = f"{values[GAUSSIANS.name]:.{GAUSSIANS.digits}f}"
         table.add_row(_name(method), str(iterations), _name(scene), *texts, gaussians)
     console.print(table)

@@ -33,6 +33,7 @@ MOST_SEEDS = 100
 REPRODUCED, BETTER, WORSE, UNDECIDED = "reproduced", "better", "worse", "undecided"
 WORDS = (REPRODUCED, BETTER, WORSE, UNDECIDED)
 NEVER, UNKNOWN = "n/a", "unknown"
+ONE_SEED = "one seed has no spread"
 
 
 class Verdict(NamedTuple):
@@ -119,7 +120,7 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
     if np.isnan(ours):
         return Verdict(UNDECIDED, margin, nan, nan, UNKNOWN, "no number of ours")
     if seeds < 2 or np.isnan(std):
-        return Verdict(UNDECIDED, margin, nan, nan, UNKNOWN, "one seed has no spread")
+        return Verdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     rounding = half_unit(metric, scene)
     low, high = (float(end) for end in interval(ours, std, seeds))
     word = str(judge(low, high, published, rounding, margin, measure(metric).higher_is_better))
@@ -130,14 +131,29 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
     return Verdict(word, margin, low, high, needed, why)
 
 
+def comparable(differences: pd.DataFrame) -> pd.DataFrame:
+    """The rows of difference.csv on published numbers that a verdict is about: those whose metric has a margin."""
+    return differences[differences["metric"].isin(load_margins())]
+
+
 def in_words(judged: pd.DataFrame) -> str:
-    """Counts of verdicts. judged: verdict, seeds_needed.
+    """Counts of verdicts, and the seeds that would decide the undecided ones. judged: verdict, seeds_needed.
 
     >>> in_words(pd.DataFrame({"verdict": ["reproduced", "undecided"], "seeds_needed": ["", "7"]}))
     '1 reproduced, 1 undecided (7 seeds would decide 1)'
     """
     counts = judged["verdict"].value_counts()
     text = ", ".join(f"{counts[word]} {word}" for word in WORDS if word in counts)
+    needed = seeds_in_words(judged)
+    return text + (f" ({needed})" if needed else "")
+
+
+def seeds_in_words(judged: pd.DataFrame) -> str:
+    """How many seeds would decide the undecided verdicts; empty if all are decided.
+
+    >>> seeds_in_words(pd.DataFrame({"verdict": ["undecided"] * 2, "seeds_needed": ["3", "> 100"]}))
+    '3 seeds would decide 1; more than 100 for 1'
+    """
     needed = judged.loc[judged["verdict"] == UNDECIDED, "seeds_needed"]
     numbers = needed[needed.str.isdigit()].astype(int)
     parts = []
@@ -146,4 +162,4 @@ def in_words(judged: pd.DataFrame) -> str:
         parts.append(f"{low if low == high else f'{low} to {high}'} seeds would decide {len(numbers)}")
     names = {f"> {MOST_SEEDS}": f"more than {MOST_SEEDS}", NEVER: "no number of seeds", UNKNOWN: "unknown"}
     parts += [f"{name} for {(needed == key).sum()}" for key, name in names.items() if (needed == key).any()]
-    return text + (f" ({'; '.join(parts)})" if parts else "")
+    return "; ".join(parts)

@@ -1,20 +1,132 @@
-from io import StringIO
+"""A bar on a terminal; elsewhere plain lines, one at the start of a cell and at most one a minute."""
 
+from __future__ import annotations
+
+from io import BytesIO, StringIO, TextIOWrapper
+
+import pytest
 from rich.console import Console
 
 from tdgbench.bench.progress import CellProgress
 from tdgbench.training.loop import LogLine
 
 
-def test_shows_loss_psnr_and_count():
+class Clock:
+    """Seconds that pass when a test says so."""
+
+    def __init__(self) -> None:
+        self.seconds = 1000.0
+
+    def __call__(self) -> float:
+        return self.seconds
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def line(iteration: int) -> LogLine:
+    return LogLine(iteration, 1.0, 0.1234, 27.5, 12345, {})
+
+
+def test_a_bar_shows_loss_psnr_and_count():
     out = StringIO()
-    progress = CellProgress(Console(file=out, force_terminal=True, width=160), 100)
+    progress = CellProgress(Console(file=out, force_terminal=True, force_interactive=True, width=160), 100)
     progress.begin("tdg on a/b")
     progress.rename("tdg on a/c")
+    progress.start(8)
     progress.stage("prior")
     progress.count(3, 9)
     progress.stage("train")
-    progress.line(LogLine(50, 1.0, 0.1234, 27.5, 12345, {}))
+    progress.line(line(50))
     progress.end()
     text = out.getvalue()
     assert "tdg on a/c" in text and "loss 0.1234" in text and "27.5 dB" in text and "12,345 Gaussians" in text
+
+
+def test_one_line_at_the_start_then_at_most_one_a_minute(clock):
+    out = StringIO()
+    progress = CellProgress(Console(file=out, width=40), 1000, clock)
+    progress.begin("tdg on /c")
+    progress.stage("load")
+    progress.rename("tdg on a/c")
+    assert out.getvalue() == ""  # its result may be there
+    progress.start(8)
+    progress.stage("train")
+    for iteration in range(1, 1001):  # 0.5 s each
+        progress.line(line(iteration))
+        clock.seconds += 0.5
+    progress.end()
+    lines = out.getvalue().splitlines()
+    assert lines[0] == "tdg on a/c: starts, 1000 iterations on 8 training views"
+    assert lines[1] == (
+        "tdg on a/c: iteration 121 of 1000, loss 0.1234, PSNR 27.5 dB, 12,345 Gaussians, about 0:07:20 left"
+    )
+    assert len(lines) == 1 + 8 and lines[-1].endswith("about 0:00:20 left")
+    assert all(text.startswith("tdg on a/c: ") for text in lines)
+
+
+def test_the_time_left_is_that_at_the_latest_pace_also_after_a_checkpoint(clock):
+    out = StringIO()
+    progress = CellProgress(Console(file=out), 1000, clock)
+    progress.begin("a")
+    progress.stage("train")
+    for iteration, seconds in ((601, 60), (701, 100), (801, 200)):
+        progress.line(line(iteration))
+        clock.seconds += seconds
+    progress.line(line(901))
+    assert [text.rpartition("about ")[2] for text in out.getvalue().splitlines()] == [
+        "0:02:59 left",  # 299 at 100 in 60 s
+        "0:03:19 left",  # 199 at 100 in 100 s
+        "0:03:18 left",  # 99 at 100 in 200 s
+    ]
+
+
+def test_long_stages_before_training_talk_too(clock):
+    out = StringIO()
+    progress = CellProgress(Console(file=out), 1000, clock)
+    progress.begin("tdg on a/c")
+    progress.start(80)
+    progress.stage("prior")
+    for done in (1, 2, 3):
+        clock.seconds += 45
+        progress.count(done, 80)
+    clock.seconds += 70
+    progress.stage("init")
+    assert out.getvalue().splitlines()[1:] == [
+        "tdg on a/c: prior, 2 of 80 views, about 0:58:30 left",
+        "tdg on a/c: stage init",
+    ]
+
+
+def test_the_next_cell_begins_anew(clock):
+    out = StringIO()
+    progress = CellProgress(Console(file=out), 10, clock)
+    for title in ("a", "b"):
+        progress.begin(title)
+        progress.start(8)
+        progress.stage("train")
+        progress.line(line(1))
+        progress.end()
+        clock.seconds += 100
+    assert out.getvalue().count("\n") == 2 and "left" not in out.getvalue()
+
+
+def test_every_line_is_flushed_and_one_line(clock):
+    """A file's buffer holds kilobytes: a reader of a job's log would see nothing for hours."""
+    raw = BytesIO()
+    stream = TextIOWrapper(raw, encoding="utf-8", write_through=False, line_buffering=False)
+    progress = CellProgress(Console(file=stream), 10, clock)
+    progress.begin("tdg on a\nb\x1b[2J [red]")
+    progress.start(8)
+    assert raw.getvalue().decode() == "tdg on a\\nb\\x1b[2J [red]: starts, 10 iterations on 8 training views\n"
+
+
+def test_a_dumb_terminal_gets_lines(monkeypatch, clock):
+    monkeypatch.setenv("TERM", "dumb")
+    out = StringIO()
+    progress = CellProgress(Console(file=out, force_terminal=True), 10, clock)
+    progress.begin("a")
+    progress.start(8)
+    assert "a: starts" in out.getvalue()

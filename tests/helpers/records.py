@@ -29,15 +29,16 @@ def write_record(experiment, record: Record, fields: dict[str, object]):
     return folder
 
 
-def published_as_records(experiment) -> None:
+def published_as_records(experiment, seed=0) -> None:
     values = published_main().set_index(["method", "scene", "metric"])["value"]
     for method in ("msmg", "tdg"):
         for s in SCENES:
             scores = {m: float(values[method, s.name, m]) for m in ("psnr", "ssim", "lpips")}
             hours = float(values[method, s.name, "hours"])
             write(
-                experiment, method, s.name, DATASETS[s.dataset], s.group, scores=scores, seconds={"train": hours * 3600}
-            )
+                experiment, method, s.name, DATASETS[s.dataset], s.group, seed=seed, scores=scores,
+                seconds={"train": hours * 3600},
+            )  # fmt: skip
 
 
 def write_ablation(experiment) -> None:

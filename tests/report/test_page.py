@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from markupsafe import escape
 
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Failure
@@ -85,6 +86,9 @@ def test_differences_to_published_numbers(tmp_path):
     text = write_report(tmp_path, tables).read_text()
     assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
     assert text.count('id="papers"') == 1 and "tdg 24.06; thermosplat-2601 26.16" in text
+    begin = text[text.index("</h1>") : text.index("<h2>")]
+    assert re.findall("<li>(.*?)</li>", begin) == [str(escape(sentence)) for sentence in tables.findings]
+    assert len(tables.findings) == 4
 
 
 def test_an_ablation(tmp_path):

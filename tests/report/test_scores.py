@@ -8,9 +8,11 @@ import subprocess
 import sys
 
 import pandas as pd
+import pytest
 
 from tdgbench.report.scores import further_scores, legend, main_scores
 from tdgbench.tables.build import build_tables
+from tdgbench.text import duration
 from tests.helpers.paths import ROOT
 from tests.helpers.records import write
 
@@ -86,3 +88,20 @@ def test_further_scores_are_those_that_a_cell_has(tmp_path):
     assert needs["depth error ↓"] == "true depth" and needs["PSNR, dB ↑"] == ""
     write(tmp_path / "plain", scene="orbit", dataset="synthetic")
     assert further_scores(build_tables(tmp_path / "plain")) is None
+
+
+def test_hours_are_times_for_readers_and_numbers_on_disk(tmp_path):
+    for seed in (0, 1):
+        write(tmp_path, "tdg", "Truck", seed=seed, seconds={"train": 3600.0 + 120 * seed})
+    tables = build_tables(tmp_path)
+    table = main_scores(tables)
+    row = next(row for row in table["rows"] if row["head"][1:] == ["Truck", "TDg"])
+    cell = row["cells"][-1]
+    assert table["metrics"][-1] == "time, h:mm:ss ↓"
+    assert cell["text"] == "1:01:00 ± 0:01:25" and cell["sort"] == pytest.approx(3660 / 3600)
+    (published,) = tables.difference.query("method == 'tdg' and scene == 'Truck' and metric == 'hours'")["published"]
+    assert cell["note"] == "+" + duration(3660 - 3600 * published)
+    assert cell["title"].startswith(f"published {duration(3600 * published)}: undecided")
+    stored = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
+    hours = stored.query("method == 'tdg' and metric == 'hours' and scene == 'Truck'")
+    assert hours["value"].tolist() == ["1.016667"]

@@ -1,10 +1,18 @@
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
 from io import StringIO
 
 from rich.console import Console
 
+from tdgbench.scenes.registry import SCENES
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show
-from tests.helpers.records import write
+from tests.helpers.paths import ROOT
+from tests.helpers.records import published_as_records, write
 
 
 def test_prints_numbers_reasons_and_differences(tmp_path):
@@ -15,4 +23,21 @@ def test_prints_numbers_reasons_and_differences(tmp_path):
     assert "20.00" in text and "0:06:00" in text and "no backbone" in text
     assert "3 of 136 published numbers" in text and "psnr: ours − published -6.280" in text
     assert "1 undecided (unknown for 1)" in text and "psnr of msmg differs between papers by 0.47" in text
+    assert "found:" not in text  # `show_findings` comes later
     assert "2.10 at Parterre" in text and "one of ThermalGaussian's three models" in text
+
+
+def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):
+    """Where there is no terminal, neither rich's 80 columns nor those of the shell cut the names of the scenes."""
+    for seed in range(2):
+        published_as_records(tmp_path, seed)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", "COLUMNS": "40"}
+    run = subprocess.run(
+        [sys.executable, "-m", "tdgbench", "tables", str(tmp_path)],
+        env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert run.returncode == 0 and "…" not in run.stdout, run.stderr
+    rows = re.findall(r"^│ (\S[^│]*?) +│ msmg +│(.*)│$", run.stdout, re.MULTILINE)
+    assert [name for name, _ in rows if "Average" not in name] == [scene.name for scene in SCENES]
+    assert all(re.fullmatch(r"( *[\d.]+ ± [\d.]+ │){3} +\d:\d\d:\d\d ", numbers) for _, numbers in rows)
+    assert run.stdout.splitlines()[-1] == "found: 102 of 102 published scores reproduced"

@@ -12,7 +12,7 @@ from pydantic import Field, NonNegativeInt
 from rich.console import Console
 from rich.table import Table
 
-from tdgbench.bench.cell import Outcome
+from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.experiment import Experiment
@@ -45,6 +45,7 @@ class SkipAblation(Experiment):
         self.check(cfg)
 
         def report(outcome: Outcome) -> None:
+            say(outcome.line, stderr=True)
             if outcome.status not in SUCCESS:
                 say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
 

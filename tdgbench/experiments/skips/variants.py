@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.cell import Outcome, run_cell
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.training.skips.registry import find_skips
 

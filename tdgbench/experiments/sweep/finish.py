@@ -6,28 +6,29 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.cell import Outcome
+from tdgbench.bench.outcome import Outcome
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show
+from tdgbench.tables.show import show, show_findings
 from tdgbench.terminal import console, say
 
 
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
-    """Write tables and pictures of all cells on disk; print a summary and one line per failure.
+    """Write tables and pictures of all cells on disk; print a summary, one line per failure, and what was found.
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
-    problem = None
+    problem, found = None, list[str]()
     try:
-        _write_all(Path(cfg.results) / cfg.name)
+        found = _write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(summary(outcomes))
     for outcome in outcomes:
         if outcome.status == "failed":
             say(f"{outcome.title}: {outcome.message}", "failed:")
+    show_findings(found)
     if problem is not None:
         say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
     if problem is not None or any(outcome.status in ("failed", "missing") for outcome in outcomes):
@@ -50,8 +51,8 @@ def summary(outcomes: list[Outcome]) -> str:
     return ", ".join(parts + ([f"{count['elsewhere']} running in another process"] if count["elsewhere"] else []))
 
 
-def _write_all(experiment: Path) -> None:
-    """Write tables, pictures and report of all cells on disk; print where they are."""
+def _write_all(experiment: Path) -> list[str]:
+    """Write tables, pictures and report of all cells on disk; print where they are. Returns the findings."""
     tables = build_tables(experiment)
     show(tables, console())
     say(f"tables: {tables.folder}")
@@ -59,3 +60,4 @@ def _write_all(experiment: Path) -> None:
         say(f"pictures: {experiment / 'strip.png'}")
     page = write_report(experiment, tables)
     say(f"report: {page}")
+    return tables.findings

@@ -11,21 +11,18 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
-from tdgbench.bench.cell import Outcome, run_cell
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import plan_of_job
 from tdgbench.bench.progress import CellProgress
 from tdgbench.experiments.experiment import in_words
+from tdgbench.experiments.sweep import cells
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
 
 OUTCOME = "outcome.json"
-WORDS = {
-    "ok": "done",
-    "kept": "already there",
-    "failed": "failed",
-    "elsewhere": "running in another process",
-}
+BASIC_LAUNCHER = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"  # one job after the other
 _SCHEMA = TypeAdapter(Outcome)
 
 
@@ -40,8 +37,13 @@ def run_job(cfg: DictConfig) -> None:
     except OSError as error:
         say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
     if outcome.status != "missing":
-        remark = f" ({outcome.message})" if outcome.status == "ok" and outcome.message else ""
-        say(f"{outcome.title}: {WORDS[outcome.status]}{remark}", stderr=True)
+        say(outcome.line, stderr=True)
+    workers = cells_at_once(hydra.launcher, pool.available_cores())
+    if outcome.status in ("ok", "failed") and workers is not None:
+        sweep = Path(hydra.sweep.dir)
+        told = cells.progress(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
+        if told:
+            say(f"{cfg.name}: {told}", stderr=True)
 
 
 def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
@@ -76,15 +78,31 @@ def worker_threads(launcher: DictConfig, cores: int) -> int | None:
     return None
 
 
+def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
+    """Number of cells that a launcher runs at once; None where a queue decides, so that no end can be foreseen.
+
+    >>> cells_at_once(DictConfig({"n_jobs": 2}), cores=8)
+    2
+    """
+    if launcher.get("n_jobs") is not None:
+        return cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
+    return 1 if launcher.get("_target_") == BASIC_LAUNCHER else None
+
+
 def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
     """Outcomes of the jobs of a run or sweep, in the order of the jobs.
 
     jobs: their number, where it is known. One that left no readable outcome has failed.
     """
-    found = [(_number(path), _read(path)) for path in hydra_folder.rglob(OUTCOME)]
-    silent = sorted(set(range(jobs or 0)) - {number for number, _ in found})[: max(0, (jobs or 0) - len(found))]
-    found += [(number, Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}")) for number in silent]
-    return [outcome for _, outcome in sorted(found, key=lambda pair: pair[0])]
+    found = numbered_outcomes(hydra_folder)
+    silent = sorted(set(range(jobs or 0)) - set(found))[: max(0, (jobs or 0) - len(found))]
+    found |= {number: Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}") for number in silent}
+    return [found[number] for number in sorted(found)]
+
+
+def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:
+    """Outcomes of the jobs that have ended, by number; that of a single run has the number -1."""
+    return {_number(path): _read(path) for path in hydra_folder.rglob(OUTCOME)}
 
 
 def _number(path: Path) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.cell import Outcome
+from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import number_of_jobs
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.finish import finish

@@ -1,0 +1,69 @@
+"""What became of a cell, and its line on the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from tdgbench.bench.record import Record
+from tdgbench.scoring import METRICS
+from tdgbench.text import duration
+
+Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
+WORDS: dict[Status, str] = {
+    "ok": "done",
+    "kept": "already there",
+    "failed": "failed",
+    "missing": "without data",
+    "elsewhere": "running in another process",
+}
+ONCE = "compile"  # stage that only the first cell of a machine spends time in
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a cell.
+
+    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), or
+    `elsewhere` (another process runs it). scores, seconds: in words, and how long such a cell takes; of `ok` alone.
+    """
+
+    status: Status
+    title: str
+    message: str = ""
+    scores: str = ""
+    seconds: float = 0.0
+
+    @property
+    def line(self) -> str:
+        """The outcome in one line.
+
+        >>> Outcome("ok", "tdg on a", "resumed after iteration 9", "PSNR 24.06 dB").line
+        'tdg on a: done, PSNR 24.06 dB (resumed after iteration 9)'
+        >>> Outcome("failed", "tdg on a", "train: no memory").line
+        'tdg on a: failed (train: no memory)'
+        """
+        scores = f", {self.scores}" if self.scores else ""
+        first = self.message.partition("\n")[0]
+        remark = f" ({first})" if first and self.status in ("ok", "failed") else ""
+        return f"{self.title}: {WORDS[self.status]}{scores}{remark}"
+
+
+def finished(record: Record, message: str) -> Outcome:
+    """Outcome of a cell that ran."""
+    seconds = sum(time for stage, time in record.seconds.items() if stage != ONCE)
+    return Outcome("ok", record.title, message, scores_in_words(record), seconds)
+
+
+def scores_in_words(record: Record) -> str:
+    """The published scores of a finished cell, and its training time.
+
+    >>> scores_in_words(Record("tdg", "", "a", "", 0, "", "", scores={"psnr": 24.061}, seconds={"train": 754.0}))
+    'PSNR 24.06 dB, SSIM n/a, LPIPS n/a, trained in 0:12:34'
+    """
+    parts = []
+    for name, metric in METRICS.items():
+        value = record.scores.get(name)
+        if metric.published:
+            parts.append(f"{metric.label} " + ("n/a" if value is None else f"{value:.{metric.digits}f}{metric.suffix}"))
+    return ", ".join([*parts, f"trained in {duration(record.seconds['train'])}"])

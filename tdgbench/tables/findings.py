@@ -1,0 +1,162 @@
+"""What was found, in sentences: the last lines on the terminal, findings.txt, and the beginning of the report.
+
+They count what the tables hold. Nothing is computed or judged here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from tdgbench.tables import methods
+from tdgbench.tables.claims import FAILS, HOLDS
+from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
+from tdgbench.tables.measures import ABLATION, PUBLISHED, PUBLISHED_SCORES, as_text, measure
+from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.readings import change_as_text, widest_average, with_setup
+from tdgbench.tables.results import NO_RECORD
+from tdgbench.tables.statistics import Comparison
+from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
+from tdgbench.text import one_line
+
+if TYPE_CHECKING:
+    from tdgbench.tables.build import Tables
+
+SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
+
+
+def findings(tables: Tables) -> list[str]:
+    """The findings of an experiment, one sentence each, in one line each; none where nothing is compared."""
+    if tables.kind == "ablation":
+        found = list(_ablation(tables.main))
+    else:
+        found = [sentence for one in tables.comparisons for sentence in _comparison(one, tables.main)]
+        found += [] if tables.effects is None else _effects(tables.effects)
+    if tables.difference is not None:
+        found.append(published(tables.difference))
+    return [one_line(sentence) for sentence in found]
+
+
+def published(differences: pd.DataFrame) -> str:
+    """How many published scores are reproduced, and what would decide the others. differences: of difference.csv.
+
+    Of one seed nothing is decided, so that all wait for more of them.
+    """
+    judged = comparable(differences)
+    known = judged[judged["difference"].notna()]
+    if known.empty:
+        return f"Published scores: n/a: none of the {len(judged)} has one of ours beside it"
+    counts = known["verdict"].value_counts().reindex(WORDS, fill_value=0)
+    parts = [f"{counts[REPRODUCED]} of {len(known)} published scores reproduced"]
+    parts += [f"{counts[word]} {word}" for word in WORDS if word != REPRODUCED and counts[word]]
+    undecided = known[known["verdict"] == UNDECIDED]
+    decidable = undecided[undecided["why"] != ONE_SEED]
+    advice = [seeds_in_words(decidable)] if len(decidable) else []
+    advice += [f"run `{SEEDS}`"] if len(decidable) < len(undecided) else []
+    missing = f" ({len(judged) - len(known)} more have none of ours beside them)" if len(known) < len(judged) else ""
+    return ", ".join(parts) + (f": {'; '.join(advice)}" if advice else "") + missing
+
+
+def claims_in_words(claims: pd.DataFrame) -> list[str]:
+    """How many of the paper's claims hold. claims: from `check_all`."""
+    sides = {"published": "By the published tables", "ours": "By our results"}
+    found = []
+    for side, evidence in sides.items():
+        counts = claims[side].value_counts().reindex([HOLDS, FAILS, UNDECIDED_CLAIM], fill_value=0)
+        text = f"{counts[HOLDS]} of the paper's {len(claims)} claims hold, {counts[FAILS]} fail"
+        found.append(f"{evidence}, {text}, {counts[UNDECIDED_CLAIM]} are undecided")
+    return found
+
+
+def _comparison(comparison: Comparison, main: pd.DataFrame) -> Iterable[str]:
+    """A method against its baseline: scenes, averages, training time."""
+    pair, paired, speed = comparison
+    both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]
+    if both["method"].nunique() < 2:
+        return
+    method, baseline = methods.label(pair.method), methods.label(pair.baseline)
+    rows = [row for row in paired.itertuples() if row.metric in PUBLISHED and row.scenes]
+    if not rows:
+        yield f"{method} against {baseline}: {_why_not(both, 'no scene has results of both')}"
+        return
+    counts = [
+        f"{row.better} of {row.scenes}{' scenes' * (row is rows[0])} in {measure(row.metric).label}{_p(row.p)}"
+        for row in rows
+    ]
+    notes = ["p: Wilcoxon's signed-rank test over the scenes"] if any(_p(row.p) for row in rows) else []
+    scenes = both.loc[~both["scene"].isin((AVERAGE, OVERALL)), ["dataset", "scene"]].drop_duplicates()
+    without = len(scenes) - rows[0].scenes
+    notes += [f"n/a on {without} more"] if without else []
+    yield "; ".join([f"{method} is better than {baseline} on {', '.join(counts)}", *notes])
+    if rows[0].scenes > 1:
+        yield from _averages(pair, both)
+    of_scenes = speed[~speed["scene"].isin((AVERAGE, OVERALL))].dropna()
+    if len(of_scenes):
+        ratio = of_scenes["ours"] / of_scenes["published"]
+        ours, paper = of_scenes["ours"].mean(), of_scenes["published"].mean()
+        yield (
+            f"{method} takes {ours:.2f} times as long as {baseline}, by the published table {paper:.2f} times; "
+            f"{int((ratio - 1).abs().lt(0.1).sum())} of {len(of_scenes)} scenes agree within 10 %"
+        )
+
+
+def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
+    """The widest averages of a method beside those of its baseline; nothing where they are n/a."""
+    known = widest_average(both).dropna(subset="value")
+    texts = {(r.method, r.metric): as_text(r.metric, r.value, r.scene) for r in known.itertuples()}
+    parts = [
+        f"{measure(metric).label} {texts[pair.method, metric]} against {texts[pair.baseline, metric]}"
+        for metric in PUBLISHED
+        if {(method, metric) for method in pair} <= set(texts)
+    ]
+    if parts:
+        yield f"On average {methods.label(pair.method)} has {', '.join(parts)}"
+
+
+def _ablation(main: pd.DataFrame) -> Iterable[str]:
+    """The first points with which each method scores best. main: an ablation."""
+    for method, group in main.groupby("method", sort=False):
+        parts = []
+        for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):
+            values = group[group["metric"] == metric].dropna(subset="value").sort_values("value", ascending=False)
+            if len(values):
+                texts = (f"{as_text(metric, r.value, OVERALL)} with {r.init}" for r in values.itertuples())
+                parts.append(f"{measure(metric).label} {', '.join(texts)}")
+        label = methods.label(str(method))
+        what = f", best points first: {'; '.join(parts)}" if parts else f": {_why_not(group, 'scenes lack results')}"
+        yield f"{label}{what}"
+
+
+def _effects(effects: pd.DataFrame) -> Iterable[str]:
+    """The changes that raise or lower the first published score. effects: from `readings.effects`."""
+    metric = PUBLISHED_SCORES[0]
+    rows = with_setup(widest_average(effects), "effect")
+    rows = rows[rows["metric"] == metric]
+    label = measure(metric).change
+    for words, chosen in ((f"{label}, rises with", rows["low"] > 0), (f"{label}, falls with", rows["high"] < 0)):
+        changes = [f"{r.effect}, {r.iterations} iterations: {change_as_text(r)}" for r in rows[chosen].itertuples()]
+        if changes:
+            yield f"{words} {'; '.join(changes)}"
+    alone, open_ = rows["low"].isna().sum(), ((rows["low"] <= 0) & (rows["high"] >= 0)).sum()
+    if open_:
+        yield f"{label}: the 95 % interval contains 0 for {_changes(open_)}"
+    if alone:
+        yield f"{label}: no interval, of one seed, for {_changes(alone)}: run `{SEEDS}`"
+
+
+def _changes(number: int) -> str:
+    return f"{number} {'change' if number == 1 else 'changes'}"
+
+
+def _why_not(rows: pd.DataFrame, otherwise: str) -> str:
+    """Why nothing can be said of some rows. otherwise: what to say if several reasons, or none, are known."""
+    reasons = list(dict.fromkeys(rows.loc[rows["value"].isna(), "reason"])) if rows["value"].isna().all() else []
+    if reasons == [NO_RECORD]:
+        return "n/a: no scene is on disk, or none was run"
+    return f"n/a: {reasons[0] if len(reasons) == 1 else otherwise}"
+
+
+def _p(value: float) -> str:
+    return "" if pd.isna(value) else f" (p = {value:.2g})"

@@ -1,0 +1,20 @@
+from tdgbench.bench.outcome import Outcome, finished
+from tests.helpers.records import record
+
+
+def test_a_finished_cell_tells_its_scores():
+    done = record(
+        scores={"psnr": 24.061, "ssim": 0.8771, "lpips": None}, seconds={"load": 1.5, "compile": 20.0, "train": 60.0}
+    )
+    outcome = finished(done, "resumed after iteration 9")
+    assert outcome.line == (
+        "tdg on synthetic/orbit, colmap, seed 0: done, PSNR 24.06 dB, SSIM 0.877, LPIPS n/a, trained in 0:01:00 "
+        "(resumed after iteration 9)"
+    )
+    assert outcome.seconds == 61.5  # kernels are compiled once
+
+
+def test_other_outcomes():
+    assert Outcome("kept", "a", "restored").line == "a: already there"
+    assert Outcome("failed", "a", "train: no\nmemory").line == "a: failed (train: no)"
+    assert Outcome("elsewhere", "a", "another process is running it").line == "a: running in another process"

@@ -1,0 +1,52 @@
+"""What a sweep says where there is no terminal: its cells, what each of them scored, and the time left."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tdgbench.experiments.sweep.cells import FILE, PlannedCell, read_cells
+from tests.helpers.command import command_here
+from tests.helpers.configs import QUICK
+
+
+def planned(tmp_path) -> list[PlannedCell]:
+    """The cells of the latest sweep."""
+    files = sorted((Path(tmp_path) / "results" / "single" / "hydra").glob(f"*/{FILE}"))
+    return read_cells(files[-1].parent)
+
+
+def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
+    sweep = ("-m", *QUICK, f"data.root={data_root}", "method=splat,msmg", "scene=turntable")
+    first = command_here(tmp_path, *sweep, "seed=1")
+    assert first.returncode == 0, first.stderr[-3000:]
+    assert "single: 2 cells: 2 to run, 0 with a result, 0 without data\n" in first.stderr
+    title = "splat on synthetic/turntable, colmap, seed 1"
+    assert re.search(rf"^{title}: starts, 12 iterations on 8 training views$", first.stderr, re.MULTILINE)
+    scores = r"PSNR \d+\.\d\d dB, SSIM 0\.\d{3}, LPIPS n/a, trained in 0:00:\d\d"
+    assert re.search(rf"^{title}: done, {scores}$", first.stderr, re.MULTILINE)
+    left = r"1 of 2 cells to go, about \d+ min left \(until [^)]+\), from 1 cell, none of them method=msmg"
+    assert re.search(rf"^single: {left}$", first.stderr, re.MULTILINE)
+    assert not re.search(r"\x1b|\r", first.stderr + first.stdout)
+
+    again = command_here(tmp_path, *sweep, "seed=0,1")
+    assert "single: 4 cells: 2 to run, 2 with a result, 0 without data\n" in again.stderr
+    assert again.stderr.count(": starts, ") == 2 and again.stderr.count(": already there\n") == 2
+    assert {cell.kind for cell in planned(tmp_path)} == {"method=splat", "method=msmg"}
+
+
+def test_names_in_quotes_and_scenes_that_are_missing(tmp_path, small_scene):
+    """A folder of captures with an odd name; one scene of two is not there."""
+    root = tmp_path / "captures"
+    root.mkdir()
+    (root / "1.10").symlink_to(small_scene.train[0].thermal_path.parents[1])
+    sweep = ("dataset=folder", f"data.root={root}", "scene='1.10',absent", "method=splat", "budget=demo",
+             "budget.iterations=3", "metrics.lpips.download=false")  # fmt: skip
+    for more, state in (("", "to run"), ("", "with a result"), ("overwrite=always", "to run")):
+        run = command_here(tmp_path, "-m", *sweep, *more.split())
+        assert run.returncode == 1, run.stderr[-3000:]
+        assert planned(tmp_path) == [
+            PlannedCell("method=splat", "1.10", state),
+            PlannedCell("method=splat", "absent", "without data"),
+        ]
+        assert f"single: 2 cells: {int(state == 'to run')} to run" in run.stderr
