@@ -70,7 +70,9 @@ class ResumingDownloader:
             if response.status_code != requests.codes.partial_content:
                 there = 0
             self._check(response.headers, there)
-            with self.part.open("ab" if there else "wb") as file:
+            if not there:
+                self._begin_anew()
+            with self.part.open("ab") as file:
                 for chunk in response.iter_content(CHUNK):
                     there += len(chunk)
                     if there > self.size:
