@@ -110,6 +110,7 @@ class Step:
     terms: dict[str, float]  # by name, for the log
     thermal: Render
     target: Tensor  # (H, W, C): the image that `thermal` is compared with
+    valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 
 
 class Method(Protocol):
@@ -142,6 +143,11 @@ def training_device(backend: str) -> torch.device:
 def thermal_tensor(view: View, device: torch.device) -> Tensor:
     """A view's thermal image (H, W, C) as a tensor; on the CPU it shares the view's memory."""
     return torch.from_numpy(view.thermal).to(device)
+
+
+def valid_tensor(view: View, device: torch.device) -> Tensor | None:
+    """The mask (H, W) bool that a loss of the view's thermal image gets; None if every pixel counts."""
+    return None if view.valid is None else torch.from_numpy(view.valid).to(device)
 
 
 def rgb_tensor(view: View, device: torch.device) -> Tensor:
