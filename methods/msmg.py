@@ -12,7 +12,7 @@ from pydantic import NonNegativeFloat
 from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
 from tdgbench.training.losses import photometric, thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, rgb_tensor, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, rgb_tensor, thermal_tensor, valid_tensor
 from tdgbench.training.model import SplatModel
 
 
@@ -48,11 +48,12 @@ class MSMG:
         image = self.rgb.render(rgb_view.camera).image
         loss_rgb = photometric(image, rgb_tensor(rgb_view, image.device), self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
-        target = thermal_tensor(thermal_view, render.image.device)
-        loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
+        device = render.image.device
+        target, valid = thermal_tensor(thermal_view, device), valid_tensor(thermal_view, device)
+        loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
-        return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target)
+        return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)
 
     def models(self) -> dict[str, SplatModel]:
         return {"rgb": self.rgb, "thermal": self.thermal}

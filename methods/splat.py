@@ -11,7 +11,7 @@ from pydantic import NonNegativeFloat
 from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
 from tdgbench.training.losses import thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor, valid_tensor
 from tdgbench.training.model import SplatModel
 
 
@@ -37,9 +37,10 @@ class Splat:
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.model.render(view.camera)
-        target = thermal_tensor(view, render.image.device)
-        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
-        return Step(self.weight * loss, {"thermal": loss.item()}, render, target)
+        device = render.image.device
+        target, valid = thermal_tensor(view, device), valid_tensor(view, device)
+        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
 
     def models(self) -> dict[str, SplatModel]:
         return {"thermal": self.model}

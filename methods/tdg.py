@@ -27,7 +27,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor
+from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor, valid_tensor
 from tdgbench.training.model import SplatModel
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
@@ -70,14 +70,15 @@ class TDg:
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
         render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
-        target = thermal_tensor(view, render.image.device)
-        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth)
+        device = render.image.device
+        target, valid = thermal_tensor(view, device), valid_tensor(view, device)
+        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         terms = {"thermal": loss.item()}
         if needs_depth:
             depth = self._depth_loss(view, render)
             terms["depth"] = depth.item()
             loss = loss + weight * depth
-        return Step(loss, terms, render, target)
+        return Step(loss, terms, render, target, valid)
 
     def models(self) -> dict[str, SplatModel]:
         return {"thermal": self.model}

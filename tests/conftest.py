@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import Scene
+from tdgbench.scenes.synthetic import SyntheticDataset
 from tests.helpers.configs import SMALL, config
+from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED
 from tests.helpers.scenes import small_dataset
 
@@ -61,4 +64,28 @@ def small_results(tmp_path_factory, data_root) -> Path:
     for overrides in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
         assert run_cell(config(*common, *overrides), "", progress).status == "ok"
     assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
+    return results / "single"
+
+
+@pytest.fixture(scope="session")
+def masked_results(tmp_path_factory, data_root) -> Path:
+    """An experiment's folder with two finished cells of masked scenes; only to be read.
+
+    A test view of the second one has no valid pixel.
+    """
+    results = tmp_path_factory.mktemp("masked")
+    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
+              f"results={results}")  # fmt: skip
+    progress, load = CellProgress(Console(quiet=True), 30), SyntheticDataset.load
+
+    def masked(dataset: SyntheticDataset, name: str) -> Scene:
+        scene = masked_scene(load(dataset, name))
+        if name == "facade":
+            scene.test[0] = with_garbage(scene.test[0], np.zeros((36, 48), bool), np.nan)
+        return scene
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SyntheticDataset, "load", masked)
+        for overrides in (["scene=turntable", "method=msmg"], ["scene=facade", "method=splat"]):
+            assert run_cell(config(*common, *overrides), "", progress).status == "ok"
     return results / "single"

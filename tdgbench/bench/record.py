@@ -27,7 +27,7 @@ from tdgbench.text import one_line, shortened
 
 FILE = "record.json"
 SCHEMA = 1
-ADDED_LATER = ("density", "of_environment")  # fields that records of this schema may lack
+ADDED_LATER = ("density", "masked", "of_environment")  # fields that records of this schema may lack
 SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
 STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")
 DESCRIBES_MACHINE = ("python", "packages", "cpu", "cores", "threads", "git")
@@ -42,6 +42,7 @@ Text = Annotated[str, Field(min_length=1)]
 Integer = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=LARGEST)]
 Seconds = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Megabytes = Annotated[float, Field(ge=0)]
 Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -130,6 +131,7 @@ class Record:
     channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
     temperature: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of image values 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
+    masked: dict[str, Share] = field(default_factory=dict)  # share of the pixels without a thermal value, as `views`
     scores: Scores = field(default_factory=dict)
     train_scores: Scores = field(default_factory=dict)  # of the training views
     missing: dict[str, Text] = field(default_factory=dict)

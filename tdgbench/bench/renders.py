@@ -1,4 +1,4 @@
-"""Render the views of a method or of a stored model, and write renders beside ground truth as PNG."""
+"""Render the views of a method or of a stored model, and write renders beside ground truth and masks as PNG."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from tdgbench.bench.masks import write_mask
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.splats import Gaussians
@@ -34,10 +35,15 @@ def render_images(method: Method, view: View, *, with_rgb: bool) -> RenderedImag
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
-    """Write each view to `folder` as PNG: renders/ and targets/; renders_rgb/ and targets_rgb/ of an RGB model."""
+    """Write each view to `folder` as PNG: renders/ and targets/; renders_rgb/ and targets_rgb/ of an RGB model.
+
+    A view with masked pixels has its mask in masks/; its render is whole.
+    """
     for view in views:
         images = renders[view.name]
         _write_pair(folder, "", view.name, images.image, view.thermal)
+        if view.valid is not None:
+            write_mask(folder, view.name, view.valid)
         if images.rgb is not None and view.load_rgb is not None:
             _write_pair(folder, "_rgb", view.name, images.rgb, view.rgb)
 

@@ -18,6 +18,7 @@ from tdgbench.bench import cameras
 from tdgbench.bench.environment import code_version, same_bytes_on
 from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key, relevant_config
+from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, SkipRecord
@@ -201,6 +202,7 @@ class CellRun(SetupObserver):
     def _describe_training(self, training: Training) -> None:
         """Put facts about the finished training into the record."""
         record, method, log = self.record, self.method, self.log
+        record.masked = {"train": masked_share(self.scene.train), "test": masked_share(self.scene.test)}
         record.resumed = log.resumed
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations

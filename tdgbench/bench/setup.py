@@ -6,12 +6,13 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench.init import InitialPoints
-from tdgbench.priors import DepthPrior, estimate_all
-from tdgbench.scenes import Scene, View
+from tdgbench.priors import DepthPrior, PriorError, estimate_all
+from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -71,7 +72,9 @@ def set_up(
         method.setup(context)
     if compiles:
         with observer.stage("compile"):
-            compile_kernels({scene.channels, *([3] if method.needs_rgb else [])}, budget, cfg.backend.name)
+            channels = {scene.channels, *([3] if method.needs_rgb else [])}
+            masked = any(view.valid is not None for view in scene.train)
+            compile_kernels(channels, budget, cfg.backend.name, masked)
     return Training(method, context)
 
 
@@ -86,6 +89,12 @@ def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
 def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
     for view in scene.views:
         _ = view.thermal
+    for view in scene.train:
+        if view.valid is not None and not view.valid.any():
+            raise SceneError(
+                f"training view {view.name} of {scene.name} has no valid pixel, so that nothing can be trained on it; "
+                "correct its mask or its thermal values, or remove the view"
+            )
     for view in _rgb_views(scene, method, skips):
         _ = view.rgb
 
@@ -111,4 +120,17 @@ def _estimate_priors(
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
         skips.prior.note_cached(len(scene.train) - estimated, len(scene.train))
         observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind})
-    return priors
+    return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
+
+
+def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
+    """The prior, unknown at masked pixels: it was made from an image that says nothing there.
+
+    Raises PriorError if it is known nowhere else.
+    """
+    if view.valid is None:
+        return prior
+    values = np.where(view.valid, prior.values, np.float32(np.nan))
+    if not np.isfinite(values).any():
+        raise PriorError(f"the depth prior of view {view.name} is known at none of the view's valid pixels")
+    return DepthPrior(values, prior.kind)

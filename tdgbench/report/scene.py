@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from tdgbench.bench import masks
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
@@ -38,6 +39,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "scene": name,
         "view": view or "n/a",
         "methods": [strip.section(methods.label(column)) for strip, column in zip(strips, first, strict=True)],
+        "masked": masks.in_words(next(iter(first.values())).record.masked),
         "temperature": None if temperature is None else [f"{t:g}" for t in temperature],
         "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
@@ -70,9 +72,11 @@ class _Strip:
     def _pictures(self) -> dict[str, Any]:
         truth_picture, truth = views.thermal(self.cell.folder / "targets" / f"{self.view}.png")
         picture, image = views.thermal(self.cell.folder / "renders" / f"{self.view}.png")
-        error = views.colored(views.error_map(image, truth), views.ERROR, 0, views.ERROR_RANGE)
+        valid = views.stored_mask(self.cell.folder, self.view, truth.shape)
+        error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
         return {
-            "truth": views.embedded(truth_picture), "render": views.embedded(picture), "error": views.embedded(error),
+            "truth": views.embedded(views.grayed(truth_picture, valid)), "render": views.embedded(picture),
+            "error": views.embedded(error),
         }  # fmt: skip
 
     def _depth(self) -> dict[str, Any]:

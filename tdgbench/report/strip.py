@@ -14,7 +14,7 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, THERMAL
+from tdgbench.report.views import ERROR, ERROR_RANGE, THERMAL, stored_mask
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
@@ -53,12 +53,15 @@ class _Panels(NamedTuple):
         value = "n/a" if psnr is None else f"{psnr:.1f} dB"
         self.render.set_title(f"{plain(record.method)} {value}", fontsize=8)
         try:
-            truth, image = _pair(folder)
+            truth, image, valid = _pair(folder)
         except (OSError, ValueError):
             self.render.set_title(f"{plain(record.method)} {value}: picture n/a", fontsize=8)
             return
         error = np.abs(image - truth)
         error = error.mean(axis=2) if error.ndim == 3 else error
+        if valid is not None:
+            error, truth = error.copy(), truth.copy()
+            error[~valid], truth[~valid] = np.nan, np.nan if truth.ndim == 2 else 1.0  # all of them white
         self.truth.imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
         self.truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
         self.render.imshow(image, vmin=0, vmax=1, cmap=THERMAL)
@@ -76,8 +79,8 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
     return f"{place[1]} ({place[2]})" if len({split for *_, split in places}) > 1 else place[1]
 
 
-def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Ground truth and render of the middle test view, in [0, 1]. Raises ValueError where there is none."""
+def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Ground truth, render and mask of the middle test view, in [0, 1]. Raises ValueError where there is none."""
     names = sorted(p.name for p in (folder / "renders").glob("*.png"))
     if not names:
         raise ValueError(f"{folder / 'renders'} holds no picture")
@@ -87,4 +90,4 @@ def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     )
     if truth.shape != image.shape:
         raise ValueError(f"{folder}: targets/{name} and renders/{name} differ in size")
-    return truth, image
+    return truth, image, stored_mask(folder, Path(name).stem, truth.shape)

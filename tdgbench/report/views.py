@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.reading import MAX_PIXELS, read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
@@ -48,9 +49,20 @@ def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return (stored if stored.shape[2] == 3 else colored(stored[..., 0] / 255, THERMAL, 0, 1)), values
 
 
-def error_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Mean absolute difference (H, W) over the channels of images (H, W, C) in [0, 1]."""
-    return np.abs(image - truth).mean(axis=2)
+def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """A picture (H, W, 3) uint8, gray where the mask (H, W) is false."""
+    return pixels if valid is None else np.where(valid[..., None], pixels, np.uint8(128))
+
+
+def error_map(image: np.ndarray, truth: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """Mean absolute difference (H, W) over the channels of images (H, W, C) in [0, 1]; NaN where `valid` is false."""
+    error = np.abs(image - truth).mean(axis=2)
+    return error if valid is None else np.where(valid, error, np.nan)
+
+
+def stored_mask(folder: Path, view: str, shape: tuple[int, ...]) -> np.ndarray | None:
+    """The mask (H, W) of a test view whose pictures have this shape (H, W, …); None if all its pixels are valid."""
+    return read_mask(folder, view, (shape[1], shape[0])) if has_mask(folder, view) else None
 
 
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:

@@ -68,7 +68,10 @@ class TemperatureRange:
 
 @dataclass
 class View:
-    """One camera position. Images are float32 (H, W, C) in [0, 1], read at first use and cached."""
+    """One camera position. Images are float32 (H, W, C) in [0, 1], read at first use and cached.
+
+    Pixels where `valid` is false are masked: no thermal value was measured there, and nothing reads one.
+    """
 
     name: str
     camera: Camera
@@ -80,8 +83,9 @@ class View:
 
     @cached_property
     def thermal(self) -> np.ndarray:
-        """(H, W, 1) if gray, else (H, W, 3)."""
-        return self.load_thermal()
+        """(H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false, whatever was read there."""
+        image = self.load_thermal()
+        return image if self.valid is None else np.where(self.valid[..., None], image, np.float32(0))
 
     @cached_property
     def rgb(self) -> np.ndarray:
@@ -92,8 +96,19 @@ class View:
 
     @cached_property
     def valid(self) -> np.ndarray | None:
-        """(H, W) bool: the pixels whose thermal values were measured; None if all were."""
-        return None if self.load_valid is None else self.load_valid()
+        """(H, W) bool: the pixels whose thermal values were measured; None if all were.
+
+        Raises SceneError for a mask of another type, or of another size than the camera's image.
+        """
+        if self.load_valid is None:
+            return None
+        valid, expected = self.load_valid(), (self.camera.height, self.camera.width)
+        if valid.dtype != np.bool_ or valid.shape != expected:
+            raise SceneError(
+                f"the mask of view {self.name} is {valid.dtype} {valid.shape}; "
+                f"it must be bool {expected} (height, width)"
+            )
+        return None if valid.all() else valid
 
     @cached_property
     def true_depth(self) -> np.ndarray | None:

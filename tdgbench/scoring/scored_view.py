@@ -42,11 +42,20 @@ class Convention:
 
 @dataclass(frozen=True)
 class ImagePair:
-    """A render and its ground truth, both (H, W, C) float32 in [0, 1] as 8-bit files store them."""
+    """A render and its ground truth, both (H, W, C) float32 in [0, 1] as 8-bit files store them.
+
+    valid: bool (H, W), the pixels to compare; both images are 0 elsewhere. None: all.
+    """
 
     image: np.ndarray
     target: np.ndarray
     convention: Convention
+    valid: np.ndarray | None = None
+
+    @property
+    def pixels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values of render and ground truth to compare: (N, C), or the images themselves if all are."""
+        return at_valid(self.valid, self.image), at_valid(self.valid, self.target)
 
 
 @dataclass(frozen=True)
@@ -63,9 +72,19 @@ class ScoredView:
         """The pictures that a metric compares. Raises NotApplicableError without an RGB model or RGB image."""
         return self._thermal if modality == "thermal" else self._rgb
 
+    @property
+    def valid(self) -> np.ndarray | None:
+        """Bool (H, W), the pixels with a thermal value; None: all. Raises NotApplicableError if there is none."""
+        if self.view.valid is not None and not self.view.valid.any():
+            raise NotApplicableError(f"no pixel of view {self.view.name} has a thermal value: its mask leaves none")
+        return self.view.valid
+
     @cached_property
     def _thermal(self) -> ImagePair:
-        return ImagePair(as_saved(self.rendered.image), as_saved(self.view.thermal), self.convention)
+        image, valid = as_saved(self.rendered.image), self.valid
+        if valid is not None:
+            image = np.where(valid[..., None], image, np.float32(0))
+        return ImagePair(image, as_saved(self.view.thermal), self.convention, valid)
 
     @cached_property
     def _rgb(self) -> ImagePair:
@@ -84,6 +103,11 @@ class ScoredView:
             raise NotApplicableError("the true depth has another size than the images")
         return truth.astype(np.float64)
 
+    def depths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rendered and true z of the valid pixels. Raises NotApplicableError where either is unknown."""
+        truth = self.true_depth()
+        return at_valid(self.valid, self.rendered.depth), at_valid(self.valid, truth)
+
     def nearest(self) -> View:
         """The test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""
         others = [] if self.scene is None else [view for view in self.scene.test if view.name != self.view.name]
@@ -91,6 +115,15 @@ class ScoredView:
             raise NotApplicableError("the scene has one test view")
         center = self.view.camera.center
         return min(others, key=lambda other: float(np.linalg.norm(other.camera.center - center)))
+
+
+def at_valid(valid: np.ndarray | None, values: np.ndarray) -> np.ndarray:
+    """Those of the values (H, W, …) where the mask (H, W) is true, (N, …); without a mask, the values themselves.
+
+    >>> at_valid(np.array([[True, False]]), np.array([[[1, 2], [3, 4]]])).tolist()
+    [[1, 2]]
+    """
+    return values if valid is None else values[valid]
 
 
 def to_8bit(image: np.ndarray) -> np.ndarray:

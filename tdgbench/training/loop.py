@@ -133,8 +133,10 @@ def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
 
 @torch.no_grad()
 def _psnr(step: Step) -> float:
-    """PSNR of the thermal render, dB; finite for every finite render."""
+    """PSNR of the thermal render at valid pixels, dB; finite for every finite render."""
     difference = step.thermal.image - step.target
+    if step.valid is not None:
+        difference = difference[step.valid]
     mse = difference.square().mean().item()
     if math.isinf(mse):  # the squares exceed float32
         mse = difference.double().square().mean().item()

@@ -2,11 +2,14 @@
 
 Images are (H, W, C) in [0, 1]; losses are scalars. Fused kernels compute value and gradient of float32 on the CPU,
 torch those of other types and devices. Only the first argument gets a gradient.
+
+A mask `valid`, bool (H, W), takes pixels out of a loss where it is false: they are 0 in both images, as with 3DGS
+(`alpha_mask` in train.py), nerfstudio (splatfacto.py) and gsplat (examples/simple_trainer.py), and means are over the
+others, while there they are over all. None: every pixel counts. A loss raises ValueError if no pixel is valid.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -17,7 +20,7 @@ from torch import Tensor
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
 from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
-from tdgbench.splats.cpu.losses.ssim import C1, C2, SIGMA, WINDOW
+from tdgbench.training import torch_losses
 
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
@@ -33,31 +36,38 @@ class Smoothness(NamedTuple):
 NO_SMOOTHNESS = Smoothness()
 
 
-def l1(image: Tensor, target: Tensor) -> Tensor:
+def l1(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
     """Mean absolute error of images (H, W, C).
 
     >>> l1(torch.full((4, 4, 1), 0.75), torch.full((4, 4, 1), 0.5)).item()
     0.25
     """
-    return l1_and_dssim(image, target, 1.0, 0.0)
+    return l1_and_dssim(image, target, 1.0, 0.0, valid)
 
 
-def ssim(image: Tensor, target: Tensor) -> Tensor:
+def ssim(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
     """Mean SSIM of images (H, W, C) with zero padding, as in 3DGS.
 
     >>> image = torch.rand(16, 16, 3)
     >>> round(ssim(image, image).item(), 4)
     1.0
     """
-    return 1.0 - l1_and_dssim(image, target, 0.0, 1.0)
+    return 1.0 - l1_and_dssim(image, target, 0.0, 1.0, valid)
 
 
-def photometric(image: Tensor, target: Tensor, lambda_ssim: float) -> Tensor:
+def photometric(image: Tensor, target: Tensor, lambda_ssim: float, valid: Tensor | None = None) -> Tensor:
     """(1 − λ) L1 + λ (1 − SSIM) of images (H, W, C): 3DGS, eq. 7."""
-    return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim)
+    return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim, valid)
 
 
-def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str) -> Tensor:
+def thermal(
+    image: Tensor,
+    target: Tensor,
+    lambda_ssim: float,
+    lambda_smooth: float,
+    reading: str,
+    valid: Tensor | None = None,
+) -> Tensor:
     """Thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
 
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
@@ -67,84 +77,93 @@ def thermal(image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: fl
     0.25
     """
     if not _is_fused(image):
-        loss = photometric(image, target, lambda_ssim)
-        return loss + lambda_smooth * smoothness(image, reading) if lambda_smooth > 0 else loss
-    scales = _smoothness_scales(image, reading)
+        loss = photometric(image, target, lambda_ssim, valid)
+        return loss + lambda_smooth * smoothness(image, reading, valid) if lambda_smooth > 0 else loss
+    scales = _smoothness_scales(image, reading, valid)
     smooth = Smoothness(scales.wrap, lambda_smooth * scales.value, lambda_smooth * scales.gradient)
-    return _fused(image, target, 1 - lambda_ssim, lambda_ssim, smooth)
+    return _fused(image, target, 1 - lambda_ssim, lambda_ssim, smooth, valid)
 
 
-def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float) -> Tensor:
+def l1_and_dssim(
+    image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None = None
+) -> Tensor:
     """l1_weight · L1 + dssim_weight · (1 − SSIM) of images (H, W, C). Raises ValueError if their shapes differ."""
-    if not _is_fused(image):
-        _check_shapes(image, target)
-        target = target.detach()
-        error = (image - target).abs().mean()
-        return l1_weight * error + dssim_weight * (1 - ssim_map(image, target).mean())
-    return _fused(image, target, l1_weight, dssim_weight)
+    if _is_fused(image):
+        return _fused(image, target, l1_weight, dssim_weight, valid=valid)
+    _check_shapes(image, target, valid)
+    _valid_values(image, valid)
+    return torch_losses.l1_and_dssim(image, target, l1_weight, dssim_weight, valid)
 
 
 def _fused(
-    image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, smooth: Smoothness = NO_SMOOTHNESS
+    image: Tensor,
+    target: Tensor,
+    l1_weight: float,
+    dssim_weight: float,
+    smooth: Smoothness = NO_SMOOTHNESS,
+    valid: Tensor | None = None,
 ) -> Tensor:
     """L1, SSIM and smoothness in one pass. Raises ValueError if the shapes differ."""
-    _check_shapes(image, target)
-    other = _array(target)
+    _check_shapes(image, target, valid)
+    other, mask = _array(target), None if valid is None else _array(valid)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
         error, similarity, differences, gradient = photometric_and_gradient(
-            a, other, l1_weight, -dssim_weight, smooth.gradient, smooth.wrap
+            a, other, l1_weight, -dssim_weight, smooth.gradient, smooth.wrap, mask
         )
         return l1_weight * error + dssim_weight * (1 - similarity) + smooth.value * differences, gradient
 
     return _ValueAndGradient.apply(image, compute)
 
 
-def _check_shapes(image: Tensor, target: Tensor) -> None:
+def _check_shapes(image: Tensor, target: Tensor, valid: Tensor | None) -> None:
     if image.shape != target.shape:
         raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
+    if valid is not None and valid.shape != image.shape[:2]:
+        raise ValueError(f"the mask is {tuple(valid.shape)}, the images to compare are {tuple(image.shape)}")
 
 
-def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """SSIM per pixel and channel (H, W, C) of images (H, W, C), in plain torch."""
-    a, b = (t.permute(2, 0, 1).unsqueeze(1) for t in (image, target))
-    mu_a, mu_b = _blur(a), _blur(b)
-    var_a = _blur(a * a) - mu_a * mu_a
-    var_b = _blur(b * b) - mu_b * mu_b
-    covariance = _blur(a * b) - mu_a * mu_b
-    numerator = (2 * mu_a * mu_b + C1) * (2 * covariance + C2)
-    denominator = (mu_a * mu_a + mu_b * mu_b + C1) * (var_a + var_b + C2)
-    return (numerator / denominator).squeeze(1).permute(1, 2, 0)
+def _valid_values(image: Tensor, valid: Tensor | None) -> int:
+    """Number of values of an image (H, W, C) that count."""
+    if valid is None:
+        return image.numel()
+    count = int(valid.sum()) * image.shape[2]
+    if not count:
+        raise ValueError("no pixel of the image is valid, so that it has no loss")
+    return count
 
 
-def smoothness(image: Tensor, reading: str) -> Tensor:
+def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tensor:
     """Differences of neighbouring pixels of an image (H, W, C), in one of two readings.
 
     `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
     `reference` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
+    With a mask, the sum is over neighbours that are both valid, and M counts valid pixels.
 
     >>> image = torch.tensor([[[0.0], [1.0]]])
     >>> smoothness(image, "paper").item(), smoothness(image, "reference").item()
     (0.25, 2.0)
     """
-    scales = _smoothness_scales(image, reading)
+    scales = _smoothness_scales(image, reading, valid)
     if not _is_fused(image):
-        return _smoothness_in_torch(image, reading)
+        return torch_losses.smoothness(image, reading, valid, _valid_values(image, valid))
+    mask = None if valid is None else _array(valid)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
-        total, gradient = differences_and_gradient(a, scales.wrap)
+        total, gradient = differences_and_gradient(a, scales.wrap, mask)
         return scales.value * total, np.float32(scales.gradient) * gradient
 
     return _ValueAndGradient.apply(image, compute)
 
 
-def _smoothness_scales(image: Tensor, reading: str) -> Smoothness:
+def _smoothness_scales(image: Tensor, reading: str, valid: Tensor | None) -> Smoothness:
     """Factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
     if reading not in ("paper", "reference"):
         raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    count = _valid_values(image, valid)
     if reading == "reference":
-        return Smoothness(True, 2 / image.numel(), 1 / image.numel())
-    return Smoothness(False, 2 / (4 * image.numel()), 2 / (4 * image.numel()))
+        return Smoothness(True, 2 / count, 1 / count)
+    return Smoothness(False, 2 / (4 * count), 2 / (4 * count))
 
 
 def min_max(values: Tensor) -> Tensor:
@@ -182,32 +201,6 @@ def _is_fused(tensor: Tensor) -> bool:
 
 def _array(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().numpy())
-
-
-def _smoothness_in_torch(image: Tensor, reading: str) -> Tensor:
-    if reading == "paper":
-        down = (image[1:] - image[:-1]).abs().sum()
-        right = (image[:, 1:] - image[:, :-1]).abs().sum()
-        return 2 * (down + right) / (4 * image.numel())
-    constant = image.detach()
-    neighbours = [constant.roll(shift, dim) for dim in (0, 1) for shift in (1, -1)]
-    total = torch.stack([(image - neighbour).abs().sum() for neighbour in neighbours]).sum()
-    return total / image.numel()
-
-
-@functools.cache
-def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
-    offsets = torch.arange(WINDOW, dtype=dtype, device=device) - WINDOW // 2
-    weights = torch.exp(-(offsets**2) / (2 * SIGMA**2))
-    return weights / weights.sum()
-
-
-def _blur(images: Tensor) -> Tensor:
-    """Images (C, 1, H, W) filtered by the Gaussian window, with zeros outside."""
-    w = _window(images.dtype, images.device)
-    half = WINDOW // 2
-    images = torch.nn.functional.conv2d(images, w.view(1, 1, 1, -1), padding=(0, half))
-    return torch.nn.functional.conv2d(images, w.view(1, 1, -1, 1), padding=(half, 0))
 
 
 class _ValueAndGradient(torch.autograd.Function):

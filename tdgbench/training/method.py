@@ -110,6 +110,7 @@ class Step:
     terms: dict[str, float]  # by name, for the log
     thermal: Render
     target: Tensor  # (H, W, C): the image that `thermal` is compared with
+    valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 
 
 class Method(Protocol):
@@ -123,7 +124,10 @@ class Method(Protocol):
         """Make the models; called once, before the first step."""
 
     def step(self, iteration: int) -> Step:
-        """Loss of an iteration (1-based), with the thermal render that it used."""
+        """Loss of an iteration (1-based), with the thermal render that it used.
+
+        Masked pixels (`valid_tensor`) must have no part in the loss.
+        """
 
     def models(self) -> dict[str, SplatModel]:
         """The models in training by modality; `thermal` is scored."""
@@ -140,8 +144,13 @@ def training_device(backend: str) -> torch.device:
 
 
 def thermal_tensor(view: View, device: torch.device) -> Tensor:
-    """A view's thermal image (H, W, C) as a tensor; on the CPU it shares the view's memory."""
+    """A view's thermal image (H, W, C), 0 at masked pixels, as a tensor; on the CPU it shares the view's memory."""
     return torch.from_numpy(view.thermal).to(device)
+
+
+def valid_tensor(view: View, device: torch.device) -> Tensor | None:
+    """The mask (H, W) bool that a loss of the view's thermal image gets; None if every pixel counts."""
+    return None if view.valid is None else torch.from_numpy(view.valid).to(device)
 
 
 def rgb_tensor(view: View, device: torch.device) -> Tensor:

@@ -16,14 +16,14 @@ from tdgbench.training.model import SplatModel
 SIZE = 16  # px
 
 
-def compile_kernels(channels: set[int], budget: Budget, backend: str) -> None:
-    """Compile what trainings with these channel counts run, by steps on a toy scene."""
+def compile_kernels(channels: set[int], budget: Budget, backend: str, masked: bool = False) -> None:
+    """Compile what trainings with these channel counts run, by steps on a toy scene. masked: some views have a mask."""
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels):
-        _take_steps(channels, budget, backend)
+        _take_steps(channels, budget, backend, masked)
 
 
-def _take_steps(channels: set[int], budget: Budget, backend: str) -> None:
+def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) -> None:
     """Take one step for each channel count, with and without depth."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
@@ -37,7 +37,10 @@ def _take_steps(channels: set[int], budget: Budget, backend: str) -> None:
         for iteration, depth in enumerate((False, True), start=1):
             model.begin(iteration)
             render = model.render(camera, depth=depth)
-            loss = thermal(render.image, torch.zeros_like(render.image), 0.2, 0.1, "paper")
+            black = torch.zeros_like(render.image)
+            loss = thermal(render.image, black, 0.2, 0.1, "paper")
+            if masked:
+                loss = loss + thermal(render.image, black, 0.2, 0.1, "paper", black[..., 0] == 0)
             if render.depth is not None:
                 loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
             loss.backward()

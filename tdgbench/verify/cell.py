@@ -10,7 +10,7 @@ from tdgbench.bench.scores import read_views
 from tdgbench.verify import facts, files
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import Pictures
-from tdgbench.verify.scores import mean_problems, score_problems
+from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 from tdgbench.verify.stored_cell import read_all_cameras, read_cell, read_log
 
 
@@ -44,5 +44,6 @@ def verify_cell(folder: Path) -> list[str]:
         found.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
     pictures = Pictures(folder, record, cameras["test"], found)
     pictures.check_renders()
+    found.check("its masks", mask_problems, record, pictures)
     found.check("scores", score_problems, record, rows, pictures)
     return found.problems

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
+from tdgbench.bench import masks
 from tdgbench.bench.hashes import cell_files, sha256
 from tdgbench.bench.reading import check_regular
 
 MUST = ("renders", "targets")
 MAY = ("renders_rgb", "targets_rgb")  # of test views with an RGB image
+ALONE = (masks.FOLDER,)  # of test views with masked pixels; their share in the record shows if one is missing
 
 
 def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
@@ -29,10 +31,10 @@ def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
 def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
     """Pictures that a test view lacks, and pictures of no test view. names: of the cell's files."""
     expected, there = {f"{view}.png" for view in views}, set(names)
-    for folder in (*MUST, *MAY):
+    for folder in (*MUST, *MAY, *ALONE):
         found = {PurePosixPath(name).name for name in there if PurePosixPath(name).parent.as_posix() == folder}
         yield from (f"{folder}/{name} is of no test view" for name in sorted(found - expected))
-        needed = expected if folder in MUST else _partners(there, folder)
+        needed = expected if folder in MUST else _partners(there, folder) if folder in MAY else found
         yield from (f"{folder}/{name} is missing" for name in sorted((needed & expected) - found))
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import render_model
@@ -39,9 +41,12 @@ class Pictures:
                         self.found.check(path, self._differences, gaussians, name, path, stored)
 
     def view(self, name: str) -> View:
-        """A test view with its stored ground truth."""
+        """A test view with its stored ground truth and mask."""
+        camera = self.cameras[name]
+        mask = partial(read_mask, self.folder, name, (camera.width, camera.height))
         return View(
-            name, self.cameras[name], load_thermal=lambda: self._values("targets", name),
+            name, camera, load_thermal=lambda: self._values("targets", name),
+            load_valid=mask if has_mask(self.folder, name) else None,
             load_rgb=(lambda: self._values("targets_rgb", name)) if self._has("targets_rgb", name) else None,
         )  # fmt: skip
 

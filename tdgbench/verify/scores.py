@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.bench.masks import masked_share
 from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
@@ -40,6 +41,14 @@ def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
             yield f"{FILE}: {metric} is n/a without a reason"
         elif (recorded is None) != (mean is None) or (None not in (recorded, mean) and not _close(recorded, mean)):
             yield f"{FILE}: {metric} is {_text(recorded)}, the mean of views.csv is {_text(mean)}"
+
+
+def mask_problems(record: Record, pictures: Pictures) -> Iterator[str]:
+    """A share of masked test pixels that is not that of the stored masks. (Those of training views are not stored.)"""
+    found = masked_share(pictures.view(name) for name in pictures.cameras)
+    recorded = record.masked.get("test", 0.0)
+    if not _close(found, recorded):
+        yield f"{FILE}: masked.test is {recorded}, the cell's masks give {found}"
 
 
 def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictures) -> Iterator[str]:

@@ -84,6 +84,11 @@ def test_method(page, data_root):
 
     ramp = torch.arange(4.0).expand(4, 4)[..., None]
     assert gradient_loss(ramp, torch.zeros_like(ramp)).item() == 1.0 and gradient_loss(ramp + 1, ramp).item() == 0.0
+    valid = torch.ones(ramp.shape[:2], dtype=torch.bool)
+    valid[1, 2] = False
+    spoilt = ramp.clone()
+    spoilt[1, 2] = 1e6
+    assert gradient_loss(spoilt, torch.zeros_like(ramp), valid).item() == 1.0
 
 
 def test_prior(page, data_root, small_scene):

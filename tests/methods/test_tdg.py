@@ -6,8 +6,8 @@ from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
 from tdgbench.splats import Gaussians
 from tdgbench.splats.view import Render
-from tdgbench.training.losses import ssim_map
 from tdgbench.training.skips import Skips
+from tdgbench.training.torch_losses import ssim_map
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.training import digest, trained
 

@@ -1,3 +1,10 @@
+import base64
+import io
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.bench.masks import read_mask
 from tdgbench.bench.record import read_all
 from tdgbench.report.scene import scene_section
 from tdgbench.tables.cell import finished_cells
@@ -13,3 +20,28 @@ def test_a_scene_shows_the_middle_view_of_every_method(small_results):
     psnr = {method["label"]: method["psnr"] for method in section["methods"]}
     scores = {cell.record.method: cell.record.scores["psnr"] for cell in cells}
     assert psnr == {"MSMG": f"{scores['msmg']:.2f} dB", "TDg": f"{scores['tdg']:.2f} dB"}
+
+
+def test_masked_pixels_are_gray_and_named(masked_results):
+    cells = [c for c in finished_cells(masked_results, read_all(masked_results)) if c.record.scene == "turntable"]
+    section = scene_section("synthetic", "turntable", cells)
+    shares = cells[0].record.masked
+    assert section["masked"].startswith(
+        f"{100 * shares['train']:.1f} % of the training and {100 * shares['test']:.1f} %"
+    )
+    (method,) = section["methods"]
+    valid = read_mask(cells[0].folder, section["view"])
+    for name in ("truth", "error"):
+        pixels = shown(method[name])
+        assert (pixels[~valid] == 128).all() and not (pixels[valid] == 128).all(axis=1).all(), name
+    assert not (shown(method["render"])[~valid] == 128).all()
+
+
+def shown(uri: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
+
+
+def test_without_masks_nothing_is_said(small_results):
+    cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
+    assert scene_section("synthetic", "turntable", cells)["masked"] == ""
+    assert cells[0].record.masked == {"train": 0.0, "test": 0.0} and not (cells[0].folder / "masks").exists()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tdgbench.bench.masks import write_mask
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Record, read_all
 from tdgbench.report.strip import draw_strip
@@ -42,3 +43,19 @@ def test_draws_what_is_done(tmp_path):
     assert draw_strip([done], tmp_path, tmp_path / "strip.png")
     with Image.open(tmp_path / "strip.png") as picture:
         assert picture.width > picture.height > 100
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_masked_pixels_are_not_drawn(tmp_path, mode):
+    done = record(scores={"psnr": 12.0})
+    folder = cell_folder_of(tmp_path, done)
+    for sub in ("renders", "targets"):
+        (folder / sub).mkdir(parents=True)
+        Image.new(mode, (40, 30)).save(folder / sub / "v.png")
+    assert draw_strip([done], tmp_path, tmp_path / "whole.png")
+    write_mask(folder, "v", np.arange(30 * 40).reshape(30, 40) % 40 < 20)
+    assert draw_strip([done], tmp_path, tmp_path / "masked.png")
+    whole, masked = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("L")) for name in ("whole", "masked"))
+    assert whole.shape == masked.shape
+    dark, left = (whole < 40).sum(), (masked < 40).sum()
+    assert 0.6 * dark < left < 0.75 * dark  # of three black panels, two are half white

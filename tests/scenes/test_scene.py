@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tdgbench.scenes import Camera, Scene, View
+from tdgbench.scenes import Camera, Scene, SceneError, View
 
 
 def camera(centre, size=(40, 30)) -> Camera:
@@ -33,3 +35,19 @@ def test_images_are_read_once():
 
     view = View("v", camera([0, 0, 0]), load_thermal=read)
     assert view.thermal is view.thermal and len(calls) == 1 and view.true_depth is None
+
+
+def test_a_masked_pixel_is_0_whatever_was_read():
+    image = np.array([[[np.nan], [0.5]], [[1e30], [0.25]]], np.float32)
+    valid = np.array([[False, True], [False, True]])
+    view = View("v", camera([0, 0, 0], (2, 2)), load_thermal=lambda: image, load_valid=lambda: valid)
+    assert view.thermal[..., 0].tolist() == [[0.0, 0.5], [0.0, 0.25]] and view.thermal.dtype == np.float32
+    whole = replace(view, load_valid=lambda: np.ones((2, 2), bool))
+    assert whole.valid is None and whole.thermal is image  # nothing is masked
+
+
+@pytest.mark.parametrize("mask", [np.ones((2, 3), bool), np.ones((2, 2), np.uint8)], ids=["size", "type"])
+def test_a_mask_must_be_bool_and_of_the_camera_s_size(mask):
+    view = View("v7", camera([0, 0, 0], (2, 2)), load_thermal=lambda: None, load_valid=lambda: mask)
+    with pytest.raises(SceneError, match=r"the mask of view v7 is .*must be bool \(2, 2\)"):
+        _ = view.valid

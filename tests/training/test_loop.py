@@ -1,14 +1,15 @@
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.view import Render
 from tdgbench.training import loop
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
+from tdgbench.training.method import Step
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
 from tests.helpers.training import digest, trained
@@ -117,5 +118,12 @@ def test_a_nan_that_no_view_shows_is_found_too(small_scene):
 
 def test_the_psnr_of_a_finite_render_is_finite():
     image = torch.full((2, 2, 1), 1e30)
-    step = SimpleNamespace(thermal=SimpleNamespace(image=image), target=torch.zeros_like(image))
-    assert loop._psnr(step) == pytest.approx(-600)
+    render = Render(image, None, torch.zeros(2, 2))
+    assert loop._psnr(Step(image.sum(), {}, render, torch.zeros_like(image))) == pytest.approx(-600)
+
+
+def test_the_psnr_of_a_masked_render_is_that_of_its_valid_pixels():
+    image, target = torch.full((2, 2, 1), 0.5), torch.tensor([[[0.4], [9.0]], [[0.4], [0.4]]])
+    valid = torch.tensor([[True, False], [True, True]])
+    step = Step(image.sum(), {}, Render(image, None, torch.zeros(2, 2)), target, valid)
+    assert loop._psnr(step) == pytest.approx(20, abs=1e-4)

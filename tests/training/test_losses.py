@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim, ssim_map
+from tdgbench.splats.cpu import pool
+from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim, thermal
+from tdgbench.training.torch_losses import ssim_map
+from tests.helpers.masks import masks
 
 
 @pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
@@ -125,3 +128,92 @@ def test_min_max_of_a_constant_map_is_zero():
     out = min_max(flat)
     out.sum().backward()
     assert not out.any() and not flat.grad.any()
+
+
+SIZES = [(40, 30, 1), (23, 19, 3), (1, 1, 1), (1, 26, 3), (12, 2, 1)]
+
+
+def value_and_gradient(loss, image):
+    """Value of a loss at an image, and its gradient as float64."""
+    x = image.clone().requires_grad_()
+    value = loss(x)
+    value.backward()
+    assert torch.isfinite(x.grad).all()
+    return value.item(), x.grad.double()
+
+
+@pytest.mark.parametrize("reading", ["paper", "reference"])
+@pytest.mark.parametrize("size", SIZES)
+def test_fused_masked_thermal_loss_is_the_torch_one(size, reading):
+    """Value and gradient, against torch in float64, with any mask and garbage in both images where it is false."""
+    g = torch.Generator().manual_seed(3)
+    clean, target = torch.rand(size, generator=g), torch.rand(size, generator=g)
+    for name, mask in masks(*size[:2]).items():
+        valid = torch.from_numpy(mask)
+        a, b = clean.clone(), target.clone()
+        a[~valid], b[~valid] = 1e4, torch.nan
+
+        def loss(x, other=b, mask=valid):
+            return thermal(x, other.to(x.dtype), 0.2, 0.6, reading, mask)
+
+        fast, exact = value_and_gradient(loss, a), value_and_gradient(loss, a.double())
+        assert fast[0] == pytest.approx(exact[0], rel=1e-5, abs=1e-6), name
+        assert (fast[1] - exact[1]).norm() <= 1e-5 * exact[1].norm().clamp_min(1e-3), name
+        assert not fast[1][~valid].any() and not exact[1][~valid].any(), name
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_masked_losses_in_torch_are_those_of_their_definition(size):
+    """L1 and SSIM of the image that is 0 at masked pixels, summed by hand over the others; pairs one by one."""
+    rng = np.random.default_rng(4)
+    a, b = rng.random(size), rng.random(size)
+    for name, valid in masks(*size[:2]).items():
+        black_a, black_b = a * valid[..., None], b * valid[..., None]
+        map_ = ssim_map(torch.from_numpy(black_a), torch.from_numpy(black_b)).numpy()
+        expected = 0.7 * np.abs(a - b)[valid].mean() + 0.4 * (1 - map_[valid].mean())
+        x, y, mask = torch.from_numpy(a), torch.from_numpy(b), torch.from_numpy(valid)
+        assert l1_and_dssim(x, y, 0.7, 0.4, mask).item() == pytest.approx(expected, abs=1e-12), name
+        total, wrapped = 0.0, 0.0
+        for i, j in np.argwhere(valid):
+            for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                k, m = (i + di) % size[0], (j + dj) % size[1]
+                step = np.abs(a[i, j] - a[k, m]).sum() * valid[k, m]
+                wrapped += step
+                total += step if (k, m) == (i + di, j + dj) else 0.0
+        count = valid.sum() * size[2]
+        assert smoothness(x, "paper", mask).item() == pytest.approx(total / (4 * count), abs=1e-12), name
+        assert smoothness(x, "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-12), name
+        assert smoothness(x.float(), "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-5), name
+
+
+def test_a_mask_that_masks_nothing_changes_nothing():
+    a, b = torch.rand(20, 30, 3), torch.rand(20, 30, 3)
+    everything = torch.ones(20, 30, dtype=torch.bool)
+    for loss in (lambda m: l1(a, b, m), lambda m: ssim(a, b, m), lambda m: photometric(a, b, 0.2, m)):
+        assert loss(everything).item() == pytest.approx(loss(None).item(), rel=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_loss_of_no_pixel_is_refused(dtype):
+    image, nothing = torch.rand(6, 5, 1, dtype=dtype), torch.zeros(6, 5, dtype=torch.bool)
+    for loss in (lambda: photometric(image, image, 0.2, nothing), lambda: smoothness(image, "paper", nothing)):
+        with pytest.raises(ValueError, match="no pixel of the image is valid"):
+            loss()
+    with pytest.raises(ValueError, match=r"the mask is \(5, 6\)"):
+        photometric(image, image, 0.2, nothing.T)
+
+
+def test_a_masked_loss_does_not_depend_on_the_threads():
+    a, b = torch.rand(50, 40, 3), torch.rand(50, 40, 3)
+    valid = torch.from_numpy(masks(50, 40)["at random"])
+    found = []
+    try:
+        for threads in (1, 2, 3, 7):
+            pool.set_threads(threads)
+            x = a.clone().requires_grad_()
+            value = thermal(x, b, 0.2, 0.6, "reference", valid)
+            value.backward()
+            found.append((value.item(), x.grad.numpy().tobytes()))
+    finally:
+        pool.set_threads(None)
+    assert len(set(found)) == 1

@@ -1,5 +1,6 @@
 from hydra.utils import instantiate
 
+from tdgbench.splats.cpu.losses.photometric import photometric_band
 from tdgbench.splats.cpu.raster.blend import make_blend
 from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
 from tdgbench.training.warmup import compile_kernels
@@ -10,3 +11,10 @@ def test_compiles_what_a_gray_scene_needs():
     compile_kernels({1}, instantiate(config("budget=demo").budget), "auto")
     for depth in (False, True):
         assert make_blend(1, depth).signatures and make_blend_backward(1, depth).signatures
+
+
+def test_compiles_what_masks_need():
+    """The kernels without a mask are compiled apart."""
+    compile_kernels({1}, instantiate(config("budget=demo").budget), "auto", masked=True)
+    kinds = {str(signature[3]) for signature in photometric_band.signatures}
+    assert len(kinds) == 2 and "none" in kinds

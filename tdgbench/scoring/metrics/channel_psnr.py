@@ -6,10 +6,11 @@ import numpy as np
 
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.scored_view import ScoredView, at_valid
 
 
 def channel_psnr(image: np.ndarray, target: np.ndarray) -> float:
-    """Mean over channels of each channel's PSNR (dB) of images (H, W, C), clipped to [0, 1].
+    """Mean over channels of each channel's PSNR (dB) of images (…, C), clipped to [0, 1].
 
     ThermalGaussian's and 3DGS's `training_report` gives this for float renders; their `metrics.py` pools channels. The
     two agree for gray images and are some tenths to 1 dB apart for pseudo-colour.
@@ -19,7 +20,11 @@ def channel_psnr(image: np.ndarray, target: np.ndarray) -> float:
     30.0
     """
     image, target = np.clip(image, 0, 1), np.clip(target, 0, 1)
-    return float(np.mean([psnr(image[..., c], target[..., c]) for c in range(image.shape[2])]))
+    return float(np.mean([psnr(image[..., c], target[..., c]) for c in range(image.shape[-1])]))
+
+
+def _of_view(shown: ScoredView) -> float:
+    return channel_psnr(*(at_valid(shown.valid, image) for image in (shown.rendered.image, shown.view.thermal)))
 
 
 METRIC = ViewMetric(
@@ -31,5 +36,5 @@ METRIC = ViewMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    of_view=lambda shown: channel_psnr(shown.rendered.image, shown.view.thermal),
+    of_view=_of_view,
 )

@@ -8,7 +8,7 @@ from tdgbench.scoring.metric import ViewMetric
 
 
 def depth_abs_rel(depth: np.ndarray, truth: np.ndarray) -> float:
-    """Mean of |z − z_true| / z_true over maps (H, W).
+    """Mean of |z − z_true| / z_true over equally shaped depths.
 
     >>> round(depth_abs_rel(np.array([[1.1, 2.0]]), np.array([[1.0, 2.0]])), 6)
     0.05
@@ -22,5 +22,5 @@ METRIC = ViewMetric(
     meaning="mean of |z − true z| / true z",
     order=90,
     needs="true depth",
-    of_view=lambda shown: depth_abs_rel(shown.rendered.depth, shown.true_depth()),
+    of_view=lambda shown: depth_abs_rel(*shown.depths()),
 )

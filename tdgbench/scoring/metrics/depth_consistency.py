@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, View
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
@@ -35,11 +35,16 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
 def _against_nearest(shown: ScoredView) -> float:
     """Depth consistency with the nearest other test view."""
     nearest = shown.nearest()
-    other = shown.renders[nearest.name]
-    found = depth_consistency(shown.rendered.depth, shown.view.camera, other.depth, nearest.camera)
+    depth, other = _known(shown.rendered.depth, shown.view), _known(shown.renders[nearest.name].depth, nearest)
+    found = depth_consistency(depth, shown.view.camera, other, nearest.camera)
     if found is None:
         raise NotApplicableError(f"view {shown.view.name} and its neighbour hardly overlap")
     return found
+
+
+def _known(depth: np.ndarray, view: View) -> np.ndarray:
+    """A rendered depth (H, W), 0 at masked pixels as where nothing was rendered."""
+    return depth if view.valid is None else np.where(view.valid, depth, np.float32(0))
 
 
 METRIC = ViewMetric(

@@ -10,7 +10,7 @@ MAX_PSNR = 100.0  # dB; of equal images, so that means stay finite
 
 
 def psnr(image: np.ndarray, target: np.ndarray) -> float:
-    """−10 log10 of the mean squared error over all pixels and channels (dB), images (H, W, C) in [0, 1].
+    """−10 log10 of the mean squared error over all pixels and channels (dB), images (…, C) in [0, 1].
 
     >>> round(psnr(np.full((4, 4, 1), 0.6), np.full((4, 4, 1), 0.5)), 6)
     20.0
@@ -32,5 +32,5 @@ METRIC = ImageMetric(
     limits=(0.0, MAX_PSNR),
     published=True,
     on_training_views=True,
-    of_images=lambda pair: psnr(pair.image, pair.target),
+    of_images=lambda pair: psnr(*pair.pixels),
 )

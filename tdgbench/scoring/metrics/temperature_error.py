@@ -14,8 +14,9 @@ def mae_degC(shown: ScoredView) -> float:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")
     if shown.scene.channels != 1:
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
-    pair, span = shown.pair("thermal"), shown.scene.temperature.max - shown.scene.temperature.min
-    return float(np.abs(pair.image - pair.target).mean(dtype=np.float64) * span)
+    image, target = shown.pair("thermal").pixels
+    span = shown.scene.temperature.max - shown.scene.temperature.min
+    return float(np.abs(image - target).mean(dtype=np.float64) * span)
 
 
 METRIC = ViewMetric(

@@ -2,6 +2,7 @@
 
 Images are (rows, columns × channels), channels interleaved: neighbours in a row are `channels` floats apart, so one
 kernel serves every channel count. A band of rows is streamed: the last eleven rows of every quantity stay in cache.
+Masked pixels (`masks`) are 0 in both images; the kernels are compiled apart without a mask.
 With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the first image is
 G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
 """
@@ -15,6 +16,7 @@ import numpy as np
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.losses import ssim
+from tdgbench.splats.cpu.losses.masks import apply_mask, pixel_weights, without_masked
 from tdgbench.splats.cpu.losses.row_sums import difference_sum, row_sum
 from tdgbench.splats.cpu.losses.smoothness import add_difference_gradient, neighbour_differences
 
@@ -98,10 +100,11 @@ def moments_of_row(ra, rb, channels, line, out):
 
 
 @kernel(free_sums=True)
-def similarity_of_row(filtered, channels, line, values, out):
+def similarity_of_row(filtered, channels, weights, y, line, values, out):
     """values (columns,) = SSIM of a row's pixels, from its five moments `filtered` (5, columns).
 
     out (3, columns) = dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along the row; line (3, padded columns) is scratch.
+    weights (rows, columns): of the pixels, of which these are row y; or None.
     """
     n = values.shape[0]
     c = U(channels)
@@ -127,6 +130,13 @@ def similarity_of_row(filtered, channels, line, values, out):
         )
         l1[x + pad] = d_aa
         l2[x + pad] = d_ab
+    if weights is not None:
+        for x in range(U(n)):
+            weight = weights[y, x]
+            values[x] *= weight
+            l0[x + pad] *= weight
+            l1[x + pad] *= weight
+            l2[x + pad] *= weight
     for k in range(3):
         source, target = line[k], out[k]
         for x in range(U(n)):
@@ -148,10 +158,11 @@ def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
 
 
 @kernel()
-def photometric_band(start, stop, images, scales, gradient, sums):
+def photometric_band(start, stop, images, weights, scales, gradient, sums):
     """Rows [start, stop) of the gradient (rows, columns) by a, and of sums (rows, 3).
 
-    sums[y] = Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a| of row y.
+    sums[y] = Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a| of row y. weights (rows, columns): 0 of masked
+    pixels, 1 of others; None: nothing is masked.
     """
     a, b, channels = images.a, images.b, images.channels
     rows, n = a.shape
@@ -172,7 +183,7 @@ def photometric_band(start, stop, images, scales, gradient, sums):
         if s >= 0 and s < rows:
             for k in range(5):
                 across_rows(moments, k, s, filtered[k])
-            similarity_of_row(filtered, channels, slope_line, values, slopes[here])
+            similarity_of_row(filtered, channels, weights, s, slope_line, values, slopes[here])
             if s >= start and s < stop:
                 sums[s, 1] = row_sum(values)
         else:
@@ -184,18 +195,27 @@ def photometric_band(start, stop, images, scales, gradient, sums):
             across_rows(slopes, k, g, filtered[k])
         gradient_of_row(a[g], b[g], filtered, scales.l1, scales.ssim, gradient[g])
         sums[g, 0] = difference_sum(a[g], b[g])
+        apply_mask(gradient[g], weights, g)
         if scales.smooth != ZERO:
-            add_difference_gradient(g, a, channels, scales.wrap, scales.smooth, gradient[g])
-            sums[g, 2] = neighbour_differences(g, a, channels, scales.wrap)
+            add_difference_gradient(g, a, weights, channels, scales.wrap, scales.smooth, gradient[g])
+            sums[g, 2] = neighbour_differences(g, a, weights, channels, scales.wrap)
 
 
 def photometric_and_gradient(
-    a: np.ndarray, b: np.ndarray, l1_weight: float, ssim_weight: float, smooth_scale: float = 0.0, wrap: bool = False
+    a: np.ndarray,
+    b: np.ndarray,
+    l1_weight: float,
+    ssim_weight: float,
+    smooth_scale: float = 0.0,
+    wrap: bool = False,
+    valid: np.ndarray | None = None,
 ) -> tuple[float, float, float, np.ndarray]:
     """L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their weighted gradient by a.
 
     The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
-    are float32 (H, W, C), contiguous, in [0, 1]. See `tdgbench.splats.cpu.losses.smoothness` for `wrap`.
+    are float32 (H, W, C), contiguous, in [0, 1]. See `tdgbench.splats.cpu.losses.smoothness` for `wrap`. valid: bool
+    (H, W), where it is false pixels are masked; L1 and SSIM are means over the others. Raises ValueError if there are
+    no others.
 
     >>> a, b = np.full((8, 8, 1), 0.5, np.float32), np.full((8, 8, 1), 0.25, np.float32)
     >>> l1, _, _, gradient = photometric_and_gradient(a, b, 1.0, 0.0)
@@ -203,11 +223,15 @@ def photometric_and_gradient(
     (0.25, True)
     """
     height, width, channels = a.shape
+    weights, count = None, a.size
+    if valid is not None:
+        weights, count = pixel_weights(valid, channels), int(valid.sum()) * channels
+        a, b = without_masked(a, valid), without_masked(b, valid)
     flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
-    scales = Scales(F(l1_weight / a.size), F(ssim_weight / a.size), F(smooth_scale), wrap)
+    scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    common = (Images(flat_a, flat_b, channels), scales, gradient, sums)
+    common = (Images(flat_a, flat_b, channels), weights, scales, gradient, sums)
     pool.run(photometric_band, [(*band, *common) for band in bands])
     error, similarity, differences = sums.sum(axis=0).tolist()
-    return error / a.size, similarity / a.size, differences, gradient.reshape(a.shape)
+    return error / count, similarity / count, differences, gradient.reshape(a.shape)

@@ -43,3 +43,18 @@ def difference_sum(a, b):
     for x in range(whole, count):
         total += abs(a[x] - b[x])
     return total
+
+
+@kernel(inline=True)
+def weighted_difference_sum(a, b, v, w):
+    """Σ v w |a − b| of rows a and b with weights v and w (columns,)."""
+    count = U(a.shape[0])
+    whole = count - count % U(LANES)
+    partial = broadcast(ZERO)
+    for x in range(U(0), whole, U(LANES)):
+        weight = load_anywhere(v, x) * load_anywhere(w, x)
+        partial = partial + weight * absolute(load_anywhere(a, x) - load_anywhere(b, x))
+    total = lane_sum(partial)
+    for x in range(whole, count):
+        total += v[x] * w[x] * abs(a[x] - b[x])
+    return total

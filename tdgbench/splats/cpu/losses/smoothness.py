@@ -1,6 +1,7 @@
 """Differences of neighbouring pixels and their gradient, row by row.
 
-Each pair of neighbours (i, j) adds |T_i − T_j| to the sum and ± sign(T_i − T_j) to the gradient of both.
+Each pair of neighbours (i, j) adds |T_i − T_j| to the sum and ± sign(T_i − T_j) to the gradient of both. A pair with a
+masked pixel (`masks`) adds nothing.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.losses.row_sums import difference_sum
+from tdgbench.splats.cpu.losses.masks import pixel_weights, weight_of_pair, without_masked
+from tdgbench.splats.cpu.losses.row_sums import difference_sum, weighted_difference_sum
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
@@ -28,51 +30,74 @@ def row_below(y, rows, wrap):
 
 
 @kernel(inline=True)
-def neighbour_differences(y, image, channels, wrap):
-    """Σ |right − here| + Σ |below − here| of row y of an image (rows, columns · channels); `wrap`: on a torus."""
-    here = image[y]
+def row_above(y, rows, wrap):
+    """Number of the row above row y; y itself at the top without `wrap`."""
+    return y - 1 if y > 0 else (rows - 1 if wrap else y)
+
+
+@kernel(inline=True)
+def neighbour_differences(y, image, weights, channels, wrap):
+    """Σ |right − here| + Σ |below − here| of row y of an image (rows, columns · channels); `wrap`: on a torus.
+
+    weights: of the pixels, shaped as the image, or None.
+    """
+    here, under = image[y], row_below(y, image.shape[0], wrap)
     count = here.shape[0]
-    total = difference_sum(image[row_below(y, image.shape[0], wrap)], here)
-    total += difference_sum(here[channels:], here[: count - channels])
+    if weights is None:
+        total = difference_sum(image[under], here)
+        total += difference_sum(here[channels:], here[: count - channels])
+        if wrap:
+            total += difference_sum(here[:channels], here[count - channels :])
+        return total
+    w = weights[y]
+    total = weighted_difference_sum(image[under], here, weights[under], w)
+    total += weighted_difference_sum(here[channels:], here[: count - channels], w[channels:], w[: count - channels])
     if wrap:
-        total += difference_sum(here[:channels], here[count - channels :])
+        total += weighted_difference_sum(here[:channels], here[count - channels :], w[:channels], w[count - channels :])
     return total
 
 
 @kernel()
-def add_difference_gradient(y, image, channels, wrap, scale, out):
+def add_difference_gradient(y, image, weights, channels, wrap, scale, out):
     """out (columns · channels,) += scale · Σ over the 4 neighbours of sign(here − neighbour), in row y.
 
     image: (rows, columns · channels). With `wrap` the image is a torus; without it, there are no pairs across the
-    border.
+    border. weights: of the pixels, shaped as the image, or None.
     """
     rows, columns = image.shape
     c = U(channels)
-    here, below = image[y], image[row_below(y, rows, wrap)]
-    above = image[y - 1] if y > 0 else (image[rows - 1] if wrap else here)
+    over, under = row_above(y, rows, wrap), row_below(y, rows, wrap)
+    here, above, below = image[y], image[over], image[under]
     for x in range(U(columns)):
-        out[x] += scale * (sign(here[x] - above[x]) + sign(here[x] - below[x]))
+        to_above = sign(here[x] - above[x]) * weight_of_pair(weights, y, x, over, x)
+        to_below = sign(here[x] - below[x]) * weight_of_pair(weights, y, x, under, x)
+        out[x] += scale * (to_above + to_below)
     for x in range(U(columns - channels)):
-        out[x] += scale * sign(here[x] - here[x + c])
+        out[x] += scale * sign(here[x] - here[x + c]) * weight_of_pair(weights, y, x, y, x + c)
     for x in range(c, U(columns)):
-        out[x] += scale * sign(here[x] - here[x - c])
+        out[x] += scale * sign(here[x] - here[x - c]) * weight_of_pair(weights, y, x, y, x - c)
     if wrap:
         for x in range(c):
             last = U(columns - channels) + x
-            out[last] += scale * sign(here[last] - here[x])
-            out[x] += scale * sign(here[x] - here[last])
+            weight = weight_of_pair(weights, y, last, y, x)
+            out[last] += scale * sign(here[last] - here[x]) * weight
+            out[x] += scale * sign(here[x] - here[last]) * weight
 
 
 @kernel()
-def difference_rows(start, stop, image, channels, wrap, sums, gradient):
+def difference_rows(start, stop, image, weights, channels, wrap, sums, gradient):
     """Rows [start, stop): sums (rows,) of `neighbour_differences`, and gradient (rows, columns · channels)."""
     for y in range(start, stop):
-        add_difference_gradient(y, image, channels, wrap, ONE, gradient[y])
-        sums[y] = neighbour_differences(y, image, channels, wrap)
+        add_difference_gradient(y, image, weights, channels, wrap, ONE, gradient[y])
+        sums[y] = neighbour_differences(y, image, weights, channels, wrap)
 
 
-def differences_and_gradient(image: np.ndarray, wrap: bool) -> tuple[float, np.ndarray]:
+def differences_and_gradient(
+    image: np.ndarray, wrap: bool, valid: np.ndarray | None = None
+) -> tuple[float, np.ndarray]:
     """Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
+
+    valid: bool (H, W), where it is false pixels are masked. Raises ValueError if all are.
 
     >>> image = np.array([[[1.0], [3.0]]], np.float32)
     >>> total, gradient = differences_and_gradient(image, wrap=False)
@@ -80,8 +105,9 @@ def differences_and_gradient(image: np.ndarray, wrap: bool) -> tuple[float, np.n
     (2.0, [[-1.0, 1.0]])
     """
     height, width, channels = image.shape
-    flat = image.reshape(height, width * channels)
+    weights = None if valid is None else pixel_weights(valid, channels)
+    flat = (image if valid is None else without_masked(image, valid)).reshape(height, width * channels)
     sums, gradient = np.empty(height, np.float64), np.zeros_like(flat)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    pool.run(difference_rows, [(*band, flat, channels, wrap, sums, gradient) for band in bands])
+    pool.run(difference_rows, [(*band, flat, weights, channels, wrap, sums, gradient) for band in bands])
     return float(sums.sum()), gradient.reshape(image.shape)
