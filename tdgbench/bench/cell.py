@@ -21,19 +21,20 @@ from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
 from tdgbench.bench.run import CellRun
 from tdgbench.files import settle
+from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
 from tdgbench.training.method import training_device
 
-Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
+Status = Literal["ok", "kept", "failed", "missing", "no prior", "elsewhere"]
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a cell.
 
-    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), or
-    `elsewhere` (another process runs it).
+    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), `no prior` (it
+    failed because its depth prior is not available), or `elsewhere` (another process runs it).
     """
 
     status: Status
@@ -56,7 +57,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     except MissingScenesError as error:
         outcome = Outcome("missing", _title(cfg, run), str(error))
     except (Exception, SystemExit) as error:  # plug-ins may call sys.exit
-        outcome = Outcome("failed", _title(cfg, run), _keep_failure(error, run))
+        status: Status = "no prior" if isinstance(error, PriorUnavailableError) else "failed"
+        outcome = Outcome(status, _title(cfg, run), _keep_failure(error, run))
     finally:
         remarks = _close(held, progress)
     return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))

@@ -35,7 +35,7 @@ class SetupObserver:
         """Called after each of the stage's views."""
 
     def note_prior(self, description: dict[str, object]) -> None:
-        """Called once the depth priors are known, with their estimator's identity and kind."""
+        """Called once the depth priors are known, with their estimator's identity, their kind, what they are made from."""
 
     def note_points(self, description: dict[str, object]) -> None:
         """Called once the initial points are known, with their number and origin."""
@@ -110,5 +110,6 @@ def _estimate_priors(
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
         skips.prior.note_cached(len(scene.train) - estimated, len(scene.train))
-        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind})
+        source = {"made_from": cfg.prior.made_from} if cfg.prior.get("made_from") else {}
+        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source})
     return priors

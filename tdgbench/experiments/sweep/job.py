@@ -24,6 +24,7 @@ WORDS = {
     "ok": "done",
     "kept": "already there",
     "failed": "failed",
+    "no prior": "failed, it has no depth prior",
     "elsewhere": "running in another process",
 }
 _SCHEMA = TypeAdapter(Outcome)

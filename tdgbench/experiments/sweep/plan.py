@@ -1,4 +1,4 @@
-"""Before a sweep: write its plan, and name all missing scenes before hours of work begin."""
+"""Before a sweep: write its plan, and name missing scenes and priors before hours of work begin."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import NamedTuple
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench.plan import IN_THE_PATH, Plan, swept
+from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, swept
+from tdgbench.experiments.preparation import unavailable_priors
 from tdgbench.scenes import SceneError
 from tdgbench.terminal import say
 
@@ -22,7 +23,10 @@ class CellCount(NamedTuple):
 
 
 def plan_sweep(cfg: DictConfig) -> CellCount:
-    """Write the plan of a sweep; print one error for all missing scenes. Raises SystemExit(1) for an unknown scene."""
+    """Write the plan of a sweep; print one error for all missing scenes, and one for each missing prior.
+
+    Raises SystemExit(1) for an unknown scene.
+    """
     dataset = instantiate(cfg.dataset.loader)
     options = swept(cfg)
     try:
@@ -33,6 +37,8 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
         raise SystemExit(1) from error
     if missing:
         say(dataset.explain_missing(missing), "error:", stderr=True)
+    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
+        say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     plan = Plan(
         table=cfg.table,
         scenes=scenes,
