@@ -35,7 +35,7 @@ class SetupObserver:
         """Called after each of the stage's views."""
 
     def note_prior(self, description: dict[str, object]) -> None:
-        """Called once the depth priors are known, with their estimator's identity, their kind, what they are made from."""
+        """Called once the depth priors are known, with their estimator's identity, kind and source."""
 
     def note_points(self, description: dict[str, object]) -> None:
         """Called once the initial points are known, with their number and origin."""

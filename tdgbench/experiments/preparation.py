@@ -1,4 +1,4 @@
-"""Before an experiment: get the depth priors that its cells need, so that a missing one is named before hours of work."""
+"""Before an experiment: get the depth priors that its cells need, and name missing ones before hours of work."""
 
 from __future__ import annotations
 

@@ -24,10 +24,10 @@ from tdgbench.text import shortened
 
 IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # torchvision's, of images in [0, 1]
 IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
-TYPES: dict[str, type[np.floating[Any]]] = {
+TYPES: dict[str, type[np.floating[Any]]] = {  # of the input, by onnxruntime's name
     "tensor(float)": np.float32,
     "tensor(float16)": np.float16,
-}  # of the input, by onnxruntime's name
+}
 QUIET = 4  # onnxruntime's log level for fatal errors alone: others are raised
 EXPECTED = "one float input (1, C, H, W) or (1, H, W, C) with C = 1 or 3"
 LONGEST_REASON = 300  # characters

@@ -14,11 +14,11 @@ Kind = Literal["depth", "disparity", "metric"]
 KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
 ALTERNATIVES = {  # for real scenes: what to add to the command line, and what TDg then is
     "marigold": " (the paper's network)",
-    "depth_anything": " (another network, from thermal images alone as well)",
+    "depth_anything": " (another network, also from thermal images alone)",
     "onnx": " prior.estimator.model=FILE (a network of yours)",
     "files": " prior.estimator.folder=DIR (maps made elsewhere)",
-    "sfm_points": " (from the RGB images' geometry: TDg is then no method of thermal images alone, and its scores are no"
-    " evidence for the paper's claims)",
+    "sfm_points": " (from the RGB images' geometry: TDg then has more than thermal images, and counts for no claim of the"
+    " paper)",
 }
 
 

@@ -24,8 +24,8 @@ class VisiblePoints(NamedTuple):
 def visible_points(camera: Camera, points: np.ndarray, occlusion: float) -> VisiblePoints:
     """The points (N, 3) inside the image that no other hides.
 
-    A point is hidden if it lies more than the share `occlusion` behind the nearest one within 2 px, so the camera should
-    have about as many pixels as there are points: `camera.resized`.
+    A point is hidden if it lies more than the share `occlusion` behind the nearest one within 2 px. Points are sparse:
+    use the camera of a small image (`camera.resized`).
 
     >>> camera = Camera(np.diag([8.0, 8.0, 1.0]), np.eye(4), width=8, height=8)
     >>> visible_points(camera, np.array([[0.5, 0.5, 1.0], [1.0, 1.0, 2.0], [-1.0, 0.0, 1.0]]), 0.1).z.tolist()

@@ -149,7 +149,7 @@ def test_a_real_network_gives_the_same_map_with_any_number_of_threads(real_netwo
 
 
 def test_a_real_network_on_a_real_scene(real_network, arco_folder):
-    """Its README: rank correlation with the SfM depth −0.18 in the median view, −0.94 in the best (here −0.16, −0.93)."""
+    """Its README: rank correlation with the SfM depth −0.18 in the median view, −0.94 in the best."""
     from scipy.stats import spearmanr
 
     scene = FolderDataset(str(arco_folder), ReadOptions()).load(None)

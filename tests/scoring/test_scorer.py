@@ -60,6 +60,17 @@ def test_conventions_differ(small_scene):
     assert a["psnr"] == b["psnr"] and a["ssim"] != b["ssim"]
 
 
+def test_the_published_backbone_through_the_options(vgg_weights):
+    """`metrics.lpips.net=vgg metrics.lpips.weights=FILE`: the values that its README gives for these images."""
+    g = torch.Generator().manual_seed(42)
+    a, b = (torch.rand(2, 3, 100, 100, generator=g).permute(0, 2, 3, 1).numpy() for _ in range(2))
+    scoring = scorer("metrics=standard", "metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}")
+    assert [scoring.lpips(*pair) for pair in zip(a, b, strict=True)] == pytest.approx([0.3582, 0.3456], abs=1e-4)
+    in_unit_range = scorer("metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}")  # as published tables
+    assert in_unit_range.lpips((a[0] + 1) / 2, (b[0] + 1) / 2) != pytest.approx(0.3582, abs=1e-3)
+    assert in_unit_range.lpips(a[0], a[0]) == 0
+
+
 def test_with_a_backbone(small_scene, squeeze_weights):
     view = small_scene.test[0]
     scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)

@@ -18,7 +18,7 @@ from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.error_time.show import show
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.priors.judge import Judged, judge
-from tdgbench.experiments.priors.table import NONE, Entry, as_text, latex, prior_rows, view_rows
+from tdgbench.experiments.priors.table import NONE, Entry, as_text, latex, prior_rows, reasons, view_rows
 from tdgbench.experiments.priors.truth import source
 from tdgbench.files import write_text
 from tdgbench.scenes import Scene, SceneError
@@ -64,9 +64,12 @@ class Priors(Experiment):
             write_text(folder / "priors.csv", as_csv(table, na_rep="n/a"))
             write_text(folder / "priors_views.csv", as_csv(view_rows(entries), na_rep="n/a"))
             write_text(folder / "priors.tex", latex(table))
-            show(as_text(table), console(), "depth priors, and TDg with each")
-            for row in table[table["reason"] != ""].itertuples():
-                say(f"{row.scene}, {row.prior}: {row.reason}", "n/a:", "yellow")
+            for scene, rows in table.groupby("scene", sort=False):
+                truth = next((text for text in rows["truth"] if text), "nothing")
+                title = f"{scene}: depth priors against {truth}, and TDg with each"
+                show(as_text(rows, ("scene", "made_from")), console(), title)
+            for reason in reasons(table):
+                say(reason, "n/a:", "yellow")
             say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}, {folder / 'priors.tex'}")
         for failure in failures:
             say(failure, "failed:")

@@ -14,7 +14,7 @@ from tdgbench.tables.latex import comment, escape
 
 NONE = "none"  # TDg without its depth loss
 SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
-COLUMNS = {  # those on the terminal and in LaTeX: title, format
+COLUMNS = {  # those of LaTeX: title, format
     "scene": ("scene", ""), "prior": ("prior", ""), "made_from": ("made from", ""), "abs_rel": ("AbsRel", ".3f"),
     "delta": ("δ < 1.25", ".3f"), "rank": ("rank corr.", ".2f"), "psnr": ("PSNR, dB", ".2f"),
     "psnr_gain": ("gain, dB", "+.2f"), "ssim": ("SSIM", ".3f"), "lpips": ("LPIPS", ".3f"),
@@ -69,22 +69,31 @@ def view_rows(entries: Sequence[Entry]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["scene", "prior", "view", "abs_rel", "delta", "rank"])
 
 
-def as_text(table: pd.DataFrame) -> pd.DataFrame:
-    """The columns of the terminal, as text with `n/a` for missing numbers."""
+def as_text(table: pd.DataFrame, without: Sequence[str] = ()) -> pd.DataFrame:
+    """The columns of COLUMNS but some, as text with `n/a` for missing numbers."""
     shown = {}
     for name, (title, form) in COLUMNS.items():
+        if name in without:
+            continue
         shown[title] = [_text(value, form) if form else str(value) for value in table[name]]
     return pd.DataFrame(shown)
+
+
+def reasons(table: pd.DataFrame) -> list[str]:
+    """Why numbers are missing, one line per reason, with the places."""
+    places: dict[str, list[str]] = {}
+    for row in table[table["reason"] != ""].itertuples():
+        places.setdefault(str(row.reason), []).append(f"{row.prior} on {row.scene}")
+    return [f"{', '.join(where)}: {reason}" for reason, where in places.items()]
 
 
 def latex(table: pd.DataFrame) -> str:
     """The same table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
     shown = as_text(table)
-    reasons = [f"{row.scene}, {row.prior}: {row.reason}" for row in table.itertuples() if row.reason]
     titles = [r"$\delta < 1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
     words = sum(not form for _, form in COLUMNS.values())
     lines = [
-        *(comment(reason) for reason in reasons),
+        *(comment(reason) for reason in reasons(table)),
         rf"\begin{{tabular}}{{{'l' * words}{'r' * (len(titles) - words)}}}",
         r"\toprule",
         f"{' & '.join(titles)} \\\\",

@@ -1,7 +1,7 @@
 """Known depth in views: true depth of built-in scenes, else the sparse points of structure from motion.
 
-Of the points, every second one is the truth. A prior that is made from points gets the others, so that none is judged by
-what it was made from.
+Every second point is the truth. A prior that is made from points gets the others: none is judged by what it was made
+from.
 """
 
 from __future__ import annotations
