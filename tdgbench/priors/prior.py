@@ -17,8 +17,8 @@ ALTERNATIVES = {  # for real scenes: what to add to the command line, and what T
     "depth_anything": " (another network, also from thermal images alone)",
     "onnx": " prior.estimator.model=FILE (a network of yours)",
     "files": " prior.estimator.folder=DIR (maps made elsewhere)",
-    "sfm_points": " (from the RGB images' geometry: TDg then has more than thermal images, and counts for no claim of the"
-    " paper)",
+    "sfm_points": " (from the RGB images' geometry: TDg then has more than thermal images, and counts for no claim of"
+    " the paper)",
 }
 
 

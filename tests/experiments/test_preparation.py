@@ -39,11 +39,11 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     root = tmp_path / "data" / "RGBT-Scenes"
     for name in ("RoadBlock", "Truck"):
         shutil.copytree(small_scene.train[0].thermal_path.parents[1], root / name)
-    words = ("+experiment=table1", "scene=RoadBlock,Truck", f"data.root={tmp_path / 'data'}", *FAST)
+    words = ("+experiment=table1", "scene=RoadBlock,Truck", "method=splat,tdg", f"data.root={tmp_path / 'data'}", *FAST)
     run = command_here(tmp_path, *words)
     assert run.returncode == 1 and "Traceback" not in run.stderr
     assert run.stderr.count("prior=marigold is not available") == 1
-    start = run.stderr.split("msmg on", 1)[0]  # before the first cell
+    start = run.stderr.split("splat on", 1)[0]  # before the first cell
     assert "error: prior=marigold is not available" in start and "pip install 'tdgbench[depth]'" in start
     for other in ("prior=depth_anything", "prior=onnx", "prior=files", "prior=sfm_points"):
         assert other in start
@@ -52,13 +52,9 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     assert len(ends) == 1 and ends[0].startswith("failed: 2 cells without a depth prior: prior: prior=marigold is not")
     records = {(r.method, r.scene): r for r in read_all(tmp_path / "results" / "table1")}
     assert {key: r.status for key, r in records.items()} == {
-        (m, s): "ok" if m == "msmg" else "failed" for m in ("msmg", "tdg") for s in ("RoadBlock", "Truck")
-    }  # fmt: skip
-    assert records["tdg", "Truck"].why_failed.startswith(
-        "failed in prior: PriorUnavailableError: prior=marigold is not"
-    )
-    again = command_here(tmp_path, *words, "prior=sfm_points")  # what failed for want of a prior runs
-    assert again.returncode == 0 and "2 cells run, 2 already there, 0 failed" in again.stdout
+        (m, s): "ok" if m == "splat" else "failed" for m in ("splat", "tdg") for s in ("RoadBlock", "Truck")
+    }
+    assert "failed in prior: PriorUnavailableError: prior=marigold is not" in records["tdg", "Truck"].why_failed
 
 
 def test_a_failure_for_want_of_a_prior_is_tried_again(tmp_path, data_root, small_scene, monkeypatch):

@@ -14,7 +14,7 @@ OTHERS = {
     "depth_anything": "from thermal images alone",
     "onnx prior.estimator.model=FILE": "a network of yours",
     "files prior.estimator.folder=DIR": "maps made elsewhere",
-    "sfm_points": "TDg is then no method of thermal images alone",
+    "sfm_points": "TDg then has more than thermal images",
 }
 
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, mean_scores, to_8bit

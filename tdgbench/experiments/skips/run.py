@@ -31,7 +31,7 @@ SUCCESS = ("ok", "kept", "elsewhere")
 class SkipAblationOptions:
     """Options in `cfg.job`: what to run; skips outside of `skips` are off in all cells."""
 
-    scenes: Annotated[list[str], Field(min_length=1)]
+    scenes: Annotated[list[str | None], Field(min_length=1)]  # None: the only one
     skips: list[str]
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
