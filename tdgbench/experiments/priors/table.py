@@ -16,8 +16,8 @@ NONE = "none"  # TDg without its depth loss
 SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
 COLUMNS = {  # those of LaTeX: title, format
     "scene": ("scene", ""), "prior": ("prior", ""), "made_from": ("made from", ""), "abs_rel": ("AbsRel", ".3f"),
-    "delta": ("δ < 1.25", ".3f"), "rank": ("rank corr.", ".2f"), "psnr": ("PSNR, dB", ".2f"),
-    "psnr_gain": ("gain, dB", "+.2f"), "ssim": ("SSIM", ".3f"), "lpips": ("LPIPS", ".3f"),
+    "delta": ("δ<1.25", ".3f"), "rank": ("rank", ".2f"), "psnr": ("PSNR", ".2f"), "psnr_gain": ("gain", "+.2f"),
+    "ssim": ("SSIM", ".3f"), "lpips": ("LPIPS", ".3f"),
 }  # fmt: skip
 
 
@@ -90,7 +90,7 @@ def reasons(table: pd.DataFrame) -> list[str]:
 def latex(table: pd.DataFrame) -> str:
     """The same table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
     shown = as_text(table)
-    titles = [r"$\delta < 1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
+    titles = [r"$\delta<1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
     words = sum(not form for _, form in COLUMNS.values())
     lines = [
         *(comment(reason) for reason in reasons(table)),
