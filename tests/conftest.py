@@ -37,6 +37,15 @@ def squeeze_weights() -> Path:
 
 
 @pytest.fixture(scope="session")
+def vgg_weights() -> Path:
+    """The real LPIPS backbone of published tables, where it is."""
+    file = SHARED / "lpips_vgg" / "vgg16_torchvision_fp16.npz"
+    if not file.exists():
+        pytest.skip(f"the LPIPS backbone is not at {file}")
+    return file
+
+
+@pytest.fixture(scope="session")
 def data_root(tmp_path_factory) -> Path:
     """A data folder in which the tests' small synthetic scenes are made."""
     return tmp_path_factory.mktemp("data")

@@ -37,7 +37,13 @@ def test_every_plug_in_has_its_yaml():
     named = {p.stem: config(f"method={p.stem}").method.method._target_ for p in files}
     assert methods <= set(named)
     assert {target.split(".")[1] for target in named.values()} == methods  # one method, several sets of constants
-    priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {"__init__", "prior", "cache"}
+    priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {
+        "__init__",
+        "prior",
+        "cache",
+        "hub",
+        "visible",
+    }
     assert priors == {p.stem for p in (ROOT / "conf" / "prior").glob("*.yaml")}
 
 

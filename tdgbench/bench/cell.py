@@ -16,11 +16,12 @@ from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.memory import PeakMemory
 from tdgbench.bench.options import check_names, check_options
-from tdgbench.bench.outcome import Outcome, finished
+from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
 from tdgbench.bench.run import CellRun
 from tdgbench.files import settle
+from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
 from tdgbench.training.method import training_device
@@ -41,7 +42,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     except MissingScenesError as error:
         outcome = Outcome("missing", _title(cfg, run), str(error))
     except (Exception, SystemExit) as error:  # plug-ins may call sys.exit
-        outcome = Outcome("failed", _title(cfg, run), _keep_failure(error, run))
+        status: Status = "no prior" if isinstance(error, PriorUnavailableError) else "failed"
+        outcome = Outcome(status, _title(cfg, run), _keep_failure(error, run))
     finally:
         remarks = _close(held, progress)
     return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))

@@ -10,7 +10,7 @@ import torch
 
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.record import Failure
-from tdgbench.priors import PriorError
+from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
 from tdgbench.training.errors import TrainingError
 
@@ -37,12 +37,12 @@ REMEDIES = {
 
 
 def of_environment(error: BaseException) -> bool:
-    """Whether disk, memory, device or network caused an error, and not the cell: running again may work.
+    """Whether disk, memory, device, network or a missing prior caused an error: running again may work.
 
     >>> of_environment(OSError(errno.ENOSPC, "No space left on device")), of_environment(ValueError("seed=x"))
     (True, False)
     """
-    return _environment_kind(error) is not None
+    return isinstance(error, PriorUnavailableError) or _environment_kind(error) is not None
 
 
 def describe(error: BaseException, stage: str) -> Failure:

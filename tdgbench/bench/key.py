@@ -13,6 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.training.method import Method
 
 _OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that tables alone read
+_OF_RECORDS = ("made_from",)  # key of a prior's file that describes it
 
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
@@ -23,7 +24,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     return {
         "dataset": loader,
         "init": plain["init"],
-        "prior": plain["prior"] if method.needs_prior else None,
+        "prior": {k: v for k, v in plain["prior"].items() if k not in _OF_RECORDS} if method.needs_prior else None,
         "method": {k: v for k, v in plain["method"].items() if k not in _OF_TABLES},
         "backend": plain["backend"],
         "budget": plain["budget"],

@@ -122,6 +122,7 @@ class _Init(_PlugIn):
 
 class _Prior(_PlugIn):
     name: str
+    made_from: Literal["thermal images", "points", "truth", "files"] | None = None
     estimator: dict[str, Any]
 
 

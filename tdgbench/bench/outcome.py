@@ -9,12 +9,13 @@ from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.text import duration
 
-Status = Literal["ok", "kept", "failed", "missing", "elsewhere"]
+Status = Literal["ok", "kept", "failed", "missing", "no prior", "elsewhere"]
 WORDS: dict[Status, str] = {
     "ok": "done",
     "kept": "already there",
     "failed": "failed",
     "missing": "without data",
+    "no prior": "failed",
     "elsewhere": "running in another process",
 }
 ONCE = "compile"  # stage that only the first cell of a machine spends time in
@@ -24,8 +25,8 @@ ONCE = "compile"  # stage that only the first cell of a machine spends time in
 class Outcome:
     """Outcome of a cell.
 
-    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), or
-    `elsewhere` (another process runs it). scores, seconds: in words, and how long such a cell takes; of `ok` alone.
+    status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), `no prior` (it
+    failed because its depth prior is not available), or `elsewhere` (another process runs it). scores, seconds: in words, and how long such a cell takes; of `ok` alone.
     """
 
     status: Status
@@ -45,7 +46,7 @@ class Outcome:
         """
         scores = f", {self.scores}" if self.scores else ""
         first = self.message.partition("\n")[0]
-        remark = f" ({first})" if first and self.status in ("ok", "failed") else ""
+        remark = f" ({first})" if first and self.status in ("ok", "failed", "no prior") else ""
         return f"{self.title}: {WORDS[self.status]}{scores}{remark}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -122,9 +122,30 @@ def key_and_value(override: str) -> tuple[str, str]:
     return parsed.key_or_group, _as_text(parsed.value())
 
 
+def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:
+    """Composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
+
+    Only that of the command itself for a single run, and where the sweeper chooses values.
+    """
+    if not swept(config) or number_of_jobs(config) is None:
+        yield config
+        return
+    loader = GlobalHydra.instance().config_loader()
+    by_choice = {
+        tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in overrides_of_jobs(config)
+    }
+    for job in by_choice.values():
+        yield loader.load_sweep_config(config, job)
+
+
+def _key(word: str) -> str:
+    """Key of an override, without the signs before it."""
+    return word.lstrip("+~").partition("=")[0]
+
+
 def _with_keys(overrides: list[str], keys: Sequence[str]) -> list[str]:
     """Overrides of the given keys, without the signs before them."""
-    return [o.lstrip("+~") for o in overrides if o.lstrip("+~").split("=")[0] in keys]
+    return [o.lstrip("+~") for o in overrides if _key(o) in keys]
 
 
 def _overrides(config: DictConfig) -> list[Override]:

@@ -36,7 +36,7 @@ class SetupObserver:
         """Called after each of the stage's views."""
 
     def note_prior(self, description: dict[str, object]) -> None:
-        """Called once the depth priors are known, with their estimator's identity and kind."""
+        """Called once the depth priors are known, with their estimator's identity, kind and source."""
 
     def note_points(self, description: dict[str, object]) -> None:
         """Called once the initial points are known, with their number and origin."""
@@ -119,7 +119,8 @@ def _estimate_priors(
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
         skips.prior.note_cached(len(scene.train) - estimated, len(scene.train))
-        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind})
+        source = {"made_from": cfg.prior.made_from} if cfg.prior.get("made_from") else {}
+        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source})
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import torch
 from pydantic import NonNegativeInt, PositiveInt
 
-from tdgbench.priors.prior import DepthPrior, PriorError
+from tdgbench.priors.hub import chosen_device, importing, loading
+from tdgbench.priors.prior import DepthPrior
 from tdgbench.scenes import Scene, View
 
 
@@ -39,35 +41,33 @@ class MarigoldPrior:
         names = ("model", "steps", "ensemble", "resolution", "seed")
         return {"estimator": "marigold", **{name: getattr(self, name) for name in names}}
 
+    def prepare(self) -> None:
+        kind = _pipeline_class()
+        with loading("marigold", self.model):
+            if not Path(self.model).is_dir():
+                kind.download(self.model, variant=self._variant)
+            elif not (Path(self.model) / "model_index.json").is_file():
+                raise FileNotFoundError("the folder has no model_index.json")
+
     @cached_property
     def _pipeline(self):
-        try:
-            import diffusers
-        except ImportError as error:
-            raise PriorError(
-                f"prior=marigold needs diffusers ({error}): pip install 'tdgbench[depth]', "
-                "or choose prior=sfm_points or prior=files"
-            ) from error
-        half = self._device.type == "cuda"
-        try:
-            pipeline = diffusers.MarigoldDepthPipeline.from_pretrained(
+        kind = _pipeline_class()
+        with loading("marigold", self.model):
+            pipeline = kind.from_pretrained(
                 self.model,
-                variant="fp16" if half else None,
-                dtype=torch.float16 if half else torch.float32,
+                variant=self._variant,
+                dtype=torch.float32 if self._variant is None else torch.float16,
             )
-        except Exception as error:
-            raise PriorError(
-                f"no weights of {self.model} are available ({type(error).__name__}: {error}); connect once, "
-                "set HF_HOME to a cache that has them, or choose prior=sfm_points or prior=files"
-            ) from error
         pipeline.set_progress_bar_config(disable=True)
         return pipeline.to(self._device)
 
     @property
     def _device(self) -> torch.device:
-        if self.device == "auto":
-            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        return torch.device(self.device)
+        return chosen_device(self.device)
+
+    @property
+    def _variant(self) -> str | None:
+        return "fp16" if self._device.type == "cuda" else None
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3)).copy()
@@ -84,3 +84,10 @@ class MarigoldPrior:
             **options,
         )
         return DepthPrior(np.asarray(result.prediction)[0, :, :, 0].astype(np.float32), "depth")
+
+
+def _pipeline_class():
+    with importing("marigold"):
+        import transformers  # noqa: F401 (diffusers needs it, and says so late)
+        from diffusers import MarigoldDepthPipeline
+    return MarigoldDepthPipeline

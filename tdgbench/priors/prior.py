@@ -3,18 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from tdgbench.scenes import Scene, View
+from tdgbench.text import one_line
 
 Kind = Literal["depth", "disparity", "metric"]
 KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
+ALTERNATIVES = {  # for real scenes: what to add to the command line, and what TDg then is
+    "marigold": " (the paper's network)",
+    "depth_anything": " (another network, also from thermal images alone)",
+    "onnx": " prior.estimator.model=FILE (a network of yours)",
+    "files": " prior.estimator.folder=DIR (maps made elsewhere)",
+    "sfm_points": " (from the RGB images' geometry: TDg then has more than thermal images, and counts for no claim of"
+    " the paper)",
+}
 
 
 class PriorError(Exception):
     """No prior is available. The message names the view and the remedy."""
+
+
+class PriorUnavailableError(PriorError):
+    """An estimator cannot work for any scene: a package, weights or a model file are missing.
+
+    The message has three lines: what is missing, what to do, and the other priors with what they mean for TDg.
+
+    >>> print(str(PriorUnavailableError("marigold", "diffusers is not installed", "pip install it")).splitlines()[0])
+    prior=marigold is not available: diffusers is not installed
+    """
+
+    def __init__(self, prior: str, reason: str, remedy: str) -> None:
+        others = [f"prior={name}{words}" for name, words in ALTERNATIVES.items() if name != prior]
+        super().__init__(
+            f"prior={prior} is not available: {one_line(reason)}\n  {remedy}\n  or choose another: {'; '.join(others)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,3 +81,17 @@ class DepthEstimator(Protocol):
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         """Prior of a training view. Raises PriorError."""
+
+
+@runtime_checkable
+class NeedsPreparation(Protocol):
+    """An estimator that needs more than the scene: a package, weights, a model file."""
+
+    def prepare(self) -> None:
+        """Get what is missing, downloads included. Raises PriorUnavailableError."""
+
+
+def prepare(estimator: DepthEstimator) -> None:
+    """Get what an estimator needs besides the scene. Raises PriorUnavailableError."""
+    if isinstance(estimator, NeedsPreparation):
+        estimator.prepare()

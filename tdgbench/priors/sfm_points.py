@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
-from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from tdgbench.priors.prior import DepthPrior, PriorError
-from tdgbench.scenes import Scene, View
+from tdgbench.priors.visible import visible_points
+from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scenes.images import resize
 
 MIN_POINTS = 8
@@ -52,18 +52,12 @@ class SfmPointsPrior:
         full = resize(dense[..., None].astype(np.float32), camera.width, camera.height)[..., 0]
         return DepthPrior(full, "disparity")
 
-    def _splat_points(self, points: np.ndarray, camera) -> tuple[np.ndarray, np.ndarray]:
+    def _splat_points(self, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Mean inverse depth (H, W) and number (H, W) of the visible ones of the points (N, 3), per grid cell."""
-        pixels, z = camera.project(points)
-        inside = (z > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < camera.width) & (pixels[:, 1] < camera.height)
-        columns, rows = pixels[inside].astype(int).T
-        z = z[inside]
-        nearest = np.full((camera.height, camera.width), np.inf)
-        np.minimum.at(nearest, (rows, columns), z)
-        visible = z <= minimum_filter(nearest, size=5)[rows, columns] * (1 + self.occlusion)
-        total, count = np.zeros_like(nearest), np.zeros_like(nearest)
-        np.add.at(total, (rows[visible], columns[visible]), 1 / z[visible])
-        np.add.at(count, (rows[visible], columns[visible]), 1)
+        _, rows, columns, z = visible_points(camera, points, self.occlusion)
+        total, count = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width))
+        np.add.at(total, (rows, columns), 1 / z)
+        np.add.at(count, (rows, columns), 1)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 0), count
 
     def _solve(self, values: np.ndarray, weight: np.ndarray, thermal: np.ndarray) -> np.ndarray:

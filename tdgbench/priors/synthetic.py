@@ -38,7 +38,7 @@ class SyntheticPrior:
         if view.true_depth is None:
             raise PriorError(
                 f"view {view.name} of {scene.name} has no true depth; prior=synthetic is for the synthetic scenes "
-                "(use prior=sfm_points, marigold or files)"
+                "(use prior=marigold, depth_anything, onnx, files or sfm_points)"
             )
         rng = np.random.default_rng([self.seed, zlib.crc32(f"{scene.name}/{view.name}".encode())])
         depth = view.true_depth.astype(np.float64)

@@ -11,7 +11,7 @@ from tdgbench.bench.record import READ_STAGE, Record
 from tdgbench.files import write_text
 from tdgbench.report.published import published_section
 from tdgbench.report.scene import scene_section
-from tdgbench.report.scores import further_scores, legend, main_scores
+from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores
 from tdgbench.report.strip import place_name
 from tdgbench.tables.build import Tables
 from tdgbench.tables.cell import Cell, finished_cells
@@ -37,6 +37,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         findings=tables.findings,
         table=main_scores(tables),
         further=further_scores(tables),
+        priors=depth_priors(records),
         legend=legend(tables),
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from tdgbench.bench.record import Record
 from tdgbench.report.published import beside
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
@@ -15,6 +17,10 @@ from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, as_te
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.results import first_points, split_notes
 
+SOURCES = {  # of depth priors, in words
+    "points": "the sparse points, which come from RGB images: no evidence for a method of thermal images alone",
+    "truth": "true depth, with the errors of a monocular network",
+}
 PLACE = ["dataset", "scene", "method"]
 
 
@@ -33,6 +39,24 @@ def further_scores(tables: Tables) -> dict[str, Any] | None:
     known = set(tables.main.loc[tables.main["value"].notna(), "metric"])
     metrics = [metric for metric in EXTRA if metric in known]
     return {**_by_scene(tables, metrics, {}), "notes": []} if metrics else None
+
+
+def depth_priors(records: Sequence[Record]) -> list[str]:
+    """What the finished cells took as depth priors: method, estimator, and what its maps are made from.
+
+    >>> prior = {"estimator": "marigold", "model": "prs-eth/marigold-depth-v1-1", "made_from": "thermal images"}
+    >>> depth_priors([Record("mine", "", "a", "", 0, "", "", prior=prior)])
+    ['mine: marigold (prs-eth/marigold-depth-v1-1), made from thermal images']
+    """
+    found = []
+    for record in records:
+        if record.prior is None or record.failure is not None:
+            continue
+        model, source = record.prior.get("model"), record.prior.get("made_from")
+        name = f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}"
+        made = f", made from {SOURCES.get(str(source), source)}" if source else ""
+        found.append(f"{methods.label(record.method)}: {name}{made}")
+    return list(dict.fromkeys(found))
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:

@@ -22,7 +22,9 @@ def test_the_key_covers_what_matters_and_nothing_else():
     for other in ("seed=1", "method.method.lambda_ssim=0.3", "budget.iterations=9", "init=random", "metrics=standard",
                   "data.width=20", "backend=reference", "skip.gray=false"):  # fmt: skip
         assert record(other).key != base, other
-    assert record("prior=synthetic", method="tdg").key != record(method="tdg").key
+    tdg = record(method="tdg").key  # with the default prior of the built-in scenes
+    assert record("prior=synthetic", method="tdg").key == tdg != record("prior=sfm_points", method="tdg").key
+    assert record("prior.made_from=points", method="tdg").key == tdg
     assert record(data="e").key != base and record(code="e").key != base
 
 

@@ -1,9 +1,13 @@
 import csv
 
+import numpy as np
 import pytest
 from hydra.utils import instantiate
+from PIL import Image
 
+from tdgbench.bench.record import read_all
 from tdgbench.bench.scores import score_training_views, score_views, write_views
+from tdgbench.scoring.lpips import LPIPS
 from tests.helpers.configs import config
 from tests.helpers.training import ready_to_train
 
@@ -21,3 +25,18 @@ def test_scores_of_test_and_training_views(small_gray_scene, tmp_path):
     for row in rows:
         assert float(row["psnr"]) == pytest.approx(scores[row["view"]]["psnr"])
         assert row["rgb_psnr"] == "n/a"
+
+
+def test_lpips_with_the_published_backbone(tiny_cell, vgg_weights):
+    """`metrics.lpips.net=vgg metrics.lpips.weights=FILE`: LPIPS of the pictures that a cell leaves."""
+    assert tiny_cell("metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}").status == "ok"
+    metric = LPIPS("vgg", "unit", str(vgg_weights))
+
+    def picture(path):
+        return np.asarray(Image.open(path), np.float32).reshape(36, 48, -1) / 255
+
+    renders = sorted((tiny_cell.folder / "renders").glob("*.png"))
+    found = [metric(picture(path), picture(tiny_cell.folder / "targets" / path.name)) for path in renders]
+    (record,) = read_all(tiny_cell.experiment)
+    assert len(found) == 2 and record.scores["lpips"] == pytest.approx(np.mean(found), abs=1e-6)
+    assert "lpips" not in record.missing

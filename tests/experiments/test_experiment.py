@@ -69,7 +69,7 @@ def test_a_sweep_and_a_failing_end(squares):
     assert squares.log.read_text().splitlines() == ["start [1, 2]", "run [1, 4] seed 5", "run [1, 4] seed 6", "end 2"]
 
 
-@pytest.mark.parametrize("name", ["error_time", "skips", "stress", "demo"])
+@pytest.mark.parametrize("name", ["error_time", "priors", "skips", "stress", "demo"])
 def test_every_experiment_file_names_an_experiment(name):
     assert isinstance(experiment_of(config(f"+experiment={name}")), Experiment)
 

@@ -95,7 +95,8 @@ def test_prior(page, data_root, small_scene):
     prior = page("prior")
     without_prior = [override for override in QUICK if override != "prior=synthetic"]
     assert prior.run(f"data.root={data_root}", *without_prior) == 0
-    assert records(prior)[0].prior == {"estimator": "plane", "min_points": 8, "kind": "disparity"}
+    described = {"estimator": "plane", "min_points": 8, "kind": "disparity", "made_from": "points"}
+    assert records(prior)[0].prior == described
     from plane import PlanePrior
 
     estimate: DepthPrior = PlanePrior(8).estimate(small_scene, small_scene.train[0]).check(small_scene.train[0])

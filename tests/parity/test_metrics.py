@@ -8,7 +8,6 @@ from tdgbench.scoring.lpips import LPIPS
 from tdgbench.scoring.metrics.channel_psnr import channel_psnr
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.metrics.ssim import ssim
-from tests.helpers.paths import SHARED
 from tests.parity.originals import original
 
 IMAGES = ("gray", "color", "flat")
@@ -20,12 +19,9 @@ def theirs():
 
 
 @pytest.fixture(scope="module")
-def vgg() -> LPIPS:
-    """LPIPS with the real trunk of published tables, where it is."""
-    file = SHARED / "lpips_vgg" / "vgg16_torchvision_fp16.npz"
-    if not file.exists():
-        pytest.skip(f"the LPIPS backbone is not at {file}")
-    return LPIPS("vgg", "signed", str(file))
+def vgg(vgg_weights) -> LPIPS:
+    """LPIPS with the real trunk of published tables."""
+    return LPIPS("vgg", "signed", str(vgg_weights))
 
 
 def pair(theirs, name: str, kind: str) -> list[np.ndarray]:

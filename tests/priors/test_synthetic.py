@@ -1,4 +1,4 @@
-import builtins
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,14 +26,7 @@ def test_synthetic_depends_on_its_seed(small_scene):
     assert np.array_equal(a, b) and not np.array_equal(a, c)
 
 
-def test_marigold_without_diffusers_names_the_extra(small_scene, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name == "diffusers":
-            raise ImportError("no diffusers here")
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(PriorError, match=r"pip install 'tdgbench\[depth\]'"):
-        make("marigold").estimate(small_scene, small_scene.train[0])
+def test_other_scenes_have_no_true_depth(small_scene):
+    view = replace(small_scene.train[0], true_depth_path=None)
+    with pytest.raises(PriorError, match="has no true depth; prior=synthetic is for the synthetic scenes"):
+        make("synthetic").estimate(small_scene, view)

@@ -67,6 +67,11 @@ class Sources(HTMLParser):
         self.opened.append(tag)
 
 
+def test_the_depth_prior_is_named(page):
+    text = page.read_text(encoding="utf-8")
+    assert "Depth prior of TDg: synthetic, made from true depth, with the errors of a monocular network" in text
+
+
 def test_everything_is_in_the_file(page):
     text = page.read_text()
     parser = Sources()

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
@@ -58,6 +59,17 @@ def test_conventions_differ(small_scene):
     wrong = np.roll(to_8bit(view.thermal), 3, axis=0)
     a, b = (score(scorer(f"metrics={name}"), small_scene, wrong, view.true_depth) for name in ("3dgs", "standard"))
     assert a["psnr"] == b["psnr"] and a["ssim"] != b["ssim"]
+
+
+def test_the_published_backbone_through_the_options(vgg_weights):
+    """`metrics.lpips.net=vgg metrics.lpips.weights=FILE`: the values that its README gives for these images."""
+    g = torch.Generator().manual_seed(42)
+    a, b = (torch.rand(2, 3, 100, 100, generator=g).permute(0, 2, 3, 1).numpy() for _ in range(2))
+    scoring = scorer("metrics=standard", "metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}")
+    assert [scoring.lpips(*pair) for pair in zip(a, b, strict=True)] == pytest.approx([0.3582, 0.3456], abs=1e-4)
+    in_unit_range = scorer("metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}")  # as published tables
+    assert in_unit_range.lpips((a[0] + 1) / 2, (b[0] + 1) / 2) != pytest.approx(0.3582, abs=1e-3)
+    assert in_unit_range.lpips(a[0], a[0]) == 0
 
 
 def test_with_a_backbone(small_scene, squeeze_weights):

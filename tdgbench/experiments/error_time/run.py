@@ -18,6 +18,7 @@ from tdgbench.experiments.error_time.draw import draw_curves, draw_growth, draw_
 from tdgbench.experiments.error_time.show import show
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_cloud
+from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
@@ -59,6 +60,14 @@ class ErrorTime(Experiment):
     """Run time against error."""
 
     options = ErrorTimeOptions
+
+    def start(self, cfg: DictConfig) -> None:
+        """Raises PriorUnavailableError if a training needs a prior that is not available."""
+        if "training" in cfg.job.parts:
+            for one in training.runs_of(cfg):
+                cell = cfg.copy()
+                cell.method = cfg.job.methods[one.method]
+                prepare_prior(cell)
 
     def run(self, cfg: DictConfig) -> None:
         """Measure the parts in `cfg.job.parts`. Raises SystemExit(1) if a training failed."""

@@ -16,6 +16,7 @@ from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.skips.draw import draw
 from tdgbench.experiments.skips.table import skip_rows, summary
 from tdgbench.experiments.skips.variants import run_variants
@@ -30,7 +31,7 @@ SUCCESS = ("ok", "kept", "elsewhere")
 class SkipAblationOptions:
     """Options in `cfg.job`: what to run; skips outside of `skips` are off in all cells."""
 
-    scenes: Annotated[list[str], Field(min_length=1)]
+    scenes: Annotated[list[str | None], Field(min_length=1)]  # None: the only one
     skips: list[str]
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
@@ -39,6 +40,10 @@ class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
+
+    def start(self, cfg: DictConfig) -> None:
+        """Raises PriorUnavailableError if the cells' prior is not available."""
+        prepare_prior(cfg)
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""

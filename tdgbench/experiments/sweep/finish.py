@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.outcome import Outcome
+from tdgbench.bench.outcome import Outcome, Status
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show, show_findings
 from tdgbench.terminal import console, say
 
+FAILED = ("failed", "missing", "no prior")
+
 
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     """Write tables and pictures of all cells on disk; print a summary, one line per failure, and what was found.
+
+    Cells that lack the same prior have one line.
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
@@ -28,10 +33,13 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.status == "failed":
             say(f"{outcome.title}: {outcome.message}", "failed:")
+    without_prior = [outcome.message.splitlines()[0] for outcome in outcomes if outcome.status == "no prior"]
+    for message in dict.fromkeys(without_prior):
+        say(f"{_cells(without_prior.count(message))} without a depth prior: {message}", "failed:")
     show_findings(found)
     if problem is not None:
         say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
-    if problem is not None or any(outcome.status in ("failed", "missing") for outcome in outcomes):
+    if problem is not None or any(outcome.status in FAILED for outcome in outcomes):
         raise SystemExit(1)
 
 
@@ -41,14 +49,18 @@ def summary(outcomes: list[Outcome]) -> str:
     >>> summary([Outcome("ok", "tdg on a"), Outcome("kept", "tdg on b"), Outcome("kept", "tdg on c")])
     '1 cell run, 2 already there, 0 failed, 0 without data'
     """
-    count = {s: sum(o.status == s for o in outcomes) for s in ("ok", "kept", "failed", "missing", "elsewhere")}
+    count = {s: sum(o.status == s for o in outcomes) for s in get_args(Status)}
     parts = [
-        f"{count['ok']} {'cell' if count['ok'] == 1 else 'cells'} run",
+        f"{_cells(count['ok'])} run",
         f"{count['kept']} already there",
-        f"{count['failed']} failed",
+        f"{count['failed'] + count['no prior']} failed",
         f"{count['missing']} without data",
     ]
     return ", ".join(parts + ([f"{count['elsewhere']} running in another process"] if count["elsewhere"] else []))
+
+
+def _cells(count: int) -> str:
+    return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
 def _write_all(experiment: Path) -> list[str]:

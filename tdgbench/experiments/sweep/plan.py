@@ -1,4 +1,4 @@
-"""Before a sweep: write its plan, count its cells, and name all missing scenes before hours of work begin."""
+"""Before a sweep: write its plan, count its cells, and name missing scenes and priors before hours of work begin."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.plan import IN_THE_PATH, Plan, key_and_value, number_of_jobs, overrides_of_jobs, swept
+from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, key_and_value, number_of_jobs, overrides_of_jobs, swept
 from tdgbench.bench.record import Record
 from tdgbench.bench.stored import readable_record
+from tdgbench.experiments.preparation import unavailable_priors
 from tdgbench.experiments.sweep.cells import PlannedCell, State, counted, write_cells
 from tdgbench.scenes import Description, SceneError
 from tdgbench.terminal import say
@@ -28,7 +29,9 @@ class CellCount(NamedTuple):
 
 
 def plan_sweep(cfg: DictConfig) -> CellCount:
-    """Write the plan of a sweep; print one error for all missing scenes, and the number of its cells.
+    """Write the plan of a sweep; print one error for all missing scenes, one for each missing prior, and the number of
+    its cells.
+
 
     Raises SystemExit(1) for an unknown scene.
     """
@@ -43,6 +46,8 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
         raise SystemExit(1) from error
     if missing:
         say(dataset.explain_missing(missing), "error:", stderr=True)
+    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
+        say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     plan = Plan(
         table=cfg.table,
         scenes=scenes,

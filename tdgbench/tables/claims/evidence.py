@@ -63,6 +63,7 @@ def evidence_of(experiments: Iterable[Path]) -> Evidence:
     """Our evidence: every cell of the experiments that has scores.
 
     Cells with overrides of a method's or a prior's settings do not count: they are not the method as its YAML has it.
+    Cells whose prior is made from the sparse points, which come from RGB images, do not: TDg has thermal images alone.
     Raises ValueError for a folder without records.
     """
     cells: list[Cell] = []
@@ -107,6 +108,8 @@ def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
 
 
 def _is_plain(record: Record) -> bool:
+    if record.prior is not None and record.prior.get("made_from") == "points":
+        return False
     return not any(override.startswith(("method.", "prior")) for override in record.variant.split(","))
 
 

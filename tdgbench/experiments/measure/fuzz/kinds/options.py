@@ -19,8 +19,9 @@ from tdgbench.experiments.measure.fuzz.inputs import CELL, SCENE, copy_scene
 from tdgbench.resources import conf_folder
 
 GROUPS = ("backend", "budget", "dataset", "init", "method", "metrics", "prior", "skip")
-NEED_MORE = ("prior=marigold", "prior=synthetic", "backend=cuda", "backend=reference", "dataset=paper",
-             "dataset=rgbt_scenes", "dataset=thermalmix")  # fmt: skip
+PRIOR = "prior=sfm_points"  # of the captures; the default needs weights
+NEED_MORE = ("prior=marigold", "prior=depth_anything", "prior=onnx", "prior=synthetic", "backend=cuda",
+             "backend=reference", "dataset=paper", "dataset=rgbt_scenes", "dataset=thermalmix")  # fmt: skip
 SMALL = {"dataset=synthetic": ("dataset.loader.width=32", "dataset.loader.height=24", "dataset.loader.views=6",
                                "dataset.loader.points=150", "scene=orbit")}  # fmt: skip
 FREE = ("name", "results", "root", "scene", "label", "weights", "folder", "default_scene", "compared_with", "order",
@@ -61,7 +62,7 @@ class Options(Kind):
         super().__init__(base, folder, rng)
         shutil.rmtree(folder / "data", ignore_errors=True)
         copy_scene(base, folder / "data" / SCENE)
-        self.words: list[str] = [*CELL, "method=tdg", f"scene={SCENE}"]
+        self.words: list[str] = [*CELL, "method=tdg", PRIOR, f"scene={SCENE}"]
         self.chosen: set[str] = set()
 
     def mutate(self, rng: random.Random) -> Change:
@@ -111,7 +112,7 @@ def options() -> tuple[Option, ...]:
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         for word in ("", *_choices()):
             words = (word, *SMALL.get(word, ())) if word else ()
-            cfg = compose("config", overrides=list(words))
+            cfg = compose("config", overrides=[PRIOR, *words])
             for key, value in _leaves(cfg):
                 if not word or key.startswith(f"{word.split('=')[0]}."):
                     found.setdefault((word if key.split(".")[0] in GROUPS else "", key), Option(words, key, value))

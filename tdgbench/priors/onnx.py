@@ -1,0 +1,217 @@
+"""Any monocular depth network as an ONNX file, run by onnxruntime on the CPU. Needs the extra `onnx`.
+
+Image in: 1 or 3 channels in [0, 1] (gray repeated, or colour averaged), normalised if asked, resized to the network's
+input: area average to shrink, bilinear to grow, the aspect ratio given up where the model fixes both sides. Map out:
+resized in the same way to the size of the image.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import PositiveInt
+
+from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError
+from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.scenes.images import resize
+from tdgbench.scenes.inputs import hash_of, listed, regular_file
+from tdgbench.splats.cpu import pool
+from tdgbench.text import shortened
+
+IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # torchvision's, of images in [0, 1]
+IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
+TYPES: dict[str, type[np.floating[Any]]] = {  # of the input, by onnxruntime's name
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+}
+QUIET = 4  # onnxruntime's log level for fatal errors alone: others are raised
+EXPECTED = "one float input (1, C, H, W) or (1, H, W, C) with C = 1 or 3"
+LONGEST_REASON = 300  # characters
+
+
+class OnnxPrior:
+    """Prior of the kind that the network estimates. Equal images give equal maps, for any number of threads.
+
+    model: the file. kind: of the network's output, see DepthPrior. normalization: `none` (values in [0, 1]) or
+    `imagenet` (minus the mean, over the standard deviation of ImageNet's colours). output: its name; None: the only
+    one. For a network that leaves its input's size open: width of the input in px (None: the image's), and the number
+    that both sides are multiples of.
+    """
+
+    def __init__(
+        self,
+        model: str | None,
+        kind: Kind,
+        normalization: Literal["none", "imagenet"],
+        output: str | None,
+        width: PositiveInt | None,
+        multiple: PositiveInt,
+    ) -> None:
+        self.model, self.kind, self.normalization, self.output = model, kind, normalization, output
+        self.width, self.multiple = width, multiple
+
+    def prepare(self) -> None:
+        _ = self._network
+
+    def identity(self, scene: Scene) -> dict[str, object]:
+        names = ("kind", "normalization", "output", "width", "multiple")
+        options = {name: getattr(self, name) for name in names}
+        return {"estimator": "onnx", "model": self._path.name, "files": self._hash(), **options}
+
+    def estimate(self, scene: Scene, view: View) -> DepthPrior:
+        network, camera = self._network, view.camera
+        height, width = self._input_size(camera.height, camera.width)
+        image = with_channels(resize(view.thermal, width, height), network.channels)
+        if self.normalization == "imagenet":
+            image = normalized(image)
+        tensor = np.ascontiguousarray(image if network.is_channels_last else image.transpose(2, 0, 1))
+        try:
+            (found,) = network.session.run([network.output], {network.input: tensor[None].astype(network.dtype)})
+        except Exception as error:  # onnxruntime's errors have no common type
+            reason = shortened(str(error), LONGEST_REASON)
+            raise PriorError(
+                f"view {view.name}: {self._path} cannot run at {width} × {height} px ({reason}); set "
+                "prior.estimator.width or prior.estimator.multiple to what the network takes"
+            ) from error
+        values = as_map(np.asarray(found))
+        if values is None:
+            raise PriorError(
+                f"view {view.name}: output {network.output!r} of {self._path} has shape {np.shape(found)}, which is no "
+                "depth map (1, 1, H, W); name another with prior.estimator.output"
+            )
+        full = resize(values.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
+        return DepthPrior(full, self.kind)
+
+    def _input_size(self, height: int, width: int) -> tuple[int, int]:
+        """Height and width of the network's input for an image of height × width."""
+        network, goal = self._network, self.width or width
+        open_height = to_multiple(height * goal / width, self.multiple)
+        return network.height or open_height, network.width or to_multiple(goal, self.multiple)
+
+    @property
+    def _path(self) -> Path:
+        if self.model is None:
+            raise PriorUnavailableError("onnx", "it has no network", "name its file: prior.estimator.model=FILE")
+        return Path(self.model)
+
+    def _hash(self) -> str:
+        """Hash of the model's file and of its weights beside it (`<model>.data`, `<model>_data`)."""
+        digest = hashlib.sha256()
+        try:
+            regular_file(self._path)
+            for path in listed(self._path.parent):
+                if path.name.startswith(self._path.name):
+                    digest.update(path.name.removeprefix(self._path.name).encode() + hash_of(path))
+        except SceneError as error:
+            raise self._no_file(error) from error
+        return digest.hexdigest()[:16]
+
+    def _no_file(self, error: Exception) -> PriorUnavailableError:
+        return PriorUnavailableError("onnx", str(error), "name a network's file: prior.estimator.model=FILE")
+
+    @cached_property
+    def _network(self) -> Network:
+        try:
+            path = regular_file(self._path)
+        except SceneError as error:
+            raise self._no_file(error) from error
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise PriorUnavailableError(
+                "onnx", f"onnxruntime cannot be imported ({error})", "pip install 'tdgbench[onnx]'"
+            ) from error
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = pool.get_threads(), 1
+        options.use_deterministic_compute, options.log_severity_level = True, QUIET
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
+        try:
+            session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime's errors have no common type
+            raise PriorUnavailableError(
+                "onnx",
+                f"{path} cannot be read as an ONNX model ({shortened(str(error), LONGEST_REASON)})",
+                "export the network again, for example with torch.onnx.export",
+            ) from error
+        return network_of(session, path, self.output)
+
+
+class Network(NamedTuple):
+    """A network that is ready to run, and what it takes and gives."""
+
+    session: Any  # onnxruntime.InferenceSession
+    input: str
+    output: str
+    channels: int
+    is_channels_last: bool
+    height: int | None  # px; None: open
+    width: int | None
+    dtype: type[np.floating[Any]]
+
+
+def network_of(session: Any, path: Path, output: str | None) -> Network:
+    """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
+    inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
+    described = ", ".join(f"{one.name}: {one.type} {list(one.shape)}" for one in inputs)
+    shape = list(inputs[0].shape) if inputs else []
+    sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
+    is_batch = len(sides) == 4 and sides[0] in (1, None)
+    places = [place for place in (1, 3) if is_batch and sides[place] in (1, 3)]
+    if len(inputs) != 1 or not places or inputs[0].type not in TYPES:
+        raise PriorUnavailableError(
+            "onnx", f"{path} takes {described or 'nothing'}", f"it must take an image: {EXPECTED}; export it so"
+        )
+    if (output is None and len(outputs) > 1) or (output is not None and output not in outputs):
+        raise PriorUnavailableError(
+            "onnx", f"{path} has the outputs {', '.join(outputs)}", "name one of them: prior.estimator.output=NAME"
+        )
+    is_last = places[0] == 3
+    height, width = (sides[1], sides[2]) if is_last else (sides[2], sides[3])
+    channels = int(shape[places[0]])
+    return Network(
+        session, inputs[0].name, output or outputs[0], channels, is_last, height, width, TYPES[inputs[0].type]
+    )  # fmt: skip
+
+
+def with_channels(image: np.ndarray, channels: int) -> np.ndarray:
+    """An image (H, W, C) with 1 or 3 channels: gray is repeated, colours are averaged.
+
+    >>> with_channels(np.array([[[0.0, 0.5, 1.0]]]), 1).tolist(), with_channels(np.array([[[0.5]]]), 3).tolist()
+    ([[[0.5]]], [[[0.5, 0.5, 0.5]]])
+    """
+    if image.shape[2] == channels:
+        return image
+    return np.repeat(image.mean(axis=2, keepdims=True), channels, axis=2)
+
+
+def normalized(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, C) in [0, 1], minus ImageNet's mean, over its standard deviation; gray by their averages."""
+    if image.shape[2] == 1:
+        return (image - IMAGENET_MEAN.mean()) / IMAGENET_STD.mean()
+    return (image - IMAGENET_MEAN) / IMAGENET_STD
+
+
+def as_map(output: np.ndarray) -> np.ndarray | None:
+    """A network's output of shape (H, W), with ones before it or one after it, as a map (H, W); else None.
+
+    >>> [as_map(np.zeros(shape)) is None for shape in ((1, 1, 4, 6), (1, 4, 6, 1), (1, 3, 1, 6))]
+    [False, False, True]
+    """
+    while output.ndim > 2 and output.shape[0] == 1:
+        output = output[0]
+    if output.ndim == 3 and output.shape[2] == 1:
+        output = output[..., 0]
+    return output if output.ndim == 2 else None
+
+
+def to_multiple(size: float, multiple: int) -> int:
+    """The multiple that is nearest to a size, at least one.
+
+    >>> to_multiple(480, 14), to_multiple(3, 32)
+    (476, 32)
+    """
+    return max(1, round(size / multiple)) * multiple

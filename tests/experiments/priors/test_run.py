@@ -1,0 +1,63 @@
+import hashlib
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tdgbench.bench.record import read_all
+from tdgbench.experiments.priors.run import Priors
+from tests.helpers.command import command_here
+from tests.helpers.configs import SMALL, config
+
+FEW = ("budget.iterations=12", "job.scenes=[turntable]", "~job.priors.depth_anything", "~job.priors.marigold")
+
+
+def overrides(tmp_path, data_root, *more):
+    return ("+experiment=priors", *SMALL, f"data.root={data_root}", f"results={tmp_path}", *FEW, *more)
+
+
+def test_errors_and_scores_of_every_prior(tmp_path, data_root, capsys):
+    Priors().run(config(*overrides(tmp_path, data_root)))
+    folder = tmp_path / "priors"
+    table = pd.read_csv(folder / "priors.csv", keep_default_na=False).set_index("prior")
+    assert list(table.index) == ["none", "synthetic", "sfm_points", "onnx"]
+    errors = table.loc[["synthetic", "sfm_points"], ["abs_rel", "delta", "rank"]].astype(float)
+    assert errors["abs_rel"].between(0.001, 0.5).all() and errors[["delta", "rank"]].gt(0.5).all(axis=None)
+    assert errors.loc["synthetic", "abs_rel"] < errors.loc["sfm_points", "abs_rel"]
+    assert list(table["truth"]) == ["", "true depth", "true depth", ""]
+    assert list(table["made_from"]) == ["", "truth", "points", "thermal images"]
+    assert table.loc["onnx", "psnr"] == "n/a" and table.loc["onnx", "reason"].endswith("it has no network")
+    records = {record.variant: record for record in read_all(folder)}
+    assert {v: r.method for v, r in records.items()} == {
+        "prior=none": "splat_smooth", "prior=synthetic": "tdg", "prior=sfm_points": "tdg",
+    }  # fmt: skip
+    assert records["prior=none"].prior is None and records["prior=sfm_points"].prior["made_from"] == "points"
+    for prior in ("synthetic", "sfm_points"):
+        gain = records[f"prior={prior}"].scores["psnr"] - records["prior=none"].scores["psnr"]
+        assert float(table.loc[prior, "psnr_gain"]) == pytest.approx(gain)
+    views = pd.read_csv(folder / "priors_views.csv")
+    means = views.groupby("prior")[["abs_rel", "delta", "rank"]].mean()
+    assert len(views) == 16 and np.allclose(means.loc[errors.index], errors)
+    assert (folder / "priors.tex").read_text(encoding="utf-8").count(r" \\") == 5
+    said = capsys.readouterr().out
+    assert "onnx on turntable: prior=onnx is not available" in said
+
+    Priors().run(config(*overrides(tmp_path, data_root)))
+    assert {record.variant: record.hashes for record in read_all(folder)} == {v: r.hashes for v, r in records.items()}
+
+
+def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, data_root):
+    """The row `none` trains 3DGS with eq. 6: the same model, bit for bit, as TDg with λ_depth = 0."""
+    few = ("~job.priors.onnx", "~job.priors.sfm_points", "method.method.lambda_depth=0")
+    Priors().run(config(*overrides(tmp_path, data_root, *few)))
+    models = [
+        hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted((tmp_path / "priors" / "cells").rglob("*.ply"))
+    ]
+    assert len(models) == 2 and models[0] == models[1]
+
+
+def test_a_scene_that_is_not_there_fails_alone(tmp_path, data_root):
+    few = ("job.scenes=[nowhere,turntable]", "~job.priors.sfm_points")
+    run = command_here(tmp_path, *overrides(tmp_path / "results", data_root, *few)[:-1], few[1])
+    assert run.returncode == 1 and "failed: no synthetic scene nowhere" in run.stdout, run.stderr[-2000:]
+    assert len(pd.read_csv(tmp_path / "results" / "priors" / "priors.csv")) == 3

@@ -1,0 +1,44 @@
+"""Estimators from the Hugging Face hub where they cannot be had."""
+
+import sys
+
+import pytest
+
+from tdgbench.bench.failures import of_environment
+from tdgbench.priors import PriorUnavailableError, prepare
+from tdgbench.priors.hub import loading
+from tests.priors.estimators import make
+
+OTHERS = {
+    "marigold": "the paper's network",
+    "depth_anything": "from thermal images alone",
+    "onnx prior.estimator.model=FILE": "a network of yours",
+    "files prior.estimator.folder=DIR": "maps made elsewhere",
+    "sfm_points": "TDg then has more than thermal images",
+}
+
+
+@pytest.mark.parametrize("name", ["marigold", "depth_anything"])
+@pytest.mark.parametrize("call", ["prepare", "estimate"])
+def test_without_the_package_the_error_names_the_extra_and_the_alternatives(small_scene, monkeypatch, name, call):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    estimator = make(name)
+    with pytest.raises(PriorUnavailableError) as caught:
+        if call == "prepare":
+            prepare(estimator)
+        else:
+            estimator.estimate(small_scene, small_scene.train[0])
+    what, remedy, others = str(caught.value).splitlines()
+    assert what.startswith(f"prior={name} is not available: a package is missing or broken")
+    assert remedy == "  pip install 'tdgbench[depth]'"
+    for other, words in OTHERS.items():
+        assert (f"prior={other} (" in others and words in others) == (other != name), other
+    assert of_environment(caught.value)
+
+
+def test_weights_that_cannot_be_had():
+    said = r"no weights of a/b \(OSError: no route\)\n  connect to the Hugging Face hub once"
+    with pytest.raises(PriorUnavailableError, match=said), loading("marigold", "a/b"):
+        raise OSError("no route")
+    with pytest.raises(MemoryError), loading("marigold", "a/b"):
+        raise MemoryError
