@@ -6,6 +6,7 @@ from functools import cache
 
 import matplotlib
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 COLOR_MAPS = ("inferno", "gray", "viridis", "magma", "plasma", "turbo", "coolwarm")
 UNKNOWN = 128  # gray of pixels without a value
@@ -51,3 +52,13 @@ def wiped(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
     if 0 < divide < left.shape[1]:
         joined[:, divide] = 255
     return joined
+
+
+def labelled(picture: np.ndarray, left: str, right: str, share: float) -> np.ndarray:
+    """A wiped picture with a name at the bottom on each side of the divide."""
+    image = Image.fromarray(picture)
+    draw, divide, gap = ImageDraw.Draw(image), share * image.width, image.height / 80
+    font = ImageFont.load_default(max(8.0, image.height / 36))
+    for text, x, anchor in ((left, divide - gap, "rb"), (right, divide + gap, "lb")):
+        draw.text((x, image.height - gap), text, "white", font, anchor, stroke_width=1, stroke_fill="black")
+    return np.asarray(image)

@@ -7,15 +7,17 @@ from html import escape
 
 import numpy as np
 import viser
+from PIL import Image
 
 from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
+from tdgbench.view.cursor import VALUE_ID
 from tdgbench.view.paint import COLOR_MAPS, as_rgb
 from tdgbench.view.renderer import Frame, Look, Quantity
 
 ALONE = "–"  # choice of no second cell
 PREVIOUS, NEXT = "← previous", "next →"
-HINT = "click on the picture to read a value"
+PICTURE_WIDTH = 360  # px
 NOTHING = np.zeros((1, 1, 3), np.uint8)
 
 
@@ -60,12 +62,12 @@ class Panel:
 
     def show_view(self, view: str) -> None:
         """Show the name and the stored pictures of the view that the camera stands at."""
-        self._view.value = self._labels[view]
-        pictures = next(iter(self.cells.values())).pictures(view)
+        self._view.value = self._labels[view]  # type: ignore[misc] # mypy misses the setter
+        pictures = {what: one for cell in self.cells.values() for what, one in cell.pictures(view).items()}
         for modality, image in self._images.items():
             image.visible = modality in pictures
             if modality in pictures:
-                image.image = as_rgb(pictures[modality], "inferno")
+                image.image = _fitted(pictures[modality])
 
     def _add_look(self, gui: viser.GuiApi) -> None:
         names = list(self.cells)
@@ -75,14 +77,14 @@ class Panel:
         several = len(names) > 1
         with gui.add_folder("Picture"):
             self._cell = gui.add_dropdown("Cell", names, visible=several)
-            self._beside = gui.add_dropdown("Beside", [ALONE, *names], visible=several)
+            self._beside = gui.add_dropdown(
+                "Beside", [ALONE, *names], initial_value=names[1] if several else ALONE, visible=several
+            )
             self._divide = gui.add_slider("Divide", 0, 100, 1, 50, visible=several)
             self._quantity = gui.add_dropdown("Show", quantities)
             self._colors = gui.add_dropdown("Colours", COLOR_MAPS)
             self._span = gui.add_multi_slider("Range, %", 0, 100, 1, (0, 100), min_range=1)
             self._bar = gui.add_html("")
-        if several:
-            self._beside.value = names[1]
         for control in (self._cell, self._beside, self._divide, self._quantity, self._colors, self._span):
             control.on_update(lambda _: self._on_look())
 
@@ -109,5 +111,13 @@ class Panel:
         return self._quantity.value
 
 
-def _line(title: str, text: str = HINT) -> str:
-    return f'<div style="{facts.STYLE}"><b>{escape(title)}</b><br>{escape(text)}</div>'
+def _line(title: str, text: str = "") -> str:
+    """The scene, and the value under the cursor."""
+    value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
+    return f'<div style="{facts.STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
+
+
+def _fitted(picture: np.ndarray) -> np.ndarray:
+    """A picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
+    height = max(1, round(picture.shape[0] * PICTURE_WIDTH / picture.shape[1]))
+    return np.asarray(Image.fromarray(as_rgb(picture, "inferno")).resize((PICTURE_WIDTH, height)))

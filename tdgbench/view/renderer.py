@@ -14,7 +14,7 @@ from tdgbench.scoring import to_8bit
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.paint import colored, wiped
+from tdgbench.view.paint import colored, labelled, wiped
 
 Quantity = Literal["thermal", "depth", "RGB", "alpha"]
 MIN_ALPHA = 0.5  # below, a pixel shows no surface
@@ -54,7 +54,9 @@ class Frame:
         """(H, W, 3) uint8."""
         if len(self.parts) == 1:
             return self.parts[0].picture
-        return wiped(self.parts[0].picture, self.parts[1].picture, self.look.divide)
+        left, right = self.parts
+        joined = wiped(left.picture, right.picture, self.look.divide)
+        return labelled(joined, left.cell, right.cell, self.look.divide)
 
     def at(self, x: float, y: float) -> list[tuple[str, np.ndarray]]:
         """Each cell's values (C,) at a place; x and y are shares of the width and height."""

@@ -12,11 +12,12 @@ import rich
 import viser
 
 from tdgbench.view.cells import ViewedCell
+from tdgbench.view.frustums import thumbnails
 from tdgbench.view.pace import Pace
 from tdgbench.view.poses import camera_of, up_direction
 from tdgbench.view.renderer import Renderer
-from tdgbench.view.requests import Requests
-from tdgbench.view.session import Session, Wanted
+from tdgbench.view.requests import Job, Requests
+from tdgbench.view.session import Session, Shown, Wanted
 
 
 class Viewer:
@@ -26,15 +27,17 @@ class Viewer:
     """
 
     def __init__(self, server: viser.ViserServer, cells: dict[str, ViewedCell], width: int) -> None:
-        self._cells, self._width = cells, width
+        first = next(iter(cells.values()))
+        self._shown = Shown(cells, thumbnails(first), width)
         self._requests: Requests[Wanted] = Requests()
         self._renderer, self._pace = Renderer(cells), Pace()
         self._error: Exception | None = None
         self._ended = threading.Event()
         self._worker = threading.Thread(target=self._work, name="viewer", daemon=True)
-        cameras = next(iter(cells.values())).cameras.values()
-        server.scene.set_up_direction(up_direction(cameras))
+        self._renderer.depth_range()  # and the kernels are compiled
+        server.scene.set_up_direction(up_direction(first.cameras.values()))
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        server.gui.main_panel.dock_right()
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(lambda client: self._requests.forget(client.client_id))
         self._worker.start()
@@ -52,7 +55,7 @@ class Viewer:
         self._ended.set()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        Session(client, self._cells, self._requests, self._width)
+        Session(client, self._shown, self._requests)
 
     def _work(self) -> None:
         try:
@@ -62,7 +65,7 @@ class Viewer:
             self._error = error
             self._ended.set()
 
-    def _render(self, job) -> None:
+    def _render(self, job: Job[Wanted]) -> None:
         wanted, start = job.wanted, time.perf_counter()
         size = (wanted.width, wanted.height)
         size = size if job.is_fine else self._pace.coarse(*size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import viser
 
 from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
+from tdgbench.view.cursor import watch_cursor
 from tdgbench.view.frustums import Frustums
 from tdgbench.view.panel import Panel
 from tdgbench.view.poses import Pose, focus, pose_of
@@ -28,19 +30,27 @@ class Wanted(NamedTuple):
     height: int
 
 
-class Session:
-    """A connected client. width: most pixels of a picture's width."""
+@dataclass(frozen=True)
+class Shown:
+    """What all sessions show. width: most pixels of a picture's width. thumbnails: of the first cell's views."""
 
-    def __init__(
-        self, client: viser.ClientHandle, cells: dict[str, ViewedCell], requests: Requests[Wanted], width: int
-    ) -> None:
-        self.client, self._requests, self._cells, self._width = client, requests, cells, width
-        self._first = next(iter(cells.values()))
+    cells: dict[str, ViewedCell]
+    thumbnails: dict[str, np.ndarray]
+    width: int
+
+
+class Session:
+    """A connected client."""
+
+    def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
+        self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width
+        self._first = next(iter(shown.cells.values()))
         self._focus = focus(self._first.cameras.values())
         self._frame: Frame | None = None
         self._cursor: tuple[float, float] | None = None
-        self.panel = Panel(client.gui, cells, self._look_changed, self.go_to)
-        self._frustums = Frustums(client.scene, self._first, self.go_to)
+        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to)
+        watch_cursor(client.gui, self.read_at)
+        self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
         self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
         client.camera.on_update(lambda _: requests.moved(client.client_id, self._wanted()))
         client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
@@ -71,9 +81,8 @@ class Session:
 
     def show(self, frame: Frame, is_fine: bool) -> None:
         """Send a picture to the browser."""
-        format_ = "png" if is_fine else "jpeg"
-        picture = np.ascontiguousarray(frame.picture)
-        self.client.scene.set_background_image(picture, format=format_, jpeg_quality=JPEG_QUALITY)
+        send = self.client.scene.set_background_image
+        send(frame.picture, "png" if is_fine else "jpeg", jpeg_quality=JPEG_QUALITY)
         self.client.flush()
         self._frame = frame
         if is_fine:
