@@ -52,9 +52,10 @@ class Session:
         watch_cursor(client.gui, self.read_at)
         self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
         self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
-        client.camera.on_update(lambda _: requests.moved(client.client_id, self._wanted()))
+        client.camera.on_update(lambda _: self._moved())
         client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
-        self.go_to(self.panel.views[0])
+        self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it went to, in which window
+        self.go_to(self._view)
         self._look_changed()
 
     def go_to(self, view: str) -> None:
@@ -69,6 +70,7 @@ class Session:
             camera.wxyz = pose.wxyz
             if distance > 0:  # else the distance to the orbit's centre stays
                 camera.look_at = pose.position + distance * forward
+        self._view, self._aspect = view, camera.aspect
         self.panel.show_view(view)
         self._frustums.leave_out(view)
         self._requests.moved(self.client.client_id, self._wanted())
@@ -89,6 +91,13 @@ class Session:
             self.panel.describe(frame)
             if self._cursor is not None:
                 self.read_at(*self._cursor)
+
+    def _moved(self) -> None:
+        camera, at = self.client.camera, self._first.cameras[self._view]
+        if camera.aspect != self._aspect and np.allclose(camera.position, at.center, rtol=1e-3):
+            self._aspect = camera.aspect  # the window has another shape, in which all of the view's image fits
+            camera.fov = pose_of(at, camera.aspect).fov
+        self._requests.moved(self.client.client_id, self._wanted())
 
     def _look_changed(self) -> None:
         self._requests.changed(self.client.client_id, self._wanted())
