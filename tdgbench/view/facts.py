@@ -23,12 +23,15 @@ def value_text(values: np.ndarray, quantity: Quantity, degC: tuple[float, float]
     ('25.0 °C', '0.500')
     >>> value_text(np.array([np.nan]), "depth", None), value_text(np.array([0.1, 0.2, 1.0]), "RGB", None)
     ('no surface', '0.100 0.200 1.000')
+    >>> value_text(np.array([2.5]), "depth", None)
+    'z 2.500'
     """
     if not np.isfinite(values).all():
         return "no surface"
     if quantity == "thermal" and len(values) == 1 and degC is not None:
         return f"{degC[0] + float(values[0]) * (degC[1] - degC[0]):.1f} °C"
-    return " ".join(f"{value:.3f}" for value in values)
+    text = " ".join(f"{value:.3f}" for value in values)
+    return f"z {text}" if quantity == "depth" else text
 
 
 def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: Quantity) -> str:

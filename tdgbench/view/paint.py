@@ -54,8 +54,8 @@ def wiped(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
     return joined
 
 
-def labelled(picture: np.ndarray, left: str, right: str, share: float) -> np.ndarray:
-    """A wiped picture with a name at the bottom on each side of the divide."""
+def labelled(picture: np.ndarray, share: float, left: str = "", right: str = "") -> np.ndarray:
+    """A picture (H, W, 3) uint8 with names at the bottom, left and right of a share of its width."""
     image = Image.fromarray(picture)
     draw, divide, gap = ImageDraw.Draw(image), share * image.width, image.height / 80
     font = ImageFont.load_default(max(8.0, image.height / 36))

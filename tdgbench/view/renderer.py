@@ -51,12 +51,11 @@ class Frame:
 
     @property
     def picture(self) -> np.ndarray:
-        """(H, W, 3) uint8."""
-        if len(self.parts) == 1:
-            return self.parts[0].picture
-        left, right = self.parts
-        joined = wiped(left.picture, right.picture, self.look.divide)
-        return labelled(joined, left.cell, right.cell, self.look.divide)
+        """(H, W, 3) uint8; cells are named where two were asked for."""
+        first, last, divide = self.parts[0], self.parts[-1], self.look.divide
+        if len(self.parts) == 2:
+            return labelled(wiped(first.picture, last.picture, divide), divide, first.cell, last.cell)
+        return labelled(first.picture, 0.0, right=first.cell) if self.look.beside else first.picture
 
     def at(self, x: float, y: float) -> list[tuple[str, np.ndarray]]:
         """Each cell's values (C,) at a place; x and y are shares of the width and height."""

@@ -10,7 +10,7 @@ from tdgbench.bench.reading import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
-from tdgbench.view.paint import colored, wiped
+from tdgbench.view.paint import colored, labelled, wiped
 from tdgbench.view.poses import camera_of, pose_of
 from tdgbench.view.renderer import Look, Renderer
 
@@ -73,8 +73,10 @@ def test_depth_and_alpha_are_the_model_s(renderer, camera):
 def test_two_cells_are_divided_where_the_look_says(renderer, camera):
     frame = renderer.render(Look("tdg", beside="msmg", divide=0.25), camera)
     left, right = (renderer.render(Look(name), camera).picture for name in ("tdg", "msmg"))
-    assert np.array_equal(frame.picture, wiped(left, right, 0.25))
-    assert np.array_equal(frame.picture[:, :12], left[:, :12]) and np.array_equal(frame.picture[:, 13:], right[:, 13:])
+    named = labelled(wiped(left, right, 0.25), 0.25, "tdg", "msmg")
+    assert np.array_equal(frame.picture, named) and not np.array_equal(named[26:], wiped(left, right, 0.25)[26:])
+    assert np.array_equal(frame.picture[:20, :12], left[:20, :12])
+    assert np.array_equal(frame.picture[:20, 13:], right[:20, 13:])
     assert [name for name, _ in frame.at(0.5, 0.5)] == ["tdg", "msmg"]
 
 
