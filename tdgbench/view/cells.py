@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,8 @@ from tdgbench.bench.cameras import read_all_cameras
 from tdgbench.bench.hashes import file_problems
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, View
+from tdgbench.scoring import to_8bit
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 
@@ -29,6 +30,7 @@ class ViewedCell:
     models: dict[str, Gaussians]  # by modality, `thermal` and, of a method that trains one, `rgb`
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
+    ground_truth: dict[str, View] = field(default_factory=dict)  # of training views, where it is known
 
     @property
     def cameras(self) -> dict[str, Camera]:
@@ -42,12 +44,12 @@ class ViewedCell:
         return (low_high[0], low_high[1]) if low_high is not None and self.record.channels == 1 else None
 
     def pictures(self, view: str) -> dict[str, np.ndarray]:
-        """Stored pictures of a test view, (H, W, 1 or 3) uint8, by modality: the ground truth, else the render.
+        """Pictures of a view, (H, W, 1 or 3) uint8, by modality: the ground truth, else a test view's stored render.
 
-        A training view has none. Raises ValueError, naming the file, if one cannot be read.
+        Raises ValueError, naming the file, if one cannot be read.
         """
         if view not in self.test:
-            return {}
+            return self._training_pictures(view)
         camera, found = self.test[view], {}
         for modality, folders in PICTURES.items():
             path = next((p for sub in folders if (p := self.folder / sub / f"{view}.png").exists()), None)
@@ -57,6 +59,13 @@ class ViewedCell:
                 except (ValueError, OSError) as error:
                     raise ValueError(f"{path} cannot be read: {error}") from error
         return found
+
+    def _training_pictures(self, view: str) -> dict[str, np.ndarray]:
+        if view not in self.ground_truth:
+            return {}
+        known = self.ground_truth[view]
+        rgb = {} if known.load_rgb is None else {"RGB": to_8bit(known.load_rgb())}
+        return {"thermal": to_8bit(known.load_thermal()), **rgb}
 
 
 def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:

@@ -65,13 +65,14 @@ def test_an_error_of_the_rendering_ends_the_viewer(tdg_folder, monkeypatch):
         viewer.close()
 
 
-def test_ctrl_c_ends_it_in_one_line(tdg_folder, tmp_path):
+def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
     pytest.importorskip("viser")
     before = hashes(tdg_folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    words = [str(tdg_folder), "--no-open", "--port", "0", "--data", str(data_root)]
     run = subprocess.Popen(
-        [sys.executable, "-m", "tdgbench", "view", str(tdg_folder), "--no-open", "--port", "0"], cwd=tmp_path,
-        env=environment, text=True, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [sys.executable, "-m", "tdgbench", "view", *words], cwd=tmp_path, env=environment, text=True,
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:
         line = run.stdout.readline()
