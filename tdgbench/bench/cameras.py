@@ -10,9 +10,12 @@ import numpy as np
 
 from tdgbench.bench.reading import read_text
 from tdgbench.files import write_text
-from tdgbench.scenes import Camera, Scene
+from tdgbench.scenes import Camera, Scene, SceneError
+from tdgbench.scenes.validate import check_camera
+from tdgbench.text import shortened
 
 FILE = "cameras.json"
+Cameras = dict[str, dict[str, Camera]]  # by part, `train` or `test`, and view
 
 
 def write_cameras(path: Path, scene: Scene) -> None:
@@ -28,6 +31,21 @@ def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera
         return {name: _from_json(one) for name, one in json.loads(read_text(path))[part].items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise ValueError(f"{path} holds no cameras: {error!r}") from error
+
+
+def read_all_cameras(folder: Path) -> Cameras:
+    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be right."""
+    path = folder / FILE
+    read_text(path)
+    found: Cameras = {"train": read_cameras(path, "train"), "test": read_cameras(path, "test")}
+    for name, camera in [*found["train"].items(), *found["test"].items()]:
+        if Path(name).name != name or "\0" in name:
+            raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
+        try:
+            check_camera(camera, f"the camera of {name}")
+        except SceneError as error:
+            raise ValueError(str(error)) from error
+    return found
 
 
 def _as_json(camera: Camera) -> dict[str, object]:

@@ -1,10 +1,12 @@
-"""Hashes of the files of a cell that a record names."""
+"""Hashes of the files of a cell that a record names, and files that do not fit them."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 
+from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import FILE
 
 OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
@@ -34,3 +36,17 @@ def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
     {'model.ply': 'ab'}
     """
     return {name: value for name, value in recorded.items() if name not in OF_TIMES}
+
+
+def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
+    """Files that are missing, unknown to the record, changed, or no files; those are never opened."""
+    actual = cell_files(folder)
+    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
+    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
+    for name in sorted(set(actual) & set(recorded)):
+        try:
+            check_regular(actual[name])
+            if sha256(actual[name]) != recorded[name]:
+                yield f"{name} has changed"
+        except (OSError, ValueError) as error:
+            yield f"{name} cannot be read: {error}"

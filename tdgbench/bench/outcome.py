@@ -26,7 +26,8 @@ class Outcome:
     """Outcome of a cell.
 
     status: `ok` (it ran), `kept` (its result was there), `failed`, `missing` (its scene is not on disk), `no prior` (it
-    failed because its depth prior is not available), or `elsewhere` (another process runs it). scores, seconds: in words, and how long such a cell takes; of `ok` alone.
+    failed because its depth prior is not available), or `elsewhere` (another process runs it). scores, seconds: in
+    words, and how long such a cell takes; of `ok` alone.
     """
 
     status: Status

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tdgbench.bench.hashes import cell_files
+from tdgbench.bench.cameras import read_all_cameras
+from tdgbench.bench.hashes import cell_files, file_problems
 from tdgbench.bench.record import FILE
 from tdgbench.bench.scores import read_views
 from tdgbench.verify import facts, files
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import Pictures
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
-from tdgbench.verify.stored_cell import read_all_cameras, read_cell, read_log
+from tdgbench.verify.stored_cell import read_cell, read_log
 
 
 def verify_cell(folder: Path) -> list[str]:
@@ -25,7 +26,7 @@ def verify_cell(folder: Path) -> list[str]:
     found.check("the key", facts.key_problems, record)
     if record.status == "failed":
         return found.problems
-    found.check("its files", files.file_problems, folder, record.hashes)
+    found.check("its files", file_problems, folder, record.hashes)
     found.check("its settings", facts.setting_problems, record)
     cameras = found.read("cameras.json", read_all_cameras, folder)
     rows = found.read("views.csv", read_views, folder / "views.csv")

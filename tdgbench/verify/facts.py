@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
+from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.key import cell_key
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
@@ -16,7 +17,6 @@ from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.scoring.lpips import Net, Range
 from tdgbench.scoring.scored_view import Border
 from tdgbench.splats.ply import count_rows
-from tdgbench.verify.stored_cell import Cameras
 
 TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
 IGNORE = ConfigDict(extra="ignore", strict=True)

@@ -1,31 +1,15 @@
-"""Files of a cell against its record: names and hashes, and pictures of every test view."""
+"""Pictures of every test view among the files of a cell."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from tdgbench.bench import masks
-from tdgbench.bench.hashes import cell_files, sha256
-from tdgbench.bench.reading import check_regular
 
 MUST = ("renders", "targets")
 MAY = ("renders_rgb", "targets_rgb")  # of test views with an RGB image
 ALONE = (masks.FOLDER,)  # of test views with masked pixels; their share in the record shows if one is missing
-
-
-def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
-    """Files that are missing, unknown to the record, changed, or no files; those are never opened."""
-    actual = cell_files(folder)
-    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
-    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
-    for name in sorted(set(actual) & set(recorded)):
-        try:
-            check_regular(actual[name])
-            if sha256(actual[name]) != recorded[name]:
-                yield f"{name} has changed"
-        except (OSError, ValueError) as error:
-            yield f"{name} cannot be read: {error}"
 
 
 def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:

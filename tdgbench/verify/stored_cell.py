@@ -7,17 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from tdgbench.bench import cameras
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.reading import read_table, read_text
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import finite_number
-from tdgbench.scenes import Camera, SceneError
-from tdgbench.scenes.validate import check_camera
-from tdgbench.text import shortened
 
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
-Cameras = dict[str, dict[str, Camera]]
 
 
 @dataclass(frozen=True)
@@ -57,21 +52,6 @@ def read_cell(folder: Path) -> StoredCell:
         raise ValueError("it is not a JSON object")
     known = {f.name for f in fields(Record)}
     return StoredCell(folder, text, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}}))
-
-
-def read_all_cameras(folder: Path) -> Cameras:
-    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be right."""
-    path = folder / cameras.FILE
-    read_text(path)
-    found: Cameras = {"train": cameras.read_cameras(path, "train"), "test": cameras.read_cameras(path, "test")}
-    for name, camera in [*found["train"].items(), *found["test"].items()]:
-        if Path(name).name != name or "\0" in name:
-            raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
-        try:
-            check_camera(camera, f"the camera of {name}")
-        except SceneError as error:
-            raise ValueError(str(error)) from error
-    return found
 
 
 def read_log(folder: Path) -> list[dict[str, float]]:

@@ -59,13 +59,17 @@ class SyntheticDataset:
     def load(self, name: str | int | None) -> Scene:
         description = self.describe(name)
         world = WORLDS[description.scene](self.seed)
-        folder = self.root / "synthetic" / self._folder_name(description.scene)
+        folder = self.folder(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
         return read_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
 
-    def _folder_name(self, name: str) -> str:
-        """Names all parameters and a hash of the generator, so that another generator writes another folder."""
+    def folder(self, name: str) -> Path:
+        """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
-        return f"{name}-{self.width}x{self.height}-{self.views}v-{self.points}p-seed{self.seed}-{version}"
+        return (
+            self.root
+            / "synthetic"
+            / f"{name}-{self.width}x{self.height}-{self.views}v-{self.points}p-seed{self.seed}-{version}"
+        )

@@ -1,0 +1,133 @@
+"""The cells that the viewer shows: records, models, cameras and stored pictures, read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.bench.cameras import read_all_cameras
+from tdgbench.bench.hashes import file_problems
+from tdgbench.bench.reading import read_picture
+from tdgbench.bench.record import FILE, Record, read_record, record_files
+from tdgbench.scenes import Camera, View
+from tdgbench.scoring import to_8bit
+from tdgbench.splats import Gaussians
+from tdgbench.splats.ply import load_ply
+
+MODELS = {"thermal": "model.ply", "rgb": "model_rgb.ply"}
+PICTURES = {"thermal": ("targets", "renders"), "RGB": ("targets_rgb", "renders_rgb")}  # the first that there is
+
+
+@dataclass(frozen=True)
+class ViewedCell:
+    """A finished cell whose files are those of its record."""
+
+    folder: Path
+    record: Record
+    models: dict[str, Gaussians]  # by modality, `thermal` and, of a method that trains one, `rgb`
+    train: dict[str, Camera]  # by view
+    test: dict[str, Camera]
+    ground_truth: dict[str, View] = field(default_factory=dict)  # of training views, where it is known
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """Those of all views, training views first."""
+        return {**self.train, **self.test}
+
+    @property
+    def degC(self) -> tuple[float, float] | None:
+        """Temperatures of the values 0 and 1; None if the thermal images are pseudo-colour or no range is known."""
+        low_high = self.record.temperature
+        return (low_high[0], low_high[1]) if low_high is not None and self.record.channels == 1 else None
+
+    def pictures(self, view: str) -> dict[str, np.ndarray]:
+        """Pictures of a view, (H, W, 1 or 3) uint8, by modality: the ground truth, else a test view's stored render.
+
+        Raises ValueError, naming the file, if one cannot be read.
+        """
+        if view not in self.test:
+            return self._training_pictures(view)
+        camera, found = self.test[view], {}
+        for modality, folders in PICTURES.items():
+            path = next((p for sub in folders if (p := self.folder / sub / f"{view}.png").exists()), None)
+            if path is not None:
+                try:
+                    found[modality] = read_picture(path, (camera.width, camera.height))
+                except (ValueError, OSError) as error:
+                    raise ValueError(f"{path} cannot be read: {error}") from error
+        return found
+
+    def _training_pictures(self, view: str) -> dict[str, np.ndarray]:
+        if view not in self.ground_truth:
+            return {}
+        known = self.ground_truth[view]
+        rgb = {} if known.load_rgb is None else {"RGB": to_8bit(known.load_rgb())}
+        return {"thermal": to_8bit(known.load_thermal()), **rgb}
+
+
+def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
+    """The cells by a short name that tells them apart. Raises ValueError, naming a folder, if they cannot be shown.
+
+    They must be finished, unchanged since their record was written, and of one scene.
+    """
+    cells = [open_cell(folder) for folder in dict.fromkeys(folders)]
+    first = cells[0]
+    for cell in cells[1:]:
+        if (cell.record.dataset, cell.record.scene) != (first.record.dataset, first.record.scene):
+            raise ValueError(
+                f"{cell.folder} is of scene {cell.record.scene}, {first.folder} of {first.record.scene}; "
+                "cells side by side must be of one scene"
+            )
+    return dict(zip(short_names([cell.record for cell in cells]), cells, strict=True))
+
+
+def open_cell(folder: Path) -> ViewedCell:
+    """Read a cell. Raises ValueError, naming the folder, if it is none, has failed, or was changed."""
+    record = _finished_record(folder)
+    for problem in file_problems(folder, record.hashes):
+        raise ValueError(f"{folder} is damaged: {problem}; run the cell again, or see tdgbench verify")
+    try:
+        cameras = read_all_cameras(folder)
+        models = {name: load_ply(folder / file) for name, file in MODELS.items() if (folder / file).exists()}
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{folder} cannot be shown: {error}") from error
+    if "thermal" not in models or not cameras["test"]:
+        raise ValueError(f"{folder} cannot be shown: it lacks {'a test view' if 'thermal' in models else 'model.ply'}")
+    return ViewedCell(folder, record, models, cameras["train"], cameras["test"])
+
+
+def _finished_record(folder: Path) -> Record:
+    record = read_record(folder, complete=True)
+    if record is None:
+        state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
+        raise ValueError(f"{folder} {state}; name the folder of a cell{_example(folder)}")
+    if record.status != "ok":
+        raise ValueError(f"{folder} has no model: it {record.why_failed}")
+    return record
+
+
+def _example(folder: Path) -> str:
+    """One of the cells below an experiment's folder, to name in a message."""
+    cells = record_files(folder) if folder.is_dir() else []
+    return f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
+
+
+def short_names(records: Sequence[Record]) -> list[str]:
+    """Names of cells of one scene: the method, and what else is needed to tell them apart.
+
+    >>> tdg, msmg = (Record(method, "paper", "Truck", "colmap", 0, "table1", "") for method in ("tdg", "msmg"))
+    >>> short_names([tdg, msmg]), short_names([tdg, tdg])
+    (['tdg', 'msmg'], ['tdg', 'tdg (2)'])
+    """
+    parts = [[r.method, r.init, f"seed {r.seed}", r.variant, r.experiment] for r in records]
+    differs = [len({part[i] for part in parts}) > 1 for i in range(len(parts[0]))]
+    differs[0] = True
+    names: list[str] = []
+    for part in parts:
+        name = ", ".join(text for text, shown in zip(part, differs, strict=True) if shown and text)
+        taken = sum(other == name or other.startswith(f"{name} (") for other in names)
+        names.append(f"{name} ({taken + 1})" if taken else name)
+    return names

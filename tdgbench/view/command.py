@@ -1,0 +1,86 @@
+"""Command line of `tdgbench view`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import webbrowser
+from dataclasses import replace
+from pathlib import Path
+
+from tdgbench.terminal import say
+from tdgbench.text import one_line
+from tdgbench.view.cells import ViewedCell, open_cells
+from tdgbench.view.ground_truth import training_views
+
+WIDTH = 1280  # px
+LOCAL = "127.0.0.1"
+
+
+def main(arguments: list[str]) -> int:
+    """Show cells until Ctrl-C; return the exit status 1 if they cannot be shown."""
+    description = "Look at the models of one or more cells of a scene in the browser."
+    parser = argparse.ArgumentParser(prog="tdgbench view", description=description)
+    parser.add_argument("cell", nargs="+", type=Path, help="folder results/<experiment>/cells/…/seed<k>")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="data.root of the training (data)")
+    parser.add_argument("--host", default=LOCAL, help="address to serve; 0.0.0.0 lets other machines in")
+    parser.add_argument("--port", type=_port, help="default: the first free one from 8080 on")
+    parser.add_argument("--width", type=_width, default=WIDTH, help=f"most pixels of a picture's width ({WIDTH})")
+    parser.add_argument("--no-open", action="store_true", help="open no browser, only print the address")
+    options = parser.parse_args(arguments)
+    try:
+        return _show(options)
+    except (ValueError, OSError) as error:
+        say(one_line(f"tdgbench view: {error}"), stderr=True)
+        return 1
+
+
+def _show(options: argparse.Namespace) -> int:
+    try:
+        from tdgbench.view.server import Viewer, serving
+    except ModuleNotFoundError as error:
+        if error.name != "viser":
+            raise
+        raise ValueError("it needs viser: pip install 'tdgbench[view]'") from error
+    cells = _with_training_views(open_cells(options.cell), options.data)
+    with serving(options.host, options.port) as server:
+        viewer = Viewer(server, cells, options.width)
+        try:
+            address = f"http://{'localhost' if options.host == '0.0.0.0' else options.host}:{server.get_port()}"
+            say(f"{', '.join(cells)}: {address} (Ctrl-C ends it)")
+            if not options.no_open and has_screen():
+                webbrowser.open_new_tab(address)
+            viewer.wait()
+        finally:
+            viewer.close()
+    return 0
+
+
+def _with_training_views(cells: dict[str, ViewedCell], root: Path) -> dict[str, ViewedCell]:
+    """The cells; the first one, whose cameras are shown, with the ground truth of its training views if it is there."""
+    name, first = next(iter(cells.items()))
+    try:
+        return {**cells, name: replace(first, ground_truth=training_views(first.record, root))}
+    except ValueError as error:
+        say(one_line(f"training views without pictures: {error} (--data DIR)"), "note:", "yellow", stderr=True)
+        return cells
+
+
+def has_screen() -> bool:
+    """Whether a browser can open a window here. Without one, Python may start a browser in the terminal."""
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _port(text: str) -> int:
+    return _number(text, 0, 65535)
+
+
+def _width(text: str) -> int:
+    return _number(text, 16, 8192)
+
+
+def _number(text: str, least: int, most: int) -> int:
+    if text.isascii() and text.isdigit() and least <= int(text) <= most:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {least} to {most}")

@@ -1,0 +1,123 @@
+"""The controls of one browser: what is shown, the view that it stands at, and the record's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from html import escape
+
+import numpy as np
+import viser
+from PIL import Image
+
+from tdgbench.view import facts
+from tdgbench.view.cells import ViewedCell
+from tdgbench.view.cursor import VALUE_ID
+from tdgbench.view.paint import COLOR_MAPS, as_rgb
+from tdgbench.view.renderer import Frame, Look, Quantity
+
+ALONE = "–"  # choice of no second cell
+PREVIOUS, NEXT = "← previous", "next →"
+PICTURE_WIDTH = 360  # px
+NOTHING = np.zeros((1, 1, 3), np.uint8)
+
+
+class Panel:
+    """Controls of a client. on_look and on_view are called when a look or a view is chosen."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        cells: Mapping[str, ViewedCell],
+        on_look: Callable[[], None],
+        on_view: Callable[[str], None],
+    ) -> None:
+        self.cells, self._on_look, self._on_view = cells, on_look, on_view
+        first = next(iter(cells.values()))
+        self.views = [*sorted(first.test), *sorted(first.train)]
+        self._labels = {view: f"{view} ({'test' if view in first.test else 'training'})" for view in self.views}
+        title = f"{first.record.dataset}/{first.record.scene}"
+        self.readout = gui.add_html(_line(title))
+        self._title = title
+        self._add_look(gui)
+        self._add_views(gui)
+        with gui.add_folder("Numbers"):
+            gui.add_html(facts.numbers(cells))
+
+    def look(self) -> Look:
+        """What is chosen to be shown."""
+        low, high = self._span.value
+        beside = self._beside.value
+        return Look(
+            self._cell.value, self._quantity_value(), self._colors.value, (low / 100, max(high, low + 1) / 100),
+            "" if beside == ALONE else beside, self._divide.value / 100,
+        )  # fmt: skip
+
+    def describe(self, frame: Frame) -> None:
+        """Bring the colour bar and the choices up to date with a frame."""
+        self._bar.content = facts.bar_of(frame, self.cells)
+
+    def show_value(self, text: str) -> None:
+        """Show what lies under the cursor."""
+        self.readout.content = _line(self._title, text)
+
+    def show_view(self, view: str) -> None:
+        """Show the name and the stored pictures of the view that the camera stands at."""
+        self._view.value = self._labels[view]  # type: ignore[misc] # mypy misses the setter
+        pictures = {what: one for cell in self.cells.values() for what, one in cell.pictures(view).items()}
+        for modality, image in self._images.items():
+            image.visible = modality in pictures
+            if modality in pictures:
+                image.image = _fitted(pictures[modality])
+
+    def _add_look(self, gui: viser.GuiApi) -> None:
+        names = list(self.cells)
+        quantities: list[Quantity] = ["thermal", "depth", "alpha"]
+        if any("rgb" in cell.models for cell in self.cells.values()):
+            quantities.insert(2, "RGB")
+        several = len(names) > 1
+        with gui.add_folder("Picture"):
+            self._cell = gui.add_dropdown("Cell", names, visible=several)
+            self._beside = gui.add_dropdown(
+                "Beside", [ALONE, *names], initial_value=names[1] if several else ALONE, visible=several
+            )
+            self._divide = gui.add_slider("Divide", 0, 100, 1, 50, visible=several)
+            self._quantity = gui.add_dropdown("Show", quantities)
+            self._colors = gui.add_dropdown("Colours", COLOR_MAPS)
+            self._span = gui.add_multi_slider("Range, %", 0, 100, 1, (0, 100), min_range=1)
+            self._bar = gui.add_html("")
+        for control in (self._cell, self._beside, self._divide, self._quantity, self._colors, self._span):
+            control.on_update(lambda _: self._on_look())
+
+    def _add_views(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("Views"):
+            self.cameras = gui.add_checkbox("Cameras", True)
+            self._view = gui.add_dropdown("View", list(self._labels.values()))
+            buttons = gui.add_button_group("", [PREVIOUS, NEXT])
+            self._images = {name: gui.add_image(NOTHING, label=name, visible=False) for name in ("thermal", "RGB")}
+        names = {label: view for view, label in self._labels.items()}
+
+        @self._view.on_update
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:  # not set by this program
+                self._on_view(names[self._view.value])
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent) -> None:
+            step = 1 if buttons.value == NEXT else -1
+            now = self.views.index(names[self._view.value])
+            self._on_view(self.views[(now + step) % len(self.views)])
+
+    def _quantity_value(self) -> Quantity:
+        return self._quantity.value
+
+
+def _line(title: str, text: str = "") -> str:
+    """The scene, and the value under the cursor."""
+    value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
+    return f'<div style="{facts.STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
+
+
+def _fitted(picture: np.ndarray) -> np.ndarray:
+    """A picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
+    height = max(1, round(picture.shape[0] * PICTURE_WIDTH / picture.shape[1]))
+    return np.asarray(Image.fromarray(as_rgb(picture, "inferno")).resize((PICTURE_WIDTH, height)))

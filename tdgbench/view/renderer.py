@@ -1,0 +1,139 @@
+"""Render a look at some cells from a camera: values for the cursor, and the picture that the browser shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+
+from tdgbench.scenes import Camera
+from tdgbench.scoring import to_8bit
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import GaussianTensors, Pinhole
+from tdgbench.view.cells import ViewedCell
+from tdgbench.view.paint import colored, labelled, wiped
+
+Quantity = Literal["thermal", "depth", "RGB", "alpha"]
+MIN_ALPHA = 0.5  # below, a pixel shows no surface
+DEPTH_VIEWS, DEPTH_WIDTH, DEPTH_TAILS = 5, 96, (2, 98)  # cameras, px, percentiles that the depth range is found from
+
+
+class Look(NamedTuple):
+    """What is shown."""
+
+    cell: str
+    quantity: Quantity = "thermal"
+    colors: str = "inferno"  # matplotlib's colour map of gray thermal images, depth and alpha
+    span: tuple[float, float] = (0.0, 1.0)  # part of the quantity's range that the colour map covers
+    beside: str = ""  # cell to the right of the divide
+    divide: float = 0.5  # share of the width
+
+
+@dataclass(frozen=True)
+class Part:
+    """A cell's render of one quantity."""
+
+    values: np.ndarray  # (H, W, C) float32; depth is NaN where there is no surface
+    picture: np.ndarray  # (H, W, 3) uint8
+    cell: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A rendered look. parts: the cell, and the one to the right of the divide."""
+
+    look: Look
+    parts: tuple[Part, ...]
+    whole: tuple[float, float] | None  # the quantity's whole range in the first part
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) uint8; cells are named where two were asked for."""
+        first, last, divide = self.parts[0], self.parts[-1], self.look.divide
+        if len(self.parts) == 2:
+            return labelled(wiped(first.picture, last.picture, divide), divide, first.cell, last.cell)
+        return labelled(first.picture, 0.0, right=first.cell) if self.look.beside else first.picture
+
+    def at(self, x: float, y: float) -> list[tuple[str, np.ndarray]]:
+        """Each cell's values (C,) at a place; x and y are shares of the width and height."""
+        height, width = self.parts[0].values.shape[:2]
+        row, column = min(int(y * height), height - 1), min(int(x * width), width - 1)
+        return [(part.cell, part.values[max(row, 0), max(column, 0)]) for part in self.parts]
+
+
+class Renderer:
+    """Renders cells of one scene with the splat core; not for several threads at a time."""
+
+    def __init__(self, cells: Mapping[str, ViewedCell]) -> None:
+        self.cells = cells
+        self._models: dict[tuple[str, str], GaussianTensors] = {}
+        self._depth_range: tuple[float, float] | None = None
+
+    def render(self, look: Look, camera: Camera) -> Frame:
+        """Render a look from a camera. A cell that lacks the quantity is left out. Raises ValueError if both do."""
+        names = [name for name in dict.fromkeys([look.cell, look.beside]) if self.has(name, look.quantity)]
+        if not names:
+            raise ValueError(f"no cell has {look.quantity}")
+        parts = tuple(self._part(name, look, camera) for name in names)
+        return Frame(look, parts, self.range_of(names[0], look.quantity))
+
+    def has(self, name: str, quantity: Quantity) -> bool:
+        """Whether there is such a cell and it has a quantity."""
+        return name in self.cells and (quantity != "RGB" or "rgb" in self.cells[name].models)
+
+    def range_of(self, name: str, quantity: Quantity) -> tuple[float, float] | None:
+        """Values at the ends of a quantity's whole range; None if its pictures are colours already."""
+        if quantity == "depth":
+            return self.depth_range()
+        is_gray = self.cells[name].models["thermal"].channels == 1
+        return (0.0, 1.0) if quantity == "alpha" or (quantity == "thermal" and is_gray) else None
+
+    def depth_range(self) -> tuple[float, float]:
+        """z between which nearly all surfaces lie, in world units, as the first cell's training cameras see them."""
+        if self._depth_range is None:
+            name, cell = next(iter(self.cells.items()))
+            cameras = list(cell.cameras.values())
+            some = cameras[:: max(1, len(cameras) // DEPTH_VIEWS)][:DEPTH_VIEWS]
+            seen = [self.values(name, "depth", _shrunk(camera)) for camera in some]
+            known = np.concatenate([z[np.isfinite(z)] for z in seen])
+            low, high = np.percentile(known, DEPTH_TAILS) if len(known) else (0.0, 1.0)
+            self._depth_range = (float(low), float(max(high, low + 1e-6)))
+        return self._depth_range
+
+    @torch.no_grad()
+    def values(self, name: str, quantity: Quantity, camera: Camera) -> np.ndarray:
+        """A cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
+        is_geometry = quantity in ("depth", "alpha")
+        gaussians = self._model(name, "rgb" if quantity == "RGB" else "thermal")
+        if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
+            gaussians = gaussians._replace(sh_degree=0)
+        render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry)
+        if quantity == "alpha":
+            return render.alpha[..., None].numpy()
+        if quantity == "depth":
+            alpha = render.alpha
+            return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan)[..., None].numpy()
+        return render.image.numpy()
+
+    def _part(self, name: str, look: Look, camera: Camera) -> Part:
+        values = self.values(name, look.quantity, camera)
+        whole = self.range_of(name, look.quantity)
+        if whole is None:
+            return Part(values, to_8bit(values), name)
+        low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
+        return Part(values, colored(values[..., 0], look.colors, low, high), name)
+
+    def _model(self, name: str, modality: str) -> GaussianTensors:
+        """The activated Gaussians of a model, kept for the next frames."""
+        if (name, modality) not in self._models:
+            gaussians = self.cells[name].models[modality]
+            self._models[name, modality] = gaussians.activated(gaussians.sh_degree)
+        return self._models[name, modality]
+
+
+def _shrunk(camera: Camera) -> Camera:
+    width = min(DEPTH_WIDTH, camera.width)
+    return camera.resized(width, max(1, round(camera.height * width / camera.width)))

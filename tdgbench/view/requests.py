@@ -1,0 +1,104 @@
+"""Which picture to render next: the newest of each client, coarse while its camera moves, fine once it rests."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+REST_SECONDS = 0.25  # without a new camera, until the fine picture is rendered
+
+
+@dataclass(frozen=True)
+class Job(Generic[T]):
+    """A picture to render for a client."""
+
+    client: int
+    wanted: T
+    is_fine: bool
+    number: int  # of the client's request that it serves
+
+
+@dataclass
+class _Pending(Generic[T]):
+    wanted: T
+    number: int
+    is_coarse_due: bool
+    fine_at: float | None  # None once it is served
+
+
+class Requests(Generic[T]):
+    """The newest request of each client. Clients take turns, and a newer request replaces an older one.
+
+    A moved camera is due at once, coarse, and after `rest` seconds without another request, fine. Anything else that
+    changes is due at once, fine.
+    """
+
+    def __init__(self, rest: float = REST_SECONDS, now: Callable[[], float] = time.monotonic) -> None:
+        self._rest, self._now = rest, now
+        self._pending: dict[int, _Pending[T]] = {}  # in the order of their turns
+        self._changed = threading.Condition()
+        self._count = 0
+        self._is_closed = False
+
+    def moved(self, client: int, wanted: T) -> None:
+        """Request a picture of a camera in motion."""
+        self._put(client, wanted, True, self._now() + self._rest)
+
+    def changed(self, client: int, wanted: T) -> None:
+        """Request a picture of a camera at rest."""
+        self._put(client, wanted, False, self._now())
+
+    def forget(self, client: int) -> None:
+        """Drop what a client has requested."""
+        with self._changed:
+            self._pending.pop(client, None)
+
+    def close(self) -> None:
+        """End `next` for all who wait."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+    def is_newest(self, job: Job[T]) -> bool:
+        """Whether the client is there and has requested nothing since."""
+        with self._changed:
+            pending = self._pending.get(job.client)
+            return pending is not None and pending.number == job.number
+
+    def take(self) -> Job[T] | None:
+        """The next job that is due; None if there is none now."""
+        with self._changed:
+            return self._take()
+
+    def next(self) -> Job[T] | None:
+        """Wait for the next job that is due; None once closed."""
+        with self._changed:
+            while not self._is_closed:
+                job = self._take()
+                if job is not None:
+                    return job
+                times = [one.fine_at for one in self._pending.values() if one.fine_at is not None]
+                self._changed.wait(max(0.0, min(times) - self._now()) if times else None)
+            return None
+
+    def _put(self, client: int, wanted: T, is_coarse_due: bool, fine_at: float) -> None:
+        with self._changed:
+            self._count += 1
+            self._pending[client] = _Pending(wanted, self._count, is_coarse_due, fine_at)  # keeps the client's turn
+            self._changed.notify_all()
+
+    def _take(self) -> Job[T] | None:
+        for client, one in self._pending.items():
+            is_fine = not one.is_coarse_due
+            if is_fine and (one.fine_at is None or one.fine_at > self._now()):
+                continue
+            self._pending[client] = self._pending.pop(client)  # to the end of the turns
+            one.is_coarse_due = False
+            if is_fine:
+                one.fine_at = None
+            return Job(client, one.wanted, is_fine, one.number)
+        return None

@@ -1,0 +1,110 @@
+"""The viewer's server: one thread renders for all browsers, in turns."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import rich
+import viser
+
+from tdgbench.view.cells import ViewedCell
+from tdgbench.view.frustums import thumbnails
+from tdgbench.view.pace import Pace
+from tdgbench.view.poses import camera_of, up_direction
+from tdgbench.view.renderer import Renderer
+from tdgbench.view.requests import Job, Requests
+from tdgbench.view.session import Session, Shown, Wanted
+
+
+class Viewer:
+    """Shows cells of one scene to every browser that connects.
+
+    width: most pixels of a picture's width.
+    """
+
+    def __init__(self, server: viser.ViserServer, cells: dict[str, ViewedCell], width: int) -> None:
+        first = next(iter(cells.values()))
+        self._shown = Shown(cells, thumbnails(first), width)
+        self._requests: Requests[Wanted] = Requests()
+        self._renderer, self._pace = Renderer(cells), Pace()
+        self._error: Exception | None = None
+        self._ended = threading.Event()
+        self._worker = threading.Thread(target=self._work, name="viewer", daemon=True)
+        self._renderer.depth_range()  # and the kernels are compiled
+        server.scene.set_up_direction(up_direction(first.cameras.values()))
+        server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        server.gui.main_panel.dock_right()
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(lambda client: self._requests.forget(client.client_id))
+        self._worker.start()
+
+    def wait(self) -> None:
+        """Serve until `close`. Raises an error of the rendering thread."""
+        self._ended.wait()
+        if self._error is not None:
+            raise self._error
+
+    def close(self) -> None:
+        """End the rendering thread."""
+        self._requests.close()
+        self._worker.join()
+        self._ended.set()
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        Session(client, self._shown, self._requests)
+
+    def _work(self) -> None:
+        try:
+            for job in iter(self._requests.next, None):
+                self._render(job)
+        except Exception as error:
+            self._error = error
+            self._ended.set()
+
+    def _render(self, job: Job[Wanted]) -> None:
+        wanted, start = job.wanted, time.perf_counter()
+        size = (wanted.width, wanted.height)
+        size = size if job.is_fine else self._pace.coarse(*size)
+        frame = self._renderer.render(wanted.look, camera_of(wanted.pose, *size))
+        if job.is_fine and not self._requests.is_newest(job):
+            return
+        wanted.session.show(frame, job.is_fine)
+        if not job.is_fine:
+            self._pace.took(time.perf_counter() - start)
+
+
+@contextlib.contextmanager
+def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
+    """A server of viser that prints nothing. port: None for the first free one from 8080 on.
+
+    Raises OSError, naming the address, if it cannot be used: viser would try other ports, and wait forever for a host
+    that is not this machine.
+    """
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        server = viser.ViserServer(host=host, port=free_port(host, port), label="tdgbench", verbose=False)
+        try:
+            yield server
+        finally:
+            server.stop()
+    finally:
+        console.quiet = quiet
+
+
+def free_port(host: str, port: int | None) -> int:
+    """The port, or the first free one from 8080 on. Raises OSError if it cannot be used."""
+    for candidate in range(FIRST_PORT, LAST_PORT + 1) if port is None else [port]:
+        try:
+            with socket.create_server((host, candidate)):
+                return candidate
+        except OSError as error:
+            failure = error
+    raise OSError(f"{host}:{port or FIRST_PORT} cannot be served: {failure.strerror}; choose --host and --port")
+
+
+FIRST_PORT, LAST_PORT = 8080, 8180

@@ -1,0 +1,109 @@
+"""One browser: its camera, its controls, and the pictures that it is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import viser
+
+from tdgbench.view import facts
+from tdgbench.view.cells import ViewedCell
+from tdgbench.view.cursor import watch_cursor
+from tdgbench.view.frustums import Frustums
+from tdgbench.view.panel import Panel
+from tdgbench.view.poses import Pose, focus, pose_of
+from tdgbench.view.renderer import Frame, Look
+from tdgbench.view.requests import Requests
+
+JPEG_QUALITY = 80  # of coarse pictures; fine ones are PNG
+
+
+class Wanted(NamedTuple):
+    """A picture that a session has requested."""
+
+    session: Session
+    look: Look
+    pose: Pose
+    width: int  # of the fine picture, px
+    height: int
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What all sessions show. width: most pixels of a picture's width. thumbnails: of the first cell's views."""
+
+    cells: dict[str, ViewedCell]
+    thumbnails: dict[str, np.ndarray]
+    width: int
+
+
+class Session:
+    """A connected client."""
+
+    def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
+        self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width
+        self._first = next(iter(shown.cells.values()))
+        self._focus = focus(self._first.cameras.values())
+        self._frame: Frame | None = None
+        self._cursor: tuple[float, float] | None = None
+        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to)
+        watch_cursor(client.gui, self.read_at)
+        self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
+        self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
+        client.camera.on_update(lambda _: self._moved())
+        client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
+        self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it went to, in which window
+        self.go_to(self._view)
+        self._look_changed()
+
+    def go_to(self, view: str) -> None:
+        """Move the camera to that of a view."""
+        camera = self.client.camera
+        pose = pose_of(self._first.cameras[view], camera.aspect)
+        forward = self._first.cameras[view].world_to_camera[2, :3]
+        distance = float(forward @ (self._focus - pose.position))
+        with self.client.atomic():
+            camera.fov = pose.fov
+            camera.position = pose.position
+            camera.wxyz = pose.wxyz
+            if distance > 0:  # else the distance to the orbit's centre stays
+                camera.look_at = pose.position + distance * forward
+        self._view, self._aspect = view, camera.aspect
+        self.panel.show_view(view)
+        self._frustums.leave_out(view)
+        self._requests.moved(self.client.client_id, self._wanted())
+
+    def read_at(self, x: float, y: float) -> None:
+        """Show the values at a place of the picture; x and y are shares of its width and height."""
+        self._cursor = (x, y)
+        if self._frame is not None:
+            self.panel.show_value(facts.readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
+
+    def show(self, frame: Frame, is_fine: bool) -> None:
+        """Send a picture to the browser."""
+        send = self.client.scene.set_background_image
+        send(frame.picture, "png" if is_fine else "jpeg", jpeg_quality=JPEG_QUALITY)
+        self.client.flush()
+        self._frame = frame
+        if is_fine:
+            self.panel.describe(frame)
+            if self._cursor is not None:
+                self.read_at(*self._cursor)
+
+    def _moved(self) -> None:
+        camera, at = self.client.camera, self._first.cameras[self._view]
+        if camera.aspect != self._aspect and np.allclose(camera.position, at.center, rtol=1e-3):
+            self._aspect = camera.aspect  # the window has another shape, in which all of the view's image fits
+            camera.fov = pose_of(at, camera.aspect).fov
+        self._requests.moved(self.client.client_id, self._wanted())
+
+    def _look_changed(self) -> None:
+        self._requests.changed(self.client.client_id, self._wanted())
+
+    def _wanted(self) -> Wanted:
+        camera = self.client.camera
+        width = min(self._width, camera.image_width)
+        height = max(1, round(width * camera.image_height / camera.image_width))
+        return Wanted(self, self.panel.look(), Pose(camera.wxyz, camera.position, camera.fov), width, height)

@@ -1,0 +1,131 @@
+"""A session with a server of viser in the place of a client, whose camera is written by the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tdgbench.view.cells import open_cells
+from tdgbench.view.poses import camera_of, pose_of
+from tdgbench.view.renderer import Look, Renderer
+from tdgbench.view.requests import Requests
+
+pytest.importorskip("viser")
+
+
+@dataclass
+class Camera:
+    """What a session reads and writes of viser's camera."""
+
+    wxyz: np.ndarray = field(default_factory=lambda: np.array([1.0, 0, 0, 0]))
+    position: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    look_at: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    fov: float = 1.0
+    image_width: int = 640
+    image_height: int = 480
+    moved: list[Callable] = field(default_factory=list)
+
+    @property
+    def aspect(self) -> float:
+        return self.image_width / self.image_height
+
+    def on_update(self, callback: Callable) -> None:
+        self.moved.append(callback)
+
+    def move(self) -> None:
+        for callback in self.moved:
+            callback(self)
+
+
+@pytest.fixture(scope="module")
+def cells(tdg_folder, msmg_folder):
+    return open_cells([tdg_folder, msmg_folder])
+
+
+@pytest.fixture
+def client() -> Iterator[SimpleNamespace]:
+    from tdgbench.view.server import serving
+
+    with serving("127.0.0.1", 0) as server:
+        yield SimpleNamespace(
+            camera=Camera(), gui=server.gui, scene=server.scene, client_id=7, atomic=nullcontext, flush=lambda: None
+        )
+
+
+@pytest.fixture
+def session(client, cells):
+    from tdgbench.view.frustums import thumbnails
+    from tdgbench.view.session import Session, Shown
+
+    return Session(client, Shown(cells, thumbnails(cells["tdg"]), width=320), Requests(rest=0))
+
+
+def all_wanted(session) -> list:
+    return [job.wanted for job in iter(session._requests.take, None)]
+
+
+def test_it_begins_at_the_first_test_view_with_both_cells(session, client, cells):
+    view, camera = sorted(cells["tdg"].test.items())[0]
+    pose = pose_of(camera, 640 / 480)
+    assert np.allclose(client.camera.position, pose.position) and np.allclose(client.camera.wxyz, pose.wxyz)
+    ahead = client.camera.look_at - pose.position
+    assert np.allclose(ahead / np.linalg.norm(ahead), camera.world_to_camera[2, :3])
+    (wanted,) = all_wanted(session)
+    assert wanted.look == Look("tdg", beside="msmg") and (wanted.width, wanted.height) == (320, 240)
+    assert session.panel.views[0] == view and len(session.panel.views) == 10
+
+
+def test_a_window_of_another_shape_still_shows_all_of_the_view(session, client, cells):
+    camera = sorted(cells["tdg"].test.items())[0][1]
+    client.camera.image_width = 240
+    client.camera.move()
+    assert client.camera.fov == pose_of(camera, 0.5).fov
+    client.camera.fov, client.camera.position, client.camera.image_width = 0.7, np.ones(3), 960
+    client.camera.move()
+    assert client.camera.fov == 0.7  # it has left the view
+
+
+def test_a_frame_is_read_under_the_cursor(session, client, cells):
+    (wanted,) = all_wanted(session)
+    frame = Renderer(cells).render(wanted.look, camera_of(wanted.pose, wanted.width, wanted.height))
+    session.read_at(0.5, 0.5)  # there is no frame yet
+    session.show(frame, is_fine=False)
+    assert "°C" not in session.panel.readout.content
+    session.read_at(0.5, 0.5)
+    assert session.panel.readout.content.count("°C") == 2
+    session.show(frame, is_fine=True)
+    low, high = cells["tdg"].degC
+    assert f"{low:.1f} °C" in session.panel._bar.content and f"{high:.1f} °C" in session.panel._bar.content
+
+
+def test_choices_are_looks(session, client):
+    all_wanted(session)
+    panel = session.panel
+    for control, value in ((panel._beside, "–"), (panel._quantity, "depth"), (panel._span, (20, 80))):
+        control.value = value
+    assert panel.look() == Look("tdg", "depth", span=(0.2, 0.8))
+    assert "RGB" in panel._quantity.options
+
+
+def test_a_view_shows_its_ground_truth(session, cells):
+    test, train = sorted(cells["tdg"].test)[1], sorted(cells["tdg"].train)[0]
+    session.go_to(test)
+    assert all(image.visible for image in session.panel._images.values())
+    assert session.panel._images["thermal"].image.std() > 5
+    session.go_to(train)
+    assert not any(image.visible for image in session.panel._images.values())
+    assert session.panel._view.value == f"{train} (training)"
+
+
+def test_names_from_records_are_text(client, cells, monkeypatch):
+    from tdgbench.view import facts
+
+    monkeypatch.setattr(cells["tdg"].record, "notes", [])
+    content = facts.numbers({"<b>tdg": cells["tdg"]})
+    assert "&lt;b&gt;tdg" in content and "<b>" not in content
+    assert f"{cells['tdg'].record.scores['psnr']:.2f}" in content and "PSNR, dB" in content
