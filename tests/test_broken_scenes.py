@@ -28,7 +28,7 @@ def test_good_cells_finish_and_the_others_say_why(tmp_path, small_scene):
     put(root / "twisted" / "sparse" / "0" / "frames.bin", 16, "<4d", 0, 0, 0, 0)
     run = command_here(
         tmp_path, "-m", *OPTIONS, "dataset=folder", f"data.root={root}", "budget=demo", "budget.iterations=12",
-        "method=msmg", "scene=1,corrupt,cut,incomplete,pipe,thermal_only,twisted,unposed",
+        "method=msmg", "data.skip_unpaired=false", "scene=1,corrupt,cut,incomplete,pipe,thermal_only,twisted,unposed",
     )  # fmt: skip
     assert run.returncode == 1 and "Traceback" not in run.stderr
     assert "1 cell run, 0 already there, 7 failed" in run.stdout

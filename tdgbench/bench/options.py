@@ -153,7 +153,7 @@ class _Data(_Group):
     thermal: Any
     principal_point: Any
     temperature: Any
-    filler: Any
+    fillers: Any
 
 
 class _Options(_Group):

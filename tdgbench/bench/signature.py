@@ -138,6 +138,8 @@ def _problem(error: ErrorDetails, name: str) -> Problem:
         what = f"must be {limits['expected'].replace(chr(39), '')}"
     elif kind == "greater_than" and isinstance(limits["gt"], int):
         what = f"must be at least {limits['gt'] + 1}"
+    elif kind == "too_short" and limits["min_length"] > 1:
+        what = f"must have {limits['min_length']} items"
     elif kind == "missing":
         value = None
     elif kind == "string_type" and isinstance(value, int | float):
@@ -162,6 +164,7 @@ MESSAGES = {  # by pydantic's type of error
     "less_than_equal": "must be at most {le}",
     "less_than": "must be below {lt}",
     "too_short": "must not be empty",
+    "too_long": "must have {max_length} items at most",
 }
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.fillers import Fillers, find_fillers, given_filler
+from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
@@ -78,7 +78,7 @@ def celsius_images(
     train: views whose temperatures give the range, unless it is given.
     """
     raw = {name: read(source.path).astype(np.float32) for name, source in sources.items()}
-    fillers = _fillers(raw, options.filler)
+    fillers = find_fillers(raw) if options.fillers is None else given_fillers(options.fillers)
     measured, filled = {}, []
     for name, source in sources.items():
         degC = raw.pop(name)
@@ -106,12 +106,6 @@ def celsius_images(
 def _make(source: Source, scaling: _Scaling) -> Measured:
     degC = scaling.read(source.path).astype(np.float32)
     return _scaled(_measure(degC, scaling.fillers.mask(degC), source), scaling.range)
-
-
-def _fillers(degC: Mapping[str, np.ndarray], wanted: str | float) -> Fillers:
-    if wanted == "auto":
-        return find_fillers(degC)
-    return Fillers() if wanted == "none" else given_filler(float(wanted))
 
 
 def _measure(degC: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
@@ -150,7 +144,7 @@ def _notes(
         values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
         notes.append(
             f"{np.mean(filled):.1%} of the pixels are masked, as not measured or filled with {values} °C "
-            "(data.filler=none keeps fillers)"
+            "(data.fillers=[] keeps them)"
         )
     elif any(filled):
         notes.append(f"{np.mean(filled):.2%} of the pixels hold no temperature and are masked")

@@ -17,7 +17,7 @@ mixes the filler into the pixels at its edge. NaN, infinities and temperatures t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,9 +52,10 @@ class Fillers:
         return invalid
 
 
-def given_filler(value: float) -> Fillers:
-    """All pixels of this value."""
-    return Fillers((value,), (value,))
+def given_fillers(values: Iterable[float]) -> Fillers:
+    """All pixels of these values, wherever they are."""
+    masked = tuple(map(float, values))
+    return Fillers(masked, masked)
 
 
 def impossible(degC: np.ndarray) -> np.ndarray:

@@ -47,19 +47,21 @@ class Kept:
 
     def __init__(self, made: Measured, make: Callable[[], Measured]) -> None:
         self.channels = made.image.shape[2]
+        self.is_masked = made.valid is not None
         self._image: np.ndarray | None = made.image
         self._valid = made.valid
-        self._is_valid_left = True
         self._make = make
 
     def image(self) -> np.ndarray:
         image, self._image = self._image, None
         return self._make().image if image is None else image
 
-    def valid(self) -> np.ndarray | None:
-        if not self._is_valid_left:
-            return self._make().valid
-        valid, self._valid, self._is_valid_left = self._valid, None, False
+    def valid(self) -> np.ndarray:
+        """Of a view that is masked."""
+        valid, self._valid = self._valid, None
+        valid = self._make().valid if valid is None else valid
+        if valid is None:
+            raise ValueError("all pixels of this view are valid")
         return valid
 
 

@@ -22,7 +22,7 @@ class ReadOptions:
     as the authors' loaders do; else they are an error. thermal: `shown` reads the layout's thermal images;
     `radiometric` takes °C from the cameras' files in raw_images/. principal_point: as in the model, or at the image's
     `center`, as 3DGS's and ThermalGaussian's readers assume. temperature: °C of image values 0 and 1; None takes them
-    from the scene's files. filler: value in °C of pixels that were not measured; `auto` finds such values (`fillers`).
+    from the scene's files. fillers: values in °C of pixels that were not measured; None finds them (`fillers.py`).
     """
 
     split: Literal["eighty_twenty", "every_8th", "folder"] = "eighty_twenty"
@@ -32,7 +32,7 @@ class ReadOptions:
     thermal: Literal["shown", "radiometric"] = "shown"
     principal_point: Literal["model", "center"] = "model"
     temperature: Annotated[list[DegC], Field(min_length=2, max_length=2)] | None = None
-    filler: Literal["auto", "none"] | float = "auto"
+    fillers: list[float] | None = None
 
 
 @dataclass(frozen=True)

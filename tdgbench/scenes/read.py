@@ -175,7 +175,7 @@ def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None, i
         load_thermal=partial(images.load, name),
         load_rgb=None if photo is None else partial(_load_rgb, photo),
         thermal_path=source.path,
-        load_valid=images.kept[name].valid,
+        load_valid=images.kept[name].valid if images.kept[name].is_masked else None,
         true_depth_path=regular_file(depth) if is_there(depth) else None,
     )
 

@@ -75,7 +75,7 @@ class View:
     load_thermal: Callable[[], np.ndarray] = field(repr=False)
     load_rgb: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     thermal_path: Path | None = None
-    load_valid: Callable[[], np.ndarray | None] | None = field(default=None, repr=False)
+    load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
 
     @cached_property

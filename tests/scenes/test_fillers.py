@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scenes.fillers import Fillers, find_fillers, given_filler
+from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers
 
 N, H, W = 8, 60, 80
 
@@ -44,7 +44,7 @@ def test_the_minimum_of_each_view_as_filler(views):
     made = {name: _with(view, np.s_[:, :6], view.min()) for name, view in views.items()}
     fillers = find_fillers(made)
     assert len(fillers.values) == N
-    for name, view in made.items():
+    for view in made.values():
         mask = fillers.mask(view)
         assert mask[:, :7].all() and mask[:, 7:].mean() < 0.01
 
@@ -88,7 +88,7 @@ def test_numbers_that_are_no_temperatures_are_always_masked():
 
 def test_a_given_value_is_masked_everywhere(views):
     view = _with(views["v0"], np.s_[30, 30], 7.0)
-    mask = given_filler(7.0).mask(view)
+    mask = given_fillers([7]).mask(view)
     assert mask[29:32, 29:32].all() and mask.sum() == 9
 
 

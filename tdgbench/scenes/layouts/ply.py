@@ -16,7 +16,7 @@ from tdgbench.scenes.validate import MAX_COORDINATE
 HEADER_SIZE = 2**16  # bytes that hold it
 SMALLEST_ROW = 6  # bytes of a point: three digits and the spaces between them
 REMEDY = "copy or download it again, or remove it and use init=random"
-CLEARLY_MORE = 1.5  # × as many points in the images decide for a world
+CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in none in the other
 
 
 def read_points(path: Path) -> PointCloud:
@@ -50,22 +50,21 @@ def where_they_are(
 
     nerfstudio writes points in that world since its release 1.0 (`create_ply_from_colmap` of
     nerfstudio/process_data/colmap_utils.py takes the applied_transform, (4, 4)); before, it wrote COLMAP's own
-    (nerfstudio_dataparser.py at 01595f7 still applied it on reading). The world decides in which clearly more points
-    lie in the images.
+    (nerfstudio_dataparser.py at 01595f7 still applied it on reading). COLMAP's points are seen in two images at least,
+    so the world decides in which more points are in an image.
     """
     if applied_transform is None or not len(cloud.points):
         return cloud, False
     moved = cloud.points @ applied_transform[:3, :3].T + applied_transform[:3, 3]
-    if _visible(moved, cameras) > CLEARLY_MORE * _visible(cloud.points, cameras):
+    if _share_in_images(moved, cameras) > _share_in_images(cloud.points, cameras) + CLEARLY_MORE:
         return PointCloud(moved, cloud.colors), True
     return cloud, False
 
 
-def _visible(points: np.ndarray, cameras: list[Camera]) -> int:
-    """How often the points (N, 3) lie in front of the cameras and in their images."""
-    count = 0
+def _share_in_images(points: np.ndarray, cameras: list[Camera]) -> float:
+    """Share of the points (N, 3) that lie in front of a camera and in its image."""
+    seen = np.zeros(len(points), bool)
     for camera in cameras:
         pixels, z = camera.project(points)
-        inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
-        count += int(np.count_nonzero(inside & (z > 0)))
-    return count
+        seen |= (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1) & (z > 0)
+    return float(seen.mean())

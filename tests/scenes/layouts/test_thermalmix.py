@@ -51,7 +51,7 @@ def test_rgb_and_temperatures_are_undistorted_alike(small_gray_scene, tmp_path, 
     for path in sorted((folder / "images").iterdir()):
         raw[path.stem] = np.asarray(Image.open(path))[..., 0].astype(np.float64)
         np.save(folder / "warped_thermal" / f"{path.stem}.npy", raw[path.stem][..., None])
-    scene = load(folder, temperature=[0, 255], filler="none")
+    scene = load(folder, temperature=[0, 255], fillers=[])
     for view in scene.views:
         assert np.allclose(view.thermal[..., 0], view.rgb[..., 0], atol=1e-6)
         unchanged = view.thermal.shape == (36, 48, 1) and np.allclose(view.thermal[..., 0], raw[view.name] / 255)
@@ -73,7 +73,7 @@ def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path, load)
         assert np.array_equal(view.valid, expected)
         assert (view.thermal[~view.valid] == 0).all() and np.isfinite(view.thermal).all()
     assert scene.temperature.min > 10 and "masked, as not measured or filled with 0 °C" in scene.notes[2]
-    kept = load(tmp_path / "lion", filler="none")
+    kept = load(tmp_path / "lion", fillers=[])
     assert kept.temperature.min == 0 and kept.views[0].valid.sum() == 36 * 48 - 3
 
 
@@ -85,7 +85,7 @@ def test_masked_pixels_never_reach_valid_ones(small_gray_scene, tmp_path, load):
             small_gray_scene, tmp_path / str(filler) / "lion", camera="OPENCV",
             change=lambda degC, number, filler=filler: np.where(framed(degC, number) == 0, filler, degC),
         )  # fmt: skip
-        scenes.append(load(folder, width=30, temperature=[10, 50], filler="none" if filler != 0 else 0.0))
+        scenes.append(load(folder, width=30, temperature=[10, 50], fillers=[] if filler != 0 else [0]))
     zero, far, nan = ([view.thermal for view in scene.views] for scene in scenes)
     valid = [view.valid for view in scenes[0].views]  # grown by a pixel
     assert all(0.1 < v.mean() < 0.9 for v in valid)
@@ -142,7 +142,7 @@ def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, load, make,
 def test_a_scene_of_one_temperature(small_gray_scene, tmp_path, load):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.full_like(degC, 20))
     with pytest.raises(SceneError, match=r"give no range \(nearly all are 20 °C\); set data\.temperature=\[min,max\]"):
-        load(folder, filler="none")
+        load(folder, fillers=[])
 
 
 def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):

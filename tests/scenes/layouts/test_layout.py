@@ -1,0 +1,61 @@
+import contextlib
+import shutil
+
+import pytest
+
+from tdgbench.scenes import FolderDataset, MissingScenesError, ReadOptions, RegisteredDataset, SceneError
+from tdgbench.scenes.layouts import LAYOUTS, detect
+from tests.helpers.layouts import LAYOUTS as SHIPPED
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_each_layout_is_detected_and_named(small_gray_scene, tmp_path, load, name):
+    folder = SHIPPED[name].write(small_gray_scene, tmp_path / "scene")
+    assert detect(folder) is LAYOUTS[name]
+    scene = load(folder)
+    assert scene.notes[0] == f"layout {LAYOUTS[name].title}: {LAYOUTS[name].looks}" and "\n" not in scene.notes[0]
+    assert (scene.temperature is not None) == SHIPPED[name].in_celsius
+    assert (scene.train[0].load_rgb is not None) == SHIPPED[name].has_rgb
+
+
+def test_every_layout_is_tested():
+    assert set(SHIPPED) == set(LAYOUTS)
+
+
+def test_a_folder_of_scenes_in_all_layouts(small_gray_scene, tmp_path):
+    for name, shipped in SHIPPED.items():
+        shipped.write(small_gray_scene, tmp_path / "captures" / name)
+    (tmp_path / "captures" / "empty").mkdir()
+    dataset = FolderDataset(str(tmp_path / "captures"), ReadOptions())
+    assert dataset.names() == sorted(SHIPPED)
+    with pytest.raises(MissingScenesError) as error:
+        dataset.load("empty")
+    assert all(layout.looks in str(error.value) for layout in LAYOUTS.values())
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_registered_scenes_may_have_any_layout(small_gray_scene, tmp_path, name):
+    SHIPPED[name].write(small_gray_scene, tmp_path / "ThermalMix" / "Pan")
+    scene = RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
+    assert scene.notes[0].startswith(f"layout {LAYOUTS[name].title}: ") and len(scene.views) == 10
+
+
+def test_a_folder_without_a_layout(tmp_path):
+    (tmp_path / "ThermalMix" / "Pan").mkdir(parents=True)
+    with pytest.raises(SceneError, match=r"Pan has none of the layouts of a scene \(ThermalMix: warped_thermal/"):
+        RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_fingerprint_covers_every_file_that_is_used(small_gray_scene, tmp_path, load, name):
+    folder = SHIPPED[name].write(small_gray_scene, tmp_path / "scene")
+    before = load(folder).fingerprint
+    assert before == load(shutil.copytree(folder, tmp_path / "copy")).fingerprint
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    for path in {(path.parent, path.suffix): path for path in files}.values():  # one of each kind
+        content = path.read_bytes()
+        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+        with contextlib.suppress(SceneError):  # of a file whose content is checked
+            assert load(folder).fingerprint != before, path
+        path.write_bytes(content)
+    assert load(folder).fingerprint == before

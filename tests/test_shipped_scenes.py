@@ -1,0 +1,95 @@
+"""Scenes in the layouts in which authors ship them, trained, scored and verified through the command line."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tdgbench.bench.record import Record, read_all
+from tests.helpers.command import command_here, tdgbench_here
+from tests.helpers.layouts import LAYOUTS, write_rgbt_scenes, write_thermalmix, write_thermoscenes
+
+COMMON = ("metrics.lpips.download=false", "budget=demo", "prior=sfm_points")
+NOT_PHYSICAL = 20  # °C; half of the range of the scene's temperatures
+
+
+def framed(degC: np.ndarray, number: int) -> np.ndarray:
+    """A frame of filler, as outside the field of a warped thermal camera."""
+    degC = degC.copy()
+    degC[:, :4] = 0
+    return degC
+
+
+def run(tmp_path, *words: str) -> list[Record]:
+    """Records of a sweep, whose cells all finish and verify."""
+    done = command_here(tmp_path, "-m", *COMMON, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    verified = tdgbench_here(tmp_path, "verify", "results/single")
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    return read_all(tmp_path / "results" / "single")
+
+
+def check(record: Record, in_celsius: bool, least_psnr: float) -> None:
+    assert record.failure is None and all(math.isfinite(v) for v in record.scores.values() if v is not None)
+    assert least_psnr < record.scores["psnr"] < 60 and -1 < record.scores["ssim"] < 1
+    error = record.scores.get("mae_degC")
+    assert (error is not None) == in_celsius and (error is None or 0 < error < NOT_PHYSICAL)
+
+
+def test_temperatures_train(small_gray_scene, tmp_path):
+    write_thermalmix(small_gray_scene, tmp_path / "data" / "ThermalMix" / "lion", change=framed)
+    write_thermoscenes(small_gray_scene, tmp_path / "data" / "ThermoScenes" / "cup")
+    words = ("budget.iterations=20", "data.root=data")
+    (lion,) = run(tmp_path, *words, "dataset=thermalmix", "scene=Lion", "method=msmg")
+    check(lion, in_celsius=True, least_psnr=5)
+    assert (lion.dataset, lion.channels) == ("ThermalMix", 1) and lion.notes[0].startswith("layout ThermalMix: ")
+    assert any("filled with 0 °C" in note for note in lion.notes) and lion.temperature[0] > 10
+    records = run(tmp_path, *words, "dataset=thermoscenes", "method=tdg", "data.split=folder")
+    (cup,) = (record for record in records if record.dataset == "ThermoScenes")
+    check(cup, in_celsius=True, least_psnr=5)
+    assert (cup.scene, cup.temperature, cup.views) == ("cup", [14.0, 50.0], {"train": 8, "test": 2})
+
+
+def test_options_are_typed_as_data(small_gray_scene, tmp_path):
+    write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
+    words = ("budget.iterations=2", "data.root=lion", "dataset=folder", "method=splat")
+    (record,) = run(tmp_path, *words, "data.temperature=[16.8,48.3]", "data.principal_point=center", "data.fillers=[0]")
+    assert record.temperature == [16.8, 48.3] and record.config["dataset"]["options"]["fillers"] == [0]
+    for option, message in (
+        ("data.temperature=[1]", "data.temperature: must have 2 items"),
+        ("data.temperature=warm", "data.temperature=warm: must be a list"),
+        ("data.fillers=some", "data.fillers=some: must be a list, as [a,b]"),
+        ("data.thermal=raw", "data.thermal=raw: must be shown or radiometric"),
+        ("data.principal_point=left", "data.principal_point=left: must be model or center"),
+    ):
+        done = command_here(tmp_path, *COMMON, *words, option)
+        assert done.returncode == 1 and message in done.stderr, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_300_iterations(small_gray_scene, tmp_path, layout):
+    shipped = LAYOUTS[layout]
+    shipped.write(small_gray_scene, tmp_path / "data" / "scene")
+    methods = "tdg,msmg" if shipped.has_rgb else "tdg"
+    words = ("budget.iterations=300", f"dataset={shipped.dataset}", "data.root=data", f"method={methods}")
+    records = run(tmp_path, *words)
+    assert len(records) == len(methods.split(","))
+    for record in records:
+        check(record, shipped.in_celsius, least_psnr=14)
+    if not shipped.has_rgb:
+        done = command_here(tmp_path, "-m", *COMMON, *words[:-1], "method=msmg")
+        assert done.returncode == 1 and "has no RGB image; a method that trains on RGB" in done.stdout
+
+
+@pytest.mark.slow
+def test_300_iterations_of_radiometric_files(small_scene, tmp_path):
+    write_rgbt_scenes(small_scene, tmp_path / "data" / "RGBT-Scenes" / "Ebike", raw_images=True)
+    words = ("budget.iterations=300", "dataset=rgbt_scenes", "data.root=data", "scene=Ebike", "data.split=folder")
+    records = run(tmp_path, *words, "method=tdg,msmg", "data.thermal=radiometric")
+    for record in records:
+        check(record, in_celsius=True, least_psnr=14)
+        assert record.channels == 1
+    assert len(records) == 2
