@@ -20,13 +20,16 @@ class Fault(NamedTuple):
     """What goes wrong with one answer.
 
     status: instead of the content. cut: bytes after which the connection ends, though the whole length was announced.
-    ranges: False ignores the header Range. seconds: wait after each 10 000 bytes. extra: bytes appended to the content.
+    ranges: False ignores the header Range. length: False announces none. first: added to where an answer to the header
+    Range says that it begins. seconds: wait after each 10 000 bytes. extra: bytes appended to the content.
     """
 
     status: int | None = None
     headers: tuple[tuple[str, str], ...] = ()
     cut: int | None = None
     ranges: bool = True
+    length: bool = True
+    first: int = 0
     seconds: float = 0.0
     extra: bytes = b""
 
@@ -118,14 +121,15 @@ class _Handler(BaseHTTPRequestHandler):
             body = b""
         elif first:
             self.send_response(206)
-            self.send_header("Content-Range", f"bytes {first}-{len(content) - 1}/{len(content)}")
+            self.send_header("Content-Range", f"bytes {first + fault.first}-{len(content) - 1}/{len(content)}")
             body = content[first:]
         else:
             self.send_response(200)
             body = content
         for key, value in fault.headers:
             self.send_header(key, value)
-        self.send_header("Content-Length", str(len(body)))
+        if fault.length:
+            self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         sent = body if fault.cut is None else body[: fault.cut]
         try:

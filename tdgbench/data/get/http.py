@@ -22,7 +22,7 @@ PERMANENT = (requests.exceptions.SSLError, requests.exceptions.ProxyError, reque
              requests.exceptions.MissingSchema, requests.exceptions.InvalidSchema,
              requests.exceptions.TooManyRedirects)  # fmt: skip
 CUT = (requests.exceptions.ConnectionError, requests.exceptions.ChunkedEncodingError)
-NO_NAME = ("NameResolutionError", "gaierror")  # classes of errors that have no status: the name has no address
+NO_NAME = ("NameResolutionError", "gaierror")  # errors of a name without an address, of urllib3 and of the system
 
 
 class Patience(NamedTuple):
@@ -142,4 +142,4 @@ def _innermost(error: BaseException) -> str:
         if isinstance(one, BaseException):
             causes = (one.__cause__, one.__context__, getattr(one, "reason", None), *one.args)
             seen += [cause for cause in causes if isinstance(cause, BaseException) and cause not in seen]
-    return "" if isinstance(error, CUT) else str(error)
+    return "" if isinstance(error, CUT) and not isinstance(error, PERMANENT) else str(error)

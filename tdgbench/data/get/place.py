@@ -105,7 +105,7 @@ def place_files(place: Place, package: Package, downloaded: Mapping[PurePosixPat
 
 def _unpacked(archive: Archive, path: Path, file: File, target: Path, show: Callable[[int], None]) -> Content:
     """Unpack a file to a place where nothing is; its content must have the size that the archive declares."""
-    with readable(path), archive.open(file.member) as source:
+    with readable(path), archive.content(file.member) as source:
         content = _written(source, target, file.member.size, show)
     if content.size != file.member.size:
         raise BadFileError(f"{path} cannot be unpacked: {file.path} has not the {file.member.size} bytes it declares")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,7 @@ class ResumingDownloader:
                 if self._there() < self.size:
                     raise RepeatableError(f"the server sent {self._there()} of {self.size} bytes")
             except (RepeatableError, requests.exceptions.RequestException) as error:
-                if (
-                    self._there() > furthest
-                ):  # and not only further than before: a server may make it begin anew for ever
+                if self._there() > furthest:  # a server that makes it begin anew must not do so for ever
                     furthest = self._there()
                     attempts.succeeded()
                 attempts.failed(error)
@@ -71,10 +69,10 @@ class ResumingDownloader:
                 raise RepeatableError(f"the server has no byte {there} of this file")
             if response.status_code != requests.codes.partial_content:
                 there = 0
-            elif not re.match(rf"bytes {there}-", response.headers.get("Content-Range", "")):
+            self._check(response.headers, there)
+            if not there:
                 self._begin_anew()
-                raise RepeatableError("the server sent another part than was asked for")
-            with self.part.open("ab" if there else "wb") as file:
+            with self.part.open("ab") as file:
                 for chunk in response.iter_content(CHUNK):
                     there += len(chunk)
                     if there > self.size:
@@ -84,6 +82,17 @@ class ResumingDownloader:
         if there > self.size:
             self._begin_anew()
             raise GetError(f"{url} is longer than the {self.size} bytes that are published; nothing of it is kept")
+
+    def _check(self, headers: Mapping[str, str], there: int) -> None:
+        """Raise RepeatableError, before a byte is changed, if an answer is not this file from `there` on.
+
+        It may be the page of a network that wants a password first.
+        """
+        length = headers.get("Content-Length", str(self.size - there))
+        if length != str(self.size - there):
+            raise RepeatableError(f"the server offers {length} bytes instead of {self.size - there}")
+        if there and not re.match(rf"bytes {there}-", headers.get("Content-Range", "")):
+            raise RepeatableError("the server offers another part than was asked for")
 
     def _begin_anew(self) -> None:
         with self.part.open("wb"):

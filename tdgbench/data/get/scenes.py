@@ -13,7 +13,7 @@ from tdgbench.scenes.names import check_scene_name
 
 # What the top of a scene holds, in the layouts of the authors' loaders (docs/data.md).
 _FOLDERS = re.compile("sparse|colmap|colmap_sparse|rgb|thermal|warped_thermal|raw_images|images(_[0-9]+)?")
-_FILES = re.compile("transforms[.]json|temperature_bounds[.]json")
+_FILES = re.compile("transforms(_thermal)?[.]json|temperature_bounds[.]json")
 
 
 def scene_folders(paths: Iterable[PurePosixPath]) -> list[PurePosixPath]:

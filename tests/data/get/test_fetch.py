@@ -141,19 +141,40 @@ def test_a_damaged_partial_file_is_found(tmp_path, server, capsys):
 @pytest.mark.parametrize("extra", [b"more", bytes(100_000)])
 def test_a_file_that_is_longer_than_published(tmp_path, server, extra):
     one = job(tmp_path, server)
-    server.faults["lion.zip"] = [Fault(extra=extra)]
+    server.faults["lion.zip"] = [Fault(extra=extra, length=False)]
     with pytest.raises(GetError, match=r"longer than the \d+ bytes that are published"):
         fetch(one)
     assert downloads(one) == {"lion.zip.part": 0}
 
 
 def test_a_file_that_is_shorter_than_published(tmp_path, server):
+    """The server ends in peace: there is no end of a connection to be seen."""
     one = job(tmp_path, server)
-    listing = server.record()
+    server.listing = server.record()
     server.files["lion.zip"] = FILES["lion.zip"][:1000]
-    server.listing = listing
-    with pytest.raises(GetError, match=r"the server has no byte 1000 of this file|the server sent 1000 of"):
+    server.faults["lion.zip"] = [Fault(length=False)] * 9
+    with pytest.raises(GetError, match=r"the server (has no byte 1000 of this file|sent 1000 of \d+ bytes)"):
         fetch(one)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (Fault(extra=b"more"), "the server offers 85072 bytes instead of 85068"),
+        (Fault(ranges=False, extra=b"<html>"), "offers 150610 bytes instead of 150604"),
+        (Fault(first=1), "offers another part than was asked for"),
+    ],
+)
+def test_answers_that_are_another_file_change_nothing(tmp_path, server, fault, message):
+    """Such as the page of a network that wants a password: what is there is kept."""
+    one = job(tmp_path, server)
+    one.downloads.mkdir(parents=True)
+    (one.downloads / "lion.zip.part").write_bytes(FILES["lion.zip"][: 2**16])
+    server.faults["lion.zip"] = [fault] * 3
+    with pytest.raises(GetError, match=message):
+        fetch(one)
+    assert downloads(one) == {"lion.zip.part": 2**16}
+    assert fetch(one) and is_whole(one.folder) and server.requests[3] == ("lion.zip", f"bytes={2**16}-")
 
 
 @pytest.mark.parametrize(

@@ -51,16 +51,16 @@ class Archive(ABC):
         """All members in their order; nothing is read ahead."""
 
     @abstractmethod
-    def open(self, member: Member) -> AbstractContextManager[IO[bytes]]:
+    def content(self, member: Member) -> AbstractContextManager[IO[bytes]]:
         """The bytes of a file."""
 
 
 class ZipArchive(Archive):
     def __init__(self, file: zipfile.ZipFile) -> None:
-        self._file = file
+        self._zip = file
 
     def members(self) -> Iterator[Member]:
-        for info in self._file.infolist():
+        for info in self._zip.infolist():
             kind, name = _zip_kind(info), info.orig_filename
             if not info.flag_bits & _UTF_8:  # zipfile has read the bytes as code page 437; programs write UTF-8 as well
                 try:
@@ -69,8 +69,8 @@ class ZipArchive(Archive):
                     kind = "a name of unknown encoding"
             yield Member(name, kind, info.file_size, info)
 
-    def open(self, member: Member) -> AbstractContextManager[IO[bytes]]:
-        return self._file.open(member.handle)
+    def content(self, member: Member) -> AbstractContextManager[IO[bytes]]:
+        return self._zip.open(member.handle)
 
 
 class TarArchive(Archive):
@@ -85,7 +85,7 @@ class TarArchive(Archive):
         if len(self._stream.read(LARGEST_READ)) == LARGEST_READ:  # to the end, where the sum of the compressed data is
             raise tarfile.ReadError(f"{LARGEST_READ} bytes or more follow the last member")
 
-    def open(self, member: Member) -> AbstractContextManager[IO[bytes]]:
+    def content(self, member: Member) -> AbstractContextManager[IO[bytes]]:
         content = self._file.extractfile(member.handle)
         assert content is not None  # it is a file
         return content

@@ -13,7 +13,9 @@ FILES = scene_files("lion")
 
 def contents(path) -> dict[str, bytes]:
     with opened(path) as archive:
-        return {member.name: archive.open(member).read() for member in list(archive.members()) if member.kind == "file"}
+        return {
+            member.name: archive.content(member).read() for member in list(archive.members()) if member.kind == "file"
+        }
 
 
 @pytest.mark.parametrize("compression", ["", "gz", "bz2", "xz"])
