@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tdgbench.scenes import Camera, PointCloud, Scene, View
+from tdgbench.scenes import PointCloud, Scene
 
 
 def with_points(scene: Scene, points: np.ndarray) -> Scene:
@@ -22,7 +22,7 @@ def with_cameras_on_a_line(scene: Scene, position: Callable[[int], float]) -> Sc
     for i, view in enumerate(scene.train):
         pose = first.camera.world_to_camera.copy()
         pose[0, 3] += position(i)
-        views.append(_with_camera(view, replace(first.camera, world_to_camera=pose)))
+        views.append(replace(view, camera=replace(first.camera, world_to_camera=pose)))
     return replace(scene, train=views)
 
 
@@ -34,9 +34,5 @@ def shifted(scene: Scene, offset: float) -> Scene:
     for view in scene.train:
         pose = view.camera.world_to_camera.copy()
         pose[:3, 3] -= pose[:3, :3] @ np.full(3, offset)
-        views.append(_with_camera(view, replace(view.camera, world_to_camera=pose)))
+        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
     return replace(scene, train=views, points=PointCloud(scene.points.points + offset, scene.points.colors))
-
-
-def _with_camera(view: View, camera: Camera) -> View:
-    return replace(view, camera=camera)
