@@ -89,7 +89,7 @@ def celsius_images(
     scaling, kept, clipped, count = _Scaling(read, fillers, span), {}, 0, 0
     for name, source in sources.items():
         one = measured.pop(name)
-        values = one.image[..., 0] if one.valid is None else one.image[one.valid]
+        values = _valid_values(one)
         clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
         count += values.size
         kept[name] = Kept(_scaled(one, span), partial(_make, source, scaling))
@@ -115,14 +115,18 @@ def _measure(degC: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
 
 
 def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source]) -> TemperatureRange:
-    values = [one.image.ravel() if one.valid is None else one.image[one.valid][:, 0] for one in measured.values()]
     try:
-        return robust_range(sampled(one, len(values)) for one in values)
+        return robust_range(sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
     except ValueError as error:
         raise SceneError(
             f"{next(iter(sources.values())).path.parent}: the temperatures of the training views give no range "
             f"({error}); set data.temperature=[min,max] in °C"
         ) from error
+
+
+def _valid_values(measured: Measured) -> np.ndarray:
+    """Values (N,) of the valid pixels."""
+    return measured.image.ravel() if measured.valid is None else measured.image[measured.valid].ravel()
 
 
 def _scaled(measured: Measured, span: TemperatureRange) -> Measured:

@@ -127,12 +127,10 @@ def _in_the_same_place(regions: list[_Region], views: int) -> Iterator[_Region]:
                 yield region
 
 
-def _range_without(views, values: set[float]) -> tuple[float, float]:
+def _range_without(views: Iterable[np.ndarray], values: set[float]) -> tuple[float, float]:
     """Lowest and highest temperature (°C), without PERCENTILES at the ends, of the pixels with other values."""
-    views = list(views)
-    others = [v[~(impossible(v) | np.isin(v, list(values)))] for v in views]
-    others = [sampled(one, len(views)) for one in others]
-    together = np.concatenate(others)
+    views, filled = list(views), list(values)
+    together = np.concatenate([sampled(v[~(impossible(v) | np.isin(v, filled))], len(views)).copy() for v in views])
     if not len(together):
         return -np.inf, np.inf
     low, high = np.percentile(together, PERCENTILES)

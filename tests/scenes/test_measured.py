@@ -87,7 +87,14 @@ def noise(width: int, height: int, views: int) -> Scene:
     return Scene("noise", "", "", found, [], points, TemperatureRange(10, 50), "", "", 1)
 
 
-@pytest.mark.parametrize("write", [partial(write_thermalmix, camera="PINHOLE"), write_rgbt_scenes])
+@pytest.mark.parametrize(
+    "write",
+    [
+        partial(write_thermalmix, camera="PINHOLE"),
+        partial(write_thermalmix, camera="PINHOLE", change=lambda d, n: np.pad(d[:, 20:], ((0, 0), (20, 0)))),
+        write_rgbt_scenes,
+    ],
+)
 def test_memory_is_that_of_the_views(tmp_path, write):
     """Loading holds no second copy of the images; one view at a time is in the making."""
     folder = write(noise(640, 480, 16), tmp_path / "scene")
@@ -95,10 +102,19 @@ def test_memory_is_that_of_the_views(tmp_path, write):
     tracemalloc.start()
     scene = load(folder)
     total = sum(view.thermal.nbytes for view in scene.views)
+    masks = sum(0 if view.valid is None else view.valid.nbytes for view in scene.views)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert total == 16 * 640 * 480 * 4
-    assert peak < 1.2 * total + 2 * 4 * MOST_SAMPLES  # which percentiles are computed of
+    assert peak < 1.2 * total + 2 * masks + 2 * 4 * MOST_SAMPLES  # which percentiles are computed of
+
+
+def test_a_mask_that_is_taken_again_is_the_same(small_gray_scene, tmp_path):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda d, n: np.where(d > 40, np.nan, d))
+    view = load(folder).train[0]
+    again = replace(view)
+    assert again.valid is not view.valid and np.array_equal(again.valid, view.valid)
+    assert np.array_equal(again.thermal, view.thermal) and 0 < view.valid.mean() < 1
 
 
 def test_masks_hide_pixels_of_any_layout(small_scene, tmp_path):

@@ -28,12 +28,13 @@ class Extracted:
     """Content of a view's files.
 
     thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
-    float32 in [0, 1]. mapping: as a FLIR file states it, of its own photo.
+    float32 in [0, 1]. mapping: as a FLIR file states it, of its own photo. settings: of the camera, in words.
     """
 
     thermal: np.ndarray
     rgb: np.ndarray
-    mapping: PhotoMapping | None
+    mapping: PhotoMapping | None = None
+    settings: str = ""
 
     @property
     def is_celsius(self) -> bool:
@@ -51,11 +52,21 @@ def extract(files: ViewFiles, scale: CountScale) -> Extracted:
         thermogram = read_thermogram(files.thermal)
         if thermogram.photo is None:
             raise SceneError(f"{files.thermal} holds no photo; put an RGB image of the same name beside it")
-        return Extracted(thermogram.celsius, thermogram.photo.astype(np.float32) / 255, thermogram.mapping)
+        photo = thermogram.photo.astype(np.float32) / 255
+        return Extracted(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
     rgb = read_rgb(files.rgb)
     if holds_celsius(files.thermal, scale):
-        return Extracted(read_celsius(files.thermal, scale.degC_per_count, scale.degC_at_zero), rgb, None)
-    return Extracted(read_image(files.thermal), rgb, None)
+        return Extracted(read_celsius(files.thermal, scale.degC_per_count, scale.degC_at_zero), rgb)
+    return Extracted(read_image(files.thermal), rgb)
+
+
+def _in_words(settings: dict[str, float]) -> str:
+    """What a FLIR file's temperatures were corrected with."""
+    return (
+        f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
+        f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
+        f"{settings['ir_window_transmission']:.2f}"
+    )
 
 
 def read_rgb(path: Path) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tdgbench.data.prepare.report import Report
 from tdgbench.scenes import Camera, PointCloud
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.temperature import FILE, robust_range
@@ -25,6 +26,7 @@ class SceneWriter:
 
     def __init__(self, folder: Path, is_celsius: bool) -> None:
         self.folder, self.is_celsius = folder, is_celsius
+        self.names: list[str] = []  # of the views
         self._samples: list[np.ndarray] = []
         for name in ("rgb", "thermal"):
             (folder / name).mkdir()
@@ -34,6 +36,7 @@ class SceneWriter:
 
         A mask is written where a pixel is invalid: 255 for measured pixels, else 0.
         """
+        self.names.append(name)
         Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)).save(self.folder / "rgb" / f"{name}.png")
         if self.is_celsius:
             tiff = self.folder / "thermal" / f"{name}.tiff"
@@ -49,13 +52,10 @@ class SceneWriter:
             (self.folder / "masks").mkdir(exist_ok=True)
             Image.fromarray(valid.astype(np.uint8) * 255).save(self.folder / "masks" / f"{name}.png")
 
-    def temperature(self, given: tuple[float, float] | None) -> tuple[tuple[float, float] | None, float | None]:
-        """Write temperature.json: the given range, else one from the views. Returns it, and the share outside of it.
-
-        None if neither is known.
-        """
+    def temperature(self, given: tuple[float, float] | None, report: Report) -> None:
+        """Write temperature.json: the given range, else one from the views, if one is known; report it."""
         if given is None and not self.is_celsius:
-            return None, None
+            return
         share = None
         if self.is_celsius:
             samples = np.concatenate(self._samples)
@@ -65,7 +65,7 @@ class SceneWriter:
         assert given is not None
         content = {"unit": "degC", "min": given[0], "max": given[1]}
         (self.folder / FILE).write_text(json.dumps(content) + "\n", encoding="utf-8")
-        return given, share
+        report.temperature, report.clipped = given, share
 
     def model(self, cameras: dict[str, Camera], points: PointCloud) -> None:
         """Write the COLMAP model of the views, by image file."""

@@ -24,7 +24,7 @@ class Grid:
     """Pixels of the output.
 
     crop: the output's field of view at the RGB image's resolution, as a resampling. rows, columns: (H, W) positions of
-    the output's pixels in the thermal image, in pixel indices. K: (3, 3) of the output's pinhole.
+    the output's pixels in the RGB image, in pixel indices. K: (3, 3) of the output's pinhole.
     """
 
     crop: Undistortion
@@ -45,13 +45,14 @@ class Grid:
         """RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
         return _averaged(self.crop.apply(image).astype(np.float32), self.size)
 
-    def thermal(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def thermal(self, image: np.ndarray, mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
         """Thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
 
         Others, beyond the thermal image or beside an invalid pixel, take the value of the nearest measured one.
         """
         planes = image[:, :, None] if image.ndim == 2 else image
-        sampled = np.stack([_bilinear(planes[..., c], self.rows, self.columns) for c in range(planes.shape[2])], axis=2)
+        places = _thermal_positions((self.rows, self.columns), mapping)
+        sampled = np.stack([_bilinear(planes[..., c], *places) for c in range(planes.shape[2])], axis=2)
         valid = np.isfinite(sampled).all(axis=2)
         if not valid.all() and valid.any():
             nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
@@ -87,7 +88,7 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: i
     fine = Undistortion(source, output, "the RGB camera")
     return Grid(
         Undistortion(source, crop, "the RGB camera"),
-        *_thermal_positions(fine.positions, mapping),
+        *fine.positions,
         np.array(output.calibration_matrix()),
     )
 

@@ -23,8 +23,8 @@ def read_points(path: Path) -> PointCloud:
     """Vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
     try:
         with regular_file(path).open("rb") as file:
-            count = re.search(rb"\nelement vertex (\d{1,18})\s", file.read(HEADER_SIZE))
-        if count is None or int(count[1]) * SMALLEST_ROW > path.stat().st_size:
+            counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", file.read(HEADER_SIZE).partition(b"end_header")[0])
+        if not counts or sum(map(int, counts)) * SMALLEST_ROW > path.stat().st_size:
             raise ValueError("its header states no vertices, or more than the file has bytes for")
         vertex = PlyData.read(str(path))["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)

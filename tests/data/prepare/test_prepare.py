@@ -211,3 +211,26 @@ def test_real_pairs_give_the_known_poses(tmp_path):
     assert distance.max() < 0.02 * np.linalg.norm(theirs, axis=1).max()
     assert scene.views[0].camera.K[0, 0] == pytest.approx(known[scene.views[0].name].camera.K[0, 0], rel=0.03)
     assert scene.channels == 1 and scene.temperature.min == pytest.approx(11.584, abs=1e-3)
+
+
+def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
+    """A camera that adapts the mapping to the distance: a warm spot stays on the dark spot of the photo."""
+    source = tmp_path / "camera"
+    source.mkdir()
+    for index, shift in enumerate((0, 0, 12)):  # px of the photo
+        photo, degC = np.full((120, 160, 3), 200, np.uint8), np.full((60, 80), 15.0)
+        photo[50:70, 70:90] = 20
+        degC[25:35, 35 - shift // 2 : 45 - shift // 2] = 30
+        counts = FlirCamera().counts(degC)
+        write_flir(source / f"{index}.jpg", counts, photo, mapping=(1.0, shift, 0))
+    report = prepare(source, tmp_path / "out", EXTRACT)
+    assert "1 views differ, and each has its own" in report.text()
+    assert "emissivity 1.00, distance 0 m" in report.text()
+    for index in range(3):
+        degC = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{index}.tiff"))
+        rgb = np.asarray(Image.open(tmp_path / "out" / "rgb" / f"{index}.png")).mean(axis=2)
+        inside = (
+            np.asarray(Image.open(tmp_path / "out" / "masks" / "2.png")) > 0 if index == 2 else np.full(rgb.shape, True)
+        )
+        assert (((degC > 22) == (rgb < 110)) | ~inside).mean() > 0.99
+        assert (degC > 22).sum() > 80

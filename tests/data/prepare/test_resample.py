@@ -34,7 +34,7 @@ def test_both_modalities_are_resampled_alike(distortion, stated):
     mapping = same_view(RGB, THERMAL) if stated is None else inside_photo(stated, RGB, THERMAL, "test")
     grid = make_grid(source, mapping, THERMAL)
     rgb, thermal = images(mapping)
-    warped, valid = grid.thermal(thermal)
+    warped, valid = grid.thermal(thermal, mapping)
     inner = valid.copy()
     inner[:2], inner[-2:], inner[:, :2], inner[:, -2:] = False, False, False, False
     assert valid.mean() > 0.95
@@ -59,7 +59,7 @@ def test_output_has_the_thermal_resolution_and_never_more_than_rgb():
 def test_images_of_equal_pixels_stay_as_they_are():
     grid = make_grid(no_distortion(RGB), same_view(RGB, RGB), RGB)
     rgb = np.random.default_rng(0).random((240, 320, 3)).astype(np.float32)
-    thermal, valid = grid.thermal(rgb[..., 0].astype(np.float64))
+    thermal, valid = grid.thermal(rgb[..., 0].astype(np.float64), same_view(RGB, RGB))
     assert valid.all() and np.allclose(grid.rgb(rgb), rgb, atol=1e-6) and np.allclose(thermal, rgb[..., 0], atol=1e-6)
 
 
@@ -67,14 +67,14 @@ def test_invalid_pixels_are_told_and_filled():
     grid = make_grid(no_distortion(RGB), same_view(RGB, RGB), RGB)
     thermal = np.full((240, 320), 20.0)
     thermal[100:110, 50:60] = np.nan
-    filled, valid = grid.thermal(thermal)
+    filled, valid = grid.thermal(thermal, same_view(RGB, RGB))
     assert not valid[100:110, 50:60].any() and (~valid).sum() <= 12 * 12 and np.allclose(filled, 20)
 
 
 def test_thermal_image_beyond_the_rgb_image():
     wide = inside_photo(PhotoMapping(0.5, 0, 0), RGB, THERMAL, "test")  # twice as wide as the RGB image
     grid = make_grid(no_distortion(RGB), wide, THERMAL)
-    assert grid.size == (80, 60) and grid.thermal(np.ones((120, 160)))[1].all()
+    assert grid.size == (80, 60) and grid.thermal(np.ones((120, 160)), wide)[1].all()
     beside = inside_photo(PhotoMapping(4.0, 300, 0), RGB, THERMAL, "test")
     with pytest.raises(SceneError, match="outside of the RGB image"):
         make_grid(no_distortion(RGB), beside, THERMAL)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import bz2
+import errno
 import gzip
 import lzma
 import stat
+import struct
 import tarfile
 import zipfile
 import zlib
@@ -22,7 +24,8 @@ UNREADABLE = (".7z", ".rar", ".tar.zst", ".zipx")  # archives that only other pr
 LARGEST_READ = 2**24  # bytes at once: headers of tar files are read into memory, whatever size they claim
 _ENCRYPTED, _UTF_8 = 0x1, 0x800  # bits of a zip member's flags (PKWARE's APPNOTE 4.4.4)
 _DAMAGED = (zipfile.BadZipFile, tarfile.TarError, gzip.BadGzipFile, lzma.LZMAError, zlib.error, EOFError, ValueError,
-            NotImplementedError, RuntimeError, OverflowError)  # fmt: skip
+            NotImplementedError, RuntimeError, OverflowError, LookupError, struct.error)  # fmt: skip
+_NO_DISK = (None, errno.EINVAL)  # errors of bz2, and of a jump to before the beginning of a file
 _COMPRESSED: dict[bytes, Callable[[IO[bytes]], Any]] = {
     b"\x1f\x8b": gzip.open,
     b"BZh": bz2.open,
@@ -159,9 +162,9 @@ def readable(path: Path) -> Iterator[None]:
     except _DAMAGED as error:
         raise _damaged(path, error) from error
     except OSError as error:
-        if error.errno is not None:
+        if error.errno not in _NO_DISK:
             raise
-        raise _damaged(path, error) from error  # of bz2
+        raise _damaged(path, error) from error
 
 
 def _damaged(path: Path, error: Exception) -> BadFileError:

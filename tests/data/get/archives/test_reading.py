@@ -70,6 +70,15 @@ def test_a_changed_byte_is_found(tmp_path, pack):
         contents(tmp_path / "a")
 
 
+def test_a_member_before_the_beginning(tmp_path):
+    content = bytearray(zipped({"a": b"1", "b": b"2"}))
+    end = content.index(b"PK\x05\x06") + 16  # where the directory says that it lies; members are counted from there
+    content[end : end + 4] = (int.from_bytes(content[end : end + 4], "little") + 2**20).to_bytes(4, "little")
+    (tmp_path / "a").write_bytes(content)
+    with pytest.raises(BadFileError, match="a cannot be unpacked"), readable(tmp_path / "a"):
+        contents(tmp_path / "a")
+
+
 def test_much_after_the_last_member(tmp_path):
     tail = bytes(2**24)
     (tmp_path / "a").write_bytes(gzip.compress(tarred(FILES, "") + tail, 1))
