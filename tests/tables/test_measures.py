@@ -5,7 +5,7 @@ from tdgbench.tables.published import published_ablation, published_main
 def test_the_paper_s_columns():
     assert list(PUBLISHED) == list(dict.fromkeys(published_main()["metric"])) == ["psnr", "ssim", "lpips", "hours"]
     assert list(ABLATION[:2]) == list(dict.fromkeys(published_ablation()["metric"]))
-    assert [measure(name).title for name in PUBLISHED] == ["PSNR, dB ↑", "SSIM ↑", "LPIPS ↓", "time, h ↓"]
+    assert [measure(name).title for name in PUBLISHED] == ["PSNR, dB ↑", "SSIM ↑", "LPIPS ↓", "time, h:mm:ss ↓"]
 
 
 def test_the_order_of_rows_on_disk():
