@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import timedelta
 from html import escape
 
 import numpy as np
@@ -83,4 +84,7 @@ def _numbers_of(cell: ViewedCell) -> dict[str, str]:
             value = record.scores[name]
             found[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
     found |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
-    return found | {"iterations": f"{record.iterations:,}", "training, s": f"{record.seconds['train']:.0f}"}
+    return found | {
+        "iterations": f"{record.iterations:,}",
+        "training": str(timedelta(seconds=round(record.seconds["train"]))),
+    }

@@ -30,8 +30,7 @@ class Frustums:
         on_click: Callable[[str], None],
     ) -> None:
         self._root = scene.add_frame(ROOT, show_axes=False)
-        centers = np.stack([camera.center for camera in cell.cameras.values()])
-        size = SIZE * float(np.linalg.norm(centers - focus(cell.cameras.values()), axis=1).mean())
+        size = size_of(cell)
         self._handles = {}
         for number, (view, camera) in enumerate(cell.cameras.items()):
             aspect = camera.width / camera.height
@@ -56,6 +55,13 @@ class Frustums:
         """Hide the camera that the viewer stands at, whose picture would cover everything."""
         for name, handle in self._handles.items():
             handle.visible = name != view
+
+
+def size_of(cell: ViewedCell) -> float:
+    """Size of the frustums in world units."""
+    cameras = list(cell.cameras.values())
+    centers = np.stack([camera.center for camera in cameras])
+    return SIZE * float(np.linalg.norm(centers - focus(cameras), axis=1).mean())
 
 
 def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:

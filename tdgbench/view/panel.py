@@ -55,6 +55,7 @@ class Panel:
     def describe(self, frame: Frame) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
         self._bar.content = facts.bar_of(frame, self.cells)
+        self._colors.visible = self._span.visible = frame.whole is not None
 
     def show_value(self, text: str) -> None:
         """Show what lies under the cursor."""
@@ -63,7 +64,11 @@ class Panel:
     def show_view(self, view: str) -> None:
         """Show the name and the stored pictures of the view that the camera stands at."""
         self._view.value = self._labels[view]  # type: ignore[misc] # mypy misses the setter
-        pictures = {what: one for cell in self.cells.values() for what, one in cell.pictures(view).items()}
+        try:
+            pictures = {what: one for cell in self.cells.values() for what, one in cell.pictures(view).items()}
+        except ValueError as error:  # the file has changed since the cell was opened
+            pictures = {}
+            self.show_value(str(error))
         for modality, image in self._images.items():
             image.visible = modality in pictures
             if modality in pictures:

@@ -18,6 +18,7 @@ from tdgbench.view.renderer import Frame, Look
 from tdgbench.view.requests import Requests
 
 JPEG_QUALITY = 80  # of coarse pictures; fine ones are PNG
+STANDS_AT = 1e-3  # distance from a view that counts as none, as a share of that to the focus
 
 
 class Wanted(NamedTuple):
@@ -94,8 +95,9 @@ class Session:
 
     def _moved(self) -> None:
         camera, at = self.client.camera, self._first.cameras[self._view]
-        if camera.aspect != self._aspect and np.allclose(camera.position, at.center, rtol=1e-3):
-            self._aspect = camera.aspect  # the window has another shape, in which all of the view's image fits
+        away = np.linalg.norm(camera.position - at.center) / np.linalg.norm(self._focus - at.center)
+        if camera.aspect != self._aspect and away < STANDS_AT:  # the window has got another shape
+            self._aspect = camera.aspect
             camera.fov = pose_of(at, camera.aspect).fov
         self._requests.moved(self.client.client_id, self._wanted())
 

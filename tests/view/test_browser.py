@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from tdgbench.scenes import Camera
 from tdgbench.view.cells import open_cells
 from tdgbench.view.facts import readout
 from tdgbench.view.poses import Pose, camera_of
@@ -32,11 +33,13 @@ class Open(NamedTuple):
 
     def expected(self, **look) -> Frame:
         """What the page should show, from the camera that viser reports."""
+        return self.renderer.render(Look("tdg", beside="msmg", **look), self.camera())
+
+    def camera(self) -> Camera:
+        """That of the page, over the pixels of its canvas."""
         (client,) = self.server.get_clients().values()
-        camera = client.camera
-        width, height = self.page.run(SIZE)
-        pose = Pose(camera.wxyz, camera.position, camera.fov)
-        return self.renderer.render(Look("tdg", beside="msmg", **look), camera_of(pose, width, height))
+        pose = Pose(client.camera.wxyz, client.camera.position, client.camera.fov)
+        return camera_of(pose, *self.page.run(SIZE))
 
     def position(self) -> np.ndarray:
         (client,) = self.server.get_clients().values()
@@ -59,7 +62,7 @@ def viewer(tdg_folder, msmg_folder, tmp_path_factory) -> Iterator[Open]:
         running = Viewer(server, cells, width=1280)
         try:
             profile = tmp_path_factory.mktemp("chromium")
-            with opened(f"http://127.0.0.1:{server.get_port()}", profile, 1000, 700) as page:
+            with opened(f"http://127.0.0.1:{server.get_port()}", profile) as page:
                 waited(server.get_clients, 90, "the page connects")
                 page.wait_for("window.tdgbenchCursor && !!document.getElementById('tdgbench-value')", 90)
                 yield Open(page, server, Renderer(cells))
@@ -87,6 +90,23 @@ def test_the_mouse_reads_temperatures(viewer):
         viewer.page.wait_for(f"({TIP} ?? '').trim() === {text!r}", 20)
         texts.add(text)
     assert len(texts) > 1 and all("°C" in text for text in texts)
+
+
+def test_a_click_on_a_camera_leads_there(viewer):
+    waited(lambda: viewer.is_shown(viewer.expected()), 60, "the picture is the render")
+    cell = viewer.renderer.cells["tdg"]
+    other = cell.test[sorted(cell.test)[1]]
+    from tdgbench.view.frustums import size_of
+
+    x, y = other.width / other.K[0, 0] / 2, other.height / other.K[1, 1] / 2
+    ahead = size_of(cell) / np.cbrt(x * y / 3)  # of viser's frustums: as large as a pyramid of that volume
+    (pixel,), (z,) = viewer.camera().project((other.center + ahead * other.world_to_camera[2, :3])[None])
+    assert z > 0
+    viewer.page.click(*pixel)
+    waited(lambda: np.allclose(viewer.position(), other.center, atol=1e-4), 30, "the camera moves")
+    viewer.page.run(PRESS.format("previous"))
+    first = cell.test[sorted(cell.test)[0]]
+    waited(lambda: np.allclose(viewer.position(), first.center, atol=1e-4), 30, "the camera moves back")
 
 
 def test_a_button_leads_to_the_next_view_and_a_drag_away_from_it(viewer):

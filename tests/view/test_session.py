@@ -122,6 +122,16 @@ def test_a_view_shows_its_ground_truth(session, cells):
     assert session.panel._view.value == f"{train} (training)"
 
 
+def test_a_picture_that_is_lost_meanwhile_is_told(session, cells, monkeypatch):
+    def lost(*_):
+        raise ValueError("view.png cannot be read")
+
+    monkeypatch.setattr(type(cells["tdg"]), "pictures", lost)
+    session.go_to(sorted(cells["tdg"].test)[1])
+    assert "view.png cannot be read" in session.panel.readout.content
+    assert not any(image.visible for image in session.panel._images.values())
+
+
 def test_names_from_records_are_text(client, cells, monkeypatch):
     from tdgbench.view import facts
 
