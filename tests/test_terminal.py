@@ -148,6 +148,11 @@ def _opens_text(call: ast.Call) -> bool:
     mode = call.args[0].value if call.args and isinstance(call.args[0], ast.Constant) else "r"
     if isinstance(call.func, ast.Name):
         return call.func.id == "open"
-    if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in ("os", "Image", "self._zip"):
+    if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in (
+        "os",
+        "Image",
+        "self._zip",
+        "pycolmap.Database",
+    ):
         return False
     return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))

@@ -6,6 +6,7 @@ steps are timed twice: with the scene's sparse points, which is the least, and w
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ class Table1Time:
     gaussians: tuple[int, int]
     size: tuple[int, int]
     threads: int
+    load: float  # processes that wanted a processor before the measurement, on average over a minute
 
     def text(self) -> str:
         low, high = self.hours
@@ -49,8 +51,13 @@ class Table1Time:
             f"Table 1 will train {low:.1f} to {high:.1f} hours here: {len(SCENES)} scenes, one seed, one after the "
             f"other ({steps}; measured on {self.scene}, {self.size[0]}×{self.size[1]} px, {self.gaussians[0]} and "
             f"{self.gaussians[1]} Gaussians, {self.threads} threads). Noisy scenes may grow beyond that; depth priors "
-            "and scores are not included"
+            f"and scores are not included{self._busy()}"
         )
+
+    def _busy(self) -> str:
+        if self.load < self.threads / 2:
+            return ""
+        return f". The machine was busy (load {self.load:.1f}): measure again when it is idle"
 
 
 def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> Table1Time | str:
@@ -59,6 +66,7 @@ def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> T
         return "n/a: no scene with sparse points to time a training on"
     if any(view.load_rgb is None for view in scene.train):
         return "n/a: no scene with RGB images of all training views to time a training on"
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     few, many = _part(scene, 1), _part(scene, GROWTH)
     ms: dict[str, tuple[float, float]] = {}
     iterations, counts = {}, (0, 0)
@@ -76,7 +84,7 @@ def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> T
     hours = [len(SCENES) * sum(iterations[m] * ms[m][end] for m in METHODS) / 3.6e6 for end in (0, 1)]
     view = scene.train[0].camera
     size = view.width, view.height
-    return Table1Time((hours[0], hours[1]), ms, iterations, scene.name, counts, size, pool.get_threads())
+    return Table1Time((hours[0], hours[1]), ms, iterations, scene.name, counts, size, pool.get_threads(), load)
 
 
 def _config(method: str) -> DictConfig:
