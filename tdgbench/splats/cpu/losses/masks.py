@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 
 F, U = np.float32, np.uint64
-ONE = F(1)
+ZERO, ONE = F(0), F(1)
 
 
 def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
@@ -24,16 +25,45 @@ def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
     """
     if not valid.any():
         raise ValueError("no pixel of the image is valid, so that it has no loss")
-    return np.repeat(valid.astype(F), channels, axis=1)
+    if channels == 1:
+        return valid.astype(F)
+    weights = np.empty((len(valid), valid.shape[1] * channels), np.float32)
+    bands = pool.chunks(len(valid), min(len(valid), pool.get_threads()))
+    pool.run(weight_rows, [(*band, valid, channels, weights) for band in bands])
+    return weights
 
 
-def without_masked(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """The image (H, W, C), or map (H, W), with 0 where the mask (H, W) is false, whatever it holds there.
+def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The image (rows, columns · channels) with 0 where the weights, shaped as it, are 0, whatever it holds there.
 
-    >>> without_masked(np.array([[np.nan, 1.0]], F), np.array([[False, True]])).tolist()
-    [[0.0, 1.0]]
+    >>> without_masked(np.array([[np.nan, 2.0]], F), np.array([[0.0, 1.0]], F)).tolist()
+    [[0.0, 2.0]]
     """
-    return np.where(valid.reshape(valid.shape + (1,) * (image.ndim - 2)), image, F(0))
+    out = np.empty_like(image)
+    bands = pool.chunks(len(image), min(len(image), pool.get_threads()))
+    pool.run(keep_rows, [(*band, image, weights, out) for band in bands])
+    return out
+
+
+@kernel()
+def weight_rows(start, stop, valid, channels, weights):
+    """Rows [start, stop) of the weights (rows, columns · channels) of a mask (rows, columns)."""
+    c = U(channels)
+    for y in range(start, stop):
+        kept, row = valid[y], weights[y]
+        for x in range(U(kept.shape[0])):
+            weight = ONE if kept[x] else ZERO
+            for i in range(x * c, x * c + c):
+                row[i] = weight
+
+
+@kernel()
+def keep_rows(start, stop, image, weights, out):
+    """Rows [start, stop) of `without_masked`; arrays (rows, columns · channels)."""
+    for y in range(start, stop):
+        row, kept, target = image[y], weights[y], out[y]
+        for x in range(U(row.shape[0])):  # no arithmetic with the value, which may be NaN
+            target[x] = row[x] if kept[x] > ZERO else ZERO
 
 
 @kernel(inline=True)

@@ -223,11 +223,11 @@ def photometric_and_gradient(
     (0.25, True)
     """
     height, width, channels = a.shape
+    flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
     weights, count = None, a.size
     if valid is not None:
-        weights, count = pixel_weights(valid, channels), int(valid.sum()) * channels
-        a, b = without_masked(a, valid), without_masked(b, valid)
-    flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
+        weights, count = pixel_weights(valid, channels), int(np.count_nonzero(valid)) * channels
+        flat_a, flat_b = without_masked(flat_a, weights), without_masked(flat_b, weights)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
     scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
     bands = pool.chunks(height, min(height, pool.get_threads()))

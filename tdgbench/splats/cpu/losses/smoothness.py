@@ -105,8 +105,10 @@ def differences_and_gradient(
     (2.0, [[-1.0, 1.0]])
     """
     height, width, channels = image.shape
-    weights = None if valid is None else pixel_weights(valid, channels)
-    flat = (image if valid is None else without_masked(image, valid)).reshape(height, width * channels)
+    flat, weights = image.reshape(height, width * channels), None
+    if valid is not None:
+        weights = pixel_weights(valid, channels)
+        flat = without_masked(flat, weights)
     sums, gradient = np.empty(height, np.float64), np.zeros_like(flat)
     bands = pool.chunks(height, min(height, pool.get_threads()))
     pool.run(difference_rows, [(*band, flat, weights, channels, wrap, sums, gradient) for band in bands])
