@@ -39,4 +39,4 @@ def shifted(scene: Scene, offset: float) -> Scene:
 
 
 def _with_camera(view: View, camera: Camera) -> View:
-    return View(view.name, camera, view.load_thermal, view.load_rgb, view.thermal_path, view.true_depth_path)
+    return replace(view, camera=camera)
