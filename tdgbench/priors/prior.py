@@ -13,12 +13,11 @@ from tdgbench.text import one_line
 Kind = Literal["depth", "disparity", "metric"]
 KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
 ALTERNATIVES = {  # for real scenes: what to add to the command line, and what TDg then is
-    "marigold": " (the paper's network)",
-    "depth_anything": " (another network, also from thermal images alone)",
-    "onnx": " prior.estimator.model=FILE (a network of yours)",
-    "files": " prior.estimator.folder=DIR (maps made elsewhere)",
-    "sfm_points": " (from the RGB images' geometry: TDg then has more than thermal images, and counts for no claim of"
-    " the paper)",
+    "marigold": "(the paper's network)",
+    "depth_anything": "(another network, also from thermal images alone)",
+    "onnx": "prior.estimator.model=FILE (a network of yours)",
+    "files": "prior.estimator.folder=DIR (maps made elsewhere)",
+    "sfm_points": "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)",
 }
 
 
@@ -29,17 +28,16 @@ class PriorError(Exception):
 class PriorUnavailableError(PriorError):
     """An estimator cannot work for any scene: a package, weights or a model file are missing.
 
-    The message has three lines: what is missing, what to do, and the other priors with what they mean for TDg.
+    The message's lines: what is missing, what to do, and the other priors with what they mean for TDg.
 
     >>> print(str(PriorUnavailableError("marigold", "diffusers is not installed", "pip install it")).splitlines()[0])
     prior=marigold is not available: diffusers is not installed
     """
 
     def __init__(self, prior: str, reason: str, remedy: str) -> None:
-        others = [f"prior={name}{words}" for name, words in ALTERNATIVES.items() if name != prior]
-        super().__init__(
-            f"prior={prior} is not available: {one_line(reason)}\n  {remedy}\n  or choose another: {'; '.join(others)}"
-        )
+        others = [f"    prior={name} {words}" for name, words in ALTERNATIVES.items() if name != prior]
+        first = f"prior={prior} is not available: {one_line(reason)}"
+        super().__init__("\n".join([first, f"  {remedy}", "  or choose another:", *others]))
 
 
 @dataclass(frozen=True)
