@@ -159,4 +159,4 @@ def _why_not(rows: pd.DataFrame, otherwise: str) -> str:
 
 
 def _p(value: float) -> str:
-    return "" if pd.isna(value) else f" (p = {value:.2g})"
+    return "" if pd.isna(value) else " (p < 0.001)" if value < 0.001 else f" (p = {value:.2g})"

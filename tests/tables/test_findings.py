@@ -21,6 +21,7 @@ def test_the_published_table_in_words(tmp_path):
     published_as_records(tmp_path)
     found = build_tables(tmp_path).findings
     assert found[0].startswith("TDg is better than MSMG on 10 of 14 scenes in PSNR (p = 0.045), 8 of 14 in SSIM (p = ")
+    assert "14 of 14 in time (p < 0.001)" in found[0]
     assert found[0].endswith("; p: Wilcoxon's signed-rank test over the scenes")
     assert found[1].startswith("On average TDg has PSNR 27.42 against 27.18, SSIM 0.8899 against 0.8896, LPIPS 0.175 ")
     assert found[1].endswith("time 0:10:34 against 0:23:21")
