@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -71,6 +71,15 @@ class Renderer:
         self.cells = cells
         self._models: dict[tuple[str, str], GaussianTensors] = {}
         self._depth_range: tuple[float, float] | None = None
+
+    def prepare(self) -> None:
+        """Compile the kernels of every look, and find the depth range, so that no browser waits for them."""
+        self.depth_range()
+        for name, cell in self.cells.items():
+            camera = _shrunk(next(iter(cell.cameras.values())))
+            for quantity in get_args(Quantity):
+                if self.has(name, quantity):
+                    self.values(name, quantity, camera)
 
     def render(self, look: Look, camera: Camera) -> Frame:
         """Render a look from a camera. A cell that lacks the quantity is left out. Raises ValueError if both do."""

@@ -19,6 +19,8 @@ from tdgbench.view.renderer import Renderer
 from tdgbench.view.requests import Job, Requests
 from tdgbench.view.session import Session, Shown, Wanted
 
+FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
+
 
 class Viewer:
     """Shows cells of one scene to every browser that connects.
@@ -34,7 +36,7 @@ class Viewer:
         self._error: Exception | None = None
         self._ended = threading.Event()
         self._worker = threading.Thread(target=self._work, name="viewer", daemon=True)
-        self._renderer.depth_range()  # and the kernels are compiled
+        self._renderer.prepare()
         server.scene.set_up_direction(up_direction(first.cameras.values()))
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
         server.gui.main_panel.dock_right()
@@ -105,6 +107,3 @@ def free_port(host: str, port: int | None) -> int:
         except OSError as error:
             failure = error
     raise OSError(f"{host}:{port or FIRST_PORT} cannot be served: {failure.strerror}; choose --host and --port")
-
-
-FIRST_PORT, LAST_PORT = 8080, 8180
