@@ -57,6 +57,7 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     assert "failed in prior: PriorUnavailableError: prior=marigold is not" in records["tdg", "Truck"].why_failed
 
 
+@pytest.mark.slow
 def test_a_failure_for_want_of_a_prior_is_tried_again(tmp_path, data_root, small_scene, monkeypatch):
     words = ("method=tdg", "scene=orbit", f"data.root={data_root}", "prior=onnx", f"prior.estimator.model={tmp_path}/a",
              "dataset.loader.width=48", "dataset.loader.height=36", "dataset.loader.views=10",

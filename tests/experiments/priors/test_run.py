@@ -56,6 +56,7 @@ def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, dat
     assert len(models) == 2 and models[0] == models[1]
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_not_there_fails_alone(tmp_path, data_root):
     few = ("job.scenes=[nowhere,turntable]", "~job.priors.sfm_points")
     run = command_here(tmp_path, *overrides(tmp_path / "results", data_root, *few)[:-1], few[1])
