@@ -155,7 +155,7 @@ def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):
         load(folder)
     shutil.rmtree(folder / "warped_thermal")
     (folder / "warped_thermal").mkdir()
-    with pytest.raises(SceneError, match=r"warped_thermal holds no array; put <view>\.npy"):
+    with pytest.raises(SceneError, match=r"warped_thermal holds no image and no array; put <view>\.jpg \(gray\) or"):
         load(folder)
 
 
