@@ -6,6 +6,7 @@ Pixels that were not measured are masked (`fillers`); the others are scaled so t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -37,11 +38,13 @@ class Temperatures(NamedTuple):
 
     degC: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not finite;
     else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours; 8 of JPEGs.
+    ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
     """
 
     degC: np.ndarray
     is_masked: bool = False
     block: int = 1
+    ends: bool = False
 
 
 Reader = Callable[[Path], Temperatures]
@@ -98,6 +101,8 @@ def celsius_images(
     known = {name for name, one in raw.items() if one.is_masked}
     if options.fillers is None:
         fillers = find_fillers({name: one.degC for name, one in raw.items()}, known)
+        if any(one.ends for one in raw.values()):
+            fillers = replace(fillers, beyond=())  # black inside an image may be the coldest object
     else:
         fillers = given_fillers(options.fillers)
     measured, filled = {}, []

@@ -124,9 +124,7 @@ def _split(
         unplaced = [name for name in names if name not in shipped]
         names = [name for name in names if name in shipped]
         if unplaced:
-            notes.append(
-                f"{len(unplaced)} views are in no part of the shipped split and are omitted: {some(unplaced)}"
-            )
+            notes.append(f"{len(unplaced)} views are in no part of the shipped split and are omitted: {some(unplaced)}")
     try:
         return *split_names(names, how, shipped), notes
     except ValueError as error:

@@ -63,7 +63,7 @@ class Pictures:
         degC = (span.min * (1 - image.astype(np.float64)) + span.max * image).astype(np.float32)
         if filler is not None:
             degC[filler] = np.nan
-        return Temperatures(degC, filler is not None, block)
+        return Temperatures(degC, filler is not None, block, ends=True)
 
     def _gray(self, path: Path) -> np.ndarray:
         """Image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""

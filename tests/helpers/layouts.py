@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -52,27 +52,25 @@ def write_thermalmix(
 
 
 def write_downloaded_thermalmix(
-    scene: Scene, folder: Path, *, camera: str = "PINHOLE", frame: int = 0, span: tuple[float, float] | None = None,
-    states_range: bool = False,
+    scene: Scene, folder: Path, *, camera: str = "PINHOLE", frame: int = 0, states_range: bool = False
 ) -> Path:  # fmt: skip
     """ThermalMix before the authors' script makes arrays: `warped_thermal/<view>.jpg`, `thermal/<view>.jpg`.
 
     The latter are the images before the warp, of another size. frame: columns at the left that the warp leaves black.
-    span: °C of black and white; by default the scene's. states_range: whether there is a temperature.json, which the
-    authors ship none of.
+    states_range: whether a temperature.json says °C of black and white; the authors ship none.
     """
-    low, high = span or (scene.temperature.min, scene.temperature.max)
     write_model(scene, folder / "colmap_sparse" / "0", camera, ".JPG")
     for sub in ("rgb", "thermal", "warped_thermal"):
         (folder / sub).mkdir(parents=True)
     for view in scene.views:
         _picture(view.rgb).save(folder / "rgb" / f"{view.name}.jpg", quality=95)
-        warped = _picture(np.clip((celsius(view, scene) - low) / (high - low), 0, 1)[..., None])
-        warped.crop((3, 2, 45, 34)).resize((32, 24)).save(folder / "thermal" / f"{view.name}.jpg", quality=95)
+        warped = _picture(view.thermal).convert("L")
+        before = warped.resize((64, 64), Image.Resampling.NEAREST)  # a warp interpolates; it makes nothing darker
+        before.save(folder / "thermal" / f"{view.name}.jpg", quality=95)
         warped.paste(0, (0, 0, frame, warped.height))
         warped.save(folder / "warped_thermal" / f"{view.name}.jpg", quality=95)
     if states_range:
-        (folder / "temperature.json").write_text(json.dumps({"min": low, "max": high}), encoding="utf-8")
+        (folder / "temperature.json").write_text(json.dumps(asdict(scene.temperature)), encoding="utf-8")
     return folder
 
 
