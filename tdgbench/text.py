@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+MOST_NAMED = 5  # names in a message
 FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
 
 
@@ -22,6 +25,15 @@ def shortened(text: str, most: int) -> str:
     """
     line = one_line(text)
     return line if len(line) <= most else line[: most - 1] + "…"
+
+
+def some(names: Iterable[str]) -> str:
+    """The first few names in alphabetical order, for a message that has said how many there are.
+
+    >>> some("gfedcba")
+    'a, b, c, d, e'
+    """
+    return ", ".join(sorted(names)[:MOST_NAMED])
 
 
 def duration(seconds: float) -> str:

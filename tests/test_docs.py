@@ -43,7 +43,7 @@ def test_readme_is_short_and_starts_with_two_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) < 150
     demo, tests = fenced(text)[0]
-    assert demo.endswith("-e . && .venv/bin/tdgbench") and tests.endswith("&& .venv/bin/python -m pytest")
+    assert demo.endswith("-e . && .venv/bin/tdgbench") and tests.endswith("-m pytest -n 2 --dist loadfile")
 
 
 def test_every_page_is_reachable_from_the_readme():

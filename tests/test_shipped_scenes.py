@@ -12,7 +12,13 @@ from tdgbench.bench.options import OptionError, check_options
 from tdgbench.bench.record import Record, read_all
 from tests.helpers.command import command_here, tdgbench_here
 from tests.helpers.configs import config
-from tests.helpers.layouts import LAYOUTS, write_rgbt_scenes, write_thermalmix, write_thermoscenes
+from tests.helpers.layouts import (
+    LAYOUTS,
+    write_downloaded_thermalmix,
+    write_rgbt_scenes,
+    write_thermalmix,
+    write_thermoscenes,
+)
 
 COMMON = ("metrics.lpips.download=false", "budget=demo", "prior=sfm_points")
 NOT_PHYSICAL = 20  # °C; half of the range of the scene's temperatures
@@ -53,6 +59,16 @@ def test_temperatures_train(small_gray_scene, tmp_path):
     (cup,) = (record for record in records if record.dataset == "ThermoScenes")
     check(cup, in_celsius=True, least_psnr=5)
     assert (cup.scene, cup.temperature, cup.views) == ("cup", [14.0, 50.0], {"train": 8, "test": 2})
+
+
+def test_the_download_trains(small_gray_scene, tmp_path):
+    """ThermalMix as downloaded, without the arrays that the authors' script makes."""
+    write_downloaded_thermalmix(small_gray_scene, tmp_path / "data" / "ThermalMix" / "hand", frame=5)
+    words = ("budget.iterations=20", "data.root=data", "dataset=thermalmix", "scene=Hand", "method=tdg")
+    (hand,) = run(tmp_path, *words)
+    check(hand, in_celsius=True, least_psnr=5)
+    assert (hand.temperature, hand.channels) == ([22.1, 33.6], 1)
+    assert any("masked, as filler of the warp" in note for note in hand.notes)
 
 
 def test_options_are_typed_as_data(small_gray_scene, tmp_path):

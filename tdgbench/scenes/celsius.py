@@ -1,4 +1,4 @@
-"""Thermal images from temperatures: arrays in °C, or radiometric files of cameras.
+"""Thermal images from temperatures: arrays in °C, gray images of known range, or radiometric files of cameras.
 
 Pixels that were not measured are masked (`fillers`); the others are scaled so that the range of temperatures is 0 to 1.
 """
@@ -6,6 +6,7 @@ Pixels that were not measured are masked (`fillers`); the others are scaled so t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers
+from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers, impossible
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
@@ -31,7 +32,22 @@ from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import PERCENTILES, Radiometry, robust_range, sampled
 from tdgbench.scenes.validate import check_size
 
-Reader = Callable[[Path], np.ndarray]  # temperatures (H, W) in °C; not finite where there is none
+
+class Temperatures(NamedTuple):
+    """Temperatures of a view, as a file has them.
+
+    degC: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not finite;
+    else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours; 8 of JPEGs.
+    ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
+    """
+
+    degC: np.ndarray
+    is_masked: bool = False
+    block: int = 1
+    ends: bool = False
+
+
+Reader = Callable[[Path], Temperatures]
 
 
 def array_reader(radiometry: Radiometry | None) -> Reader:
@@ -42,11 +58,15 @@ def array_reader(radiometry: Radiometry | None) -> Reader:
 def file_reader(radiometry: Radiometry | None) -> Reader:
     """Reader of cameras' radiometric files."""
     if radiometry is None:
-        return read_celsius
-    return partial(read_celsius, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
+        return _read_file
+    return partial(_read_file, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
 
 
-def _read_array(path: Path, radiometry: Radiometry | None) -> np.ndarray:
+def _read_file(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> Temperatures:
+    return Temperatures(read_celsius(path, degC_per_count, degC_at_zero).astype(np.float32))
+
+
+def _read_array(path: Path, radiometry: Radiometry | None) -> Temperatures:
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
@@ -54,8 +74,8 @@ def _read_array(path: Path, radiometry: Radiometry | None) -> np.ndarray:
         raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
     check_size(values.shape[1], values.shape[0], str(path))
     if values.dtype.kind in "iu" and radiometry is not None and radiometry.degC_per_count is not None:
-        return values * radiometry.degC_per_count + radiometry.degC_at_zero
-    return values
+        values = values * radiometry.degC_per_count + radiometry.degC_at_zero
+    return Temperatures(values.astype(np.float32))
 
 
 class _Scaling(NamedTuple):
@@ -77,35 +97,46 @@ def celsius_images(
 
     train: views whose temperatures give the range, unless it is given.
     """
-    raw = {name: read(source.path).astype(np.float32) for name, source in sources.items()}
-    fillers = find_fillers(raw) if options.fillers is None else given_fillers(options.fillers)
+    raw = {name: read(source.path) for name, source in sources.items()}
+    known = {name for name, one in raw.items() if one.is_masked}
+    if options.fillers is None:
+        fillers = find_fillers({name: one.degC for name, one in raw.items()}, known)
+        if any(one.ends for one in raw.values()):
+            fillers = replace(fillers, beyond=())  # black inside an image may be the coldest object
+    else:
+        fillers = given_fillers(options.fillers)
     measured, filled = {}, []
     for name, source in sources.items():
-        degC = raw.pop(name)
-        invalid = fillers.mask(degC)
+        one = raw.pop(name)
+        invalid = _invalid(one, fillers)
         filled.append(invalid.mean())
-        measured[name] = _measure(degC, invalid, source)
+        measured[name] = _measure(one.degC, invalid, source)
     span = given or _range_of({name: measured[name] for name in train}, sources)
     scaling, kept, clipped, count = _Scaling(read, fillers, span), {}, 0, 0
     for name, source in sources.items():
-        one = measured.pop(name)
-        values = _valid_values(one)
+        image = measured.pop(name)
+        values = _valid_values(image)
         clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
         count += values.size
-        kept[name] = Kept(_scaled(one, span), partial(_make, source, scaling))
+        kept[name] = Kept(_scaled(image, span), partial(_make, source, scaling))
     if clipped == count:
         folder = next(iter(sources.values())).path.parent
         raise SceneError(
             f"{folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
             "temperature.json"
         )
-    notes = _notes(fillers, filled, span, given, clipped / count)
+    notes = [*_about_fillers(fillers, filled, bool(known)), _about_range(span, given, clipped / count)]
     return ThermalImages(kept, decide_channels(options.channels, are_gray=True), span, notes)
 
 
 def _make(source: Source, scaling: _Scaling) -> Measured:
-    degC = scaling.read(source.path).astype(np.float32)
-    return _scaled(_measure(degC, scaling.fillers.mask(degC), source), scaling.range)
+    one = scaling.read(source.path)
+    return _scaled(_measure(one.degC, _invalid(one, scaling.fillers), source), scaling.range)
+
+
+def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
+    """Pixels (H, W) bool that were not measured."""
+    return impossible(one.degC) if one.is_masked else fillers.mask(one.degC, one.block)
 
 
 def _measure(degC: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
@@ -140,21 +171,21 @@ def _scaled(measured: Measured, span: TemperatureRange) -> Measured:
     return Measured(image, valid)
 
 
-def _notes(
-    fillers: Fillers, filled: list[float], span: TemperatureRange, given: TemperatureRange | None, clipped: float
-) -> list[str]:
-    notes = []
+def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool) -> list[str]:
+    """Note on masked pixels. filled: their share of each view. are_known: whether a reader has masked fillers."""
     if fillers.values:
         values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
-        notes.append(
-            f"{np.mean(filled):.1%} of the pixels are masked, as not measured or filled with {values} °C "
-            "(data.fillers=[] keeps them)"
-        )
-    elif any(filled):
-        notes.append(f"{np.mean(filled):.2%} of the pixels hold no temperature and are masked")
+        what = f"as not measured or filled with {values} °C (data.fillers=[] keeps them)"
+    elif are_known:
+        what = "as filler of the warp, darker than the image before it (data.fillers=[] keeps them, raised to that)"
+    else:
+        return [f"{np.mean(filled):.2%} of the pixels hold no temperature and are masked"] if any(filled) else []
+    return [f"{np.mean(filled):.1%} of the pixels are masked, {what}"]
+
+
+def _about_range(span: TemperatureRange, given: TemperatureRange | None, clipped: float) -> str:
     origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
-    notes.append(
+    return (
         f"the image's range is {span.min:.2f} to {span.max:.2f} °C{origin}; {clipped:.2%} of the pixels are outside "
         "and clipped"
     )
-    return notes

@@ -17,7 +17,7 @@ mixes the filler into the pixels at its edge. NaN, infinities and temperatures t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,13 +42,16 @@ class Fillers:
     values: tuple[float, ...] = ()
     beyond: tuple[float, ...] = ()  # those outside the range of all other temperatures
 
-    def mask(self, degC: np.ndarray) -> np.ndarray:
-        """Pixels (H, W) bool of temperatures (H, W) in °C that were not measured."""
+    def mask(self, degC: np.ndarray, block: int = 1) -> np.ndarray:
+        """Pixels (H, W) bool of temperatures (H, W) in °C that were not measured.
+
+        block: side of the blocks in which a filler spoils its neighbours, px; 1: none.
+        """
         invalid = impossible(degC)
         for value in self.values:
             same = degC == value
             filled = same if value in self.beyond else connected_to_border(same)
-            invalid |= ndimage.binary_dilation(filled, NEIGHBOURS) if filled.any() else filled
+            invalid |= grown(filled, block)
         return invalid
 
 
@@ -56,6 +59,24 @@ def given_fillers(values: Iterable[float]) -> Fillers:
     """All pixels of these values, wherever they are."""
     masked = tuple(map(float, values))
     return Fillers(masked, masked)
+
+
+def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
+    """Filled pixels (H, W) bool, those next to them, and all others of the blocks that these lie in.
+
+    >>> grown(np.array([[1, 0, 0, 0, 0, 0]], bool), block=4).astype(int)
+    array([[1, 1, 1, 1, 0, 0]])
+    """
+    if not filled.any():
+        return filled
+    filled = ndimage.binary_dilation(filled, NEIGHBOURS)
+    if block == 1:
+        return filled
+    height, width = filled.shape
+    rows, columns = -(-height // block), -(-width // block)
+    padded = np.pad(filled, ((0, rows * block - height), (0, columns * block - width)))
+    touched = padded.reshape(rows, block, columns, block).any(axis=(1, 3))
+    return touched.repeat(block, axis=0).repeat(block, axis=1)[:height, :width]
 
 
 def impossible(degC: np.ndarray) -> np.ndarray:
@@ -76,12 +97,16 @@ def connected_to_border(pixels: np.ndarray) -> np.ndarray:
     return pixels & np.isin(labels, np.unique(_border(labels)))
 
 
-def find_fillers(views: Mapping[str, np.ndarray]) -> Fillers:
-    """Fillers of a scene, of the temperatures (H, W) in °C of all its views."""
-    regions = [region for view in views.values() for region in _filled_regions(view)]
+def find_fillers(views: Mapping[str, np.ndarray], known: Collection[str] = ()) -> Fillers:
+    """Fillers of a scene, of the temperatures (H, W) in °C of all its views.
+
+    known: views whose fillers are not finite; they show where those of the others lie.
+    """
+    regions = [region for name, view in views.items() if name not in known for region in _filled_regions(view)]
     if not regions:
         return Fillers()
-    placed = {region.value for region in _in_the_same_place(regions, len(views))}
+    masked = [_Region.of(np.nan, connected_to_border(impossible(views[name]))) for name in known]
+    placed = {region.value for region in _in_the_same_place(regions, masked, len(views))}
     low, high = _range_without(views.values(), {region.value for region in regions})
     values = sorted({r.value for r in regions if r.value in placed or (r.value == ZERO and not low <= ZERO <= high)})
     return Fillers(tuple(values), tuple(value for value in values if not low <= value <= high))
@@ -93,6 +118,10 @@ class _Region(NamedTuple):
     value: float
     shape: tuple[int, int]
     packed: np.ndarray  # of the pixels (H, W) bool, 8 in a byte
+
+    @classmethod
+    def of(cls, value: float, pixels: np.ndarray) -> _Region:
+        return cls(value, pixels.shape, np.packbits(pixels))
 
     def pixels(self) -> np.ndarray:
         height, width = self.shape
@@ -107,14 +136,14 @@ def _filled_regions(degC: np.ndarray) -> Iterator[_Region]:
         if same.mean() >= SMALLEST:
             pixels = connected_to_border(same)
             if pixels.mean() >= SMALLEST:
-                yield _Region(float(value), degC.shape, np.packbits(pixels))
+                yield _Region.of(float(value), pixels)
 
 
-def _in_the_same_place(regions: list[_Region], views: int) -> Iterator[_Region]:
-    """The regions that lie where most views have one."""
-    shape = Counter(region.shape for region in regions).most_common(1)[0][0]
+def _in_the_same_place(regions: list[_Region], masked: list[_Region], views: int) -> Iterator[_Region]:
+    """The regions that lie where most views have one. masked: regions of other views, which are known."""
+    shape = Counter(region.shape for region in [*regions, *masked]).most_common(1)[0][0]
     count = np.zeros(shape, np.int32)
-    for region in regions:  # those of one view do not overlap
+    for region in [*regions, *masked]:  # those of one view do not overlap
         if region.shape == shape:
             count += region.pixels()
     shared = count >= SAME_PLACE * views

@@ -28,20 +28,20 @@ MAX_BYTES = 16 * MAX_PIXELS  # of an image's file; four channels of 32 bits
 def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Image]:
     """An image whose header is checked and whose pixels are not yet decoded. Raises SceneError naming the file.
 
-    Errors of decoding inside the context become SceneError, too. content: of the file, if it has been read.
+    Errors of decoding inside the context become SceneError, too. Pillow's warnings are silent there: they are of
+    metadata, which nothing here reads, and of sizes that are refused. content: of the file, if it has been read.
     """
     regular_file(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # of sizes that are refused below
-            image = Image.open(path if content is None else io.BytesIO(content), formats=FORMATS)
-        with image:
-            if image.width * image.height > MAX_PIXELS:
-                raise SceneError(
-                    f"{path} is {image.width}×{image.height} px; an image may have {MAX_PIXELS} pixels. Resize it"
-                )
-            _check_one_picture(image, path)
-            yield image
+            warnings.filterwarnings("ignore", module=r"PIL\.")
+            with Image.open(path if content is None else io.BytesIO(content), formats=FORMATS) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise SceneError(
+                        f"{path} is {image.width}×{image.height} px; an image may have {MAX_PIXELS} pixels. Resize it"
+                    )
+                _check_one_picture(image, path)
+                yield image
     except (SceneError, MemoryError):
         raise
     except Image.DecompressionBombError as error:

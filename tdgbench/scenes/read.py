@@ -9,23 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.scenes.celsius import array_reader, celsius_images, file_reader
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.measured import Source, ThermalImages, resample, shown_images
+from tdgbench.scenes.measured import Source, ThermalImages, resample
 from tdgbench.scenes.options import Description, ReadOptions
 from tdgbench.scenes.scene import Camera, Scene, View
 from tdgbench.scenes.splits import split_names
-from tdgbench.scenes.temperature import Radiometry, check_range
+from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
+from tdgbench.text import some
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
-MOST_NAMED = 5  # views in a message
 
 
 def read_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None = None) -> Scene:
@@ -49,7 +48,7 @@ def read_scene(folder: Path, description: Description, options: ReadOptions, lay
         name: Source(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
         for name in names
     }
-    images = _thermal_images(found, sources, train, options)
+    images = thermal_images(found, sources, train, options, layout.published(description.scene))
     views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name), images) for name in names}
     depth = [view.true_depth_path for view in views.values() if view.true_depth_path is not None]
     return Scene(
@@ -98,15 +97,15 @@ def _paired(
     notes = []
     unposed = sorted(set(thermal) - set(posed))
     if unposed:
-        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {_some(unposed)}")
+        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {some(unposed)}")
     unpaired = sorted(set(posed) - set(thermal))
     if unpaired and not skip_unpaired:
         raise SceneError(
-            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({_some(unpaired)}); "
+            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({some(unpaired)}); "
             "add them, or set data.skip_unpaired=true"
         )
     if unpaired:
-        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {_some(unpaired)}")
+        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {some(unpaired)}")
     names = sorted(set(posed) & set(thermal))
     if not names:
         raise SceneError(
@@ -125,9 +124,7 @@ def _split(
         unplaced = [name for name in names if name not in shipped]
         names = [name for name in names if name in shipped]
         if unplaced:
-            notes.append(
-                f"{len(unplaced)} views are in no part of the shipped split and are omitted: {_some(unplaced)}"
-            )
+            notes.append(f"{len(unplaced)} views are in no part of the shipped split and are omitted: {some(unplaced)}")
     try:
         return *split_names(names, how, shipped), notes
     except ValueError as error:
@@ -145,24 +142,6 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
         return camera
     camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
-
-
-def _thermal_images(
-    found: Found, sources: Mapping[str, Source], train: list[str], options: ReadOptions
-) -> ThermalImages:  # fmt: skip
-    radiometry = found.radiometry
-    given = None if radiometry is None else radiometry.range
-    if options.temperature is not None:
-        try:
-            given = check_range(*options.temperature)
-        except (ValueError, TypeError) as error:
-            raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
-        scale = (None, 0.0) if radiometry is None else (radiometry.degC_per_count, radiometry.degC_at_zero)
-        radiometry = Radiometry(given, *scale)
-    if found.in_celsius or options.thermal == "radiometric":
-        reader = array_reader(radiometry) if found.in_celsius else file_reader(radiometry)
-        return celsius_images(sources, reader, train, options, given)
-    return shown_images(sources, radiometry, options.channels)
 
 
 def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None, images: ThermalImages) -> View:
@@ -195,12 +174,8 @@ def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
     unknown = sorted(set(masks) - set(names))
     notes = [f"masks/ hides pixels of {len(masks) - len(unknown)} of {len(names)} views"]
     if unknown:
-        notes.append(f"{len(unknown)} masks belong to no view and are not used: {_some(unknown)}")
+        notes.append(f"{len(unknown)} masks belong to no view and are not used: {some(unknown)}")
     return notes
-
-
-def _some(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)[:MOST_NAMED])
 
 
 def _fingerprint(folder: Path, files: Iterable[Path]) -> str:

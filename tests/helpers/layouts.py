@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,29 @@ def write_thermalmix(
         photo = _picture(view.rgb)
         photo.resize((photo.width // scale, photo.height // scale)).save(folder / photos / f"{view.name}.jpg")
         np.save(folder / "warped_thermal" / f"{view.name}.npy", change(celsius(view, scene), number))
+    return folder
+
+
+def write_downloaded_thermalmix(
+    scene: Scene, folder: Path, *, camera: str = "PINHOLE", frame: int = 0, states_range: bool = False
+) -> Path:  # fmt: skip
+    """ThermalMix before the authors' script makes arrays: `warped_thermal/<view>.jpg`, `thermal/<view>.jpg`.
+
+    The latter are the images before the warp, of another size. frame: columns at the left that the warp leaves black.
+    states_range: whether a temperature.json says °C of black and white; the authors ship none.
+    """
+    write_model(scene, folder / "colmap_sparse" / "0", camera, ".JPG")
+    for sub in ("rgb", "thermal", "warped_thermal"):
+        (folder / sub).mkdir(parents=True)
+    for view in scene.views:
+        _picture(view.rgb).save(folder / "rgb" / f"{view.name}.jpg", quality=95)
+        warped = _picture(view.thermal).convert("L")
+        before = warped.resize((64, 64), Image.Resampling.NEAREST)  # a warp interpolates; it makes nothing darker
+        before.save(folder / "thermal" / f"{view.name}.jpg", quality=95)
+        warped.paste(0, (0, 0, frame, warped.height))
+        warped.save(folder / "warped_thermal" / f"{view.name}.jpg", quality=95)
+    if states_range:
+        (folder / "temperature.json").write_text(json.dumps(asdict(scene.temperature)), encoding="utf-8")
     return folder
 
 
@@ -159,19 +183,21 @@ def write_ply(path: Path, xyz: np.ndarray, colors: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Shipped:
-    """A layout, and what its scenes have."""
+    """What scenes in a layout are shipped with. layout: a key of `tdgbench.scenes.layouts.LAYOUTS`."""
 
     write: Callable[[Scene, Path], Path]
+    layout: str
     dataset: str
     has_rgb: bool = True
     in_celsius: bool = True
 
 
 LAYOUTS = {
-    "thermalmix": Shipped(write_thermalmix, "folder"),
-    "rgbt_scenes": Shipped(write_rgbt_scenes, "folder", in_celsius=False),
-    "thermoscenes": Shipped(write_thermoscenes, "thermoscenes"),
-    "ti_nsd": Shipped(write_ti_nsd, "ti_nsd", has_rgb=False, in_celsius=False),
+    "thermalmix": Shipped(write_thermalmix, "thermalmix", "folder"),
+    "thermalmix_images": Shipped(partial(write_downloaded_thermalmix, states_range=True), "thermalmix", "folder"),
+    "rgbt_scenes": Shipped(write_rgbt_scenes, "rgbt_scenes", "folder", in_celsius=False),
+    "thermoscenes": Shipped(write_thermoscenes, "thermoscenes", "thermoscenes"),
+    "ti_nsd": Shipped(write_ti_nsd, "ti_nsd", "ti_nsd", has_rgb=False, in_celsius=False),
 }
 
 

@@ -1,4 +1,5 @@
 import struct
+import warnings
 import zlib
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import image_size, is_gray, read_image, resize
+from tdgbench.scenes.images import image_size, is_gray, opened_image, read_image, resize
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
@@ -68,6 +69,25 @@ def test_decompression_bombs_are_refused_before_decoding(tmp_path, recwarn):
             with pytest.raises(SceneError, match=message + ".* an image may have 89478485 pixels"):
                 read(path)
     assert not recwarn.list
+
+
+def test_damaged_metadata_is_no_matter(tmp_path, recwarn):
+    """Only the picture counts: EXIF that is cut, or that names places outside of it, warns nobody."""
+    warnings.simplefilter("always")
+    path = tmp_path / "a.jpg"
+    entries = [(0x0110, 2, 900, 5000), (0x8769, 4, 1, 4000)]  # a text outside of the file; a further table, too
+    tables = struct.pack("<2sHI", b"II", 42, 8) + struct.pack("<H", 9)  # nine entries, of which two are there
+    tables += b"".join(struct.pack("<HHII", *entry) for entry in entries)
+    Image.new("L", (6, 4), 100).save(path, exif=b"Exif\0\0" + tables)
+    with Image.open(path) as image:
+        image.getexif()
+    assert [str(one.message) for one in recwarn.list]  # Pillow warns
+    recwarn.clear()
+    assert read_image(path).shape == (4, 6, 1) and image_size(path) == (6, 4)
+    with opened_image(path) as image:
+        image.getexif()
+        warnings.warn("of another library", stacklevel=1)
+    assert [str(one.message) for one in recwarn.list] == ["of another library"]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp"])

@@ -60,8 +60,8 @@ def test_each_image_is_hashed_once_and_read_once(small_gray_scene, tmp_path, ope
     images = [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".npy") and path.stem != "lost"]
     used = [path for path in images if path.parent.name != "masks" or not scene.notes[-1].startswith("10 masks belong")]
     assert len(used) > 18
-    assert {path.name: opened[str(path)] for path in used} == {
-        path.name: 4 if path.suffix == ".npy" else 2  # numpy maps an array into memory after it has read its header
+    assert {path: opened[str(path)] for path in used} == {
+        path: 4 if path.suffix == ".npy" else 2  # numpy maps an array into memory after it has read its header
         for path in used
     }
 

@@ -180,7 +180,7 @@ def _as_problem(check: SceneCheck) -> Iterator[None]:
 def _broken_images(dataset: Dataset, name: str, said: str) -> Iterator[str]:
     """Images of a scene that cannot be read, besides those already said: loading ends at the first one."""
     folder = _folder_of(dataset, name)
-    for sub in ("thermal", "rgb", "images", "masks"):
+    for sub in ("thermal", "warped_thermal", "rgb", "images", "masks"):
         try:
             files = find_files(folder / sub, SUFFIXES)[0] if folder is not None and is_folder(folder / sub) else {}
         except SceneError as error:

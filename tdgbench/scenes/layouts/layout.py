@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
-from tdgbench.scenes.scene import PointCloud
+from tdgbench.scenes.scene import PointCloud, TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
 
@@ -24,9 +24,14 @@ class Found:
     rgb: dict[str, Path]
     shipped: dict[str, str] = field(default_factory=dict)  # `train` or `test`
     radiometry: Radiometry | None = None  # of 8- and 16-bit images
-    in_celsius: bool = False  # thermal files are arrays (H, W) or (H, W, 1) of °C
+    in_celsius: bool = False  # thermal files are arrays (H, W) or (H, W, 1) of °C, or gray images of a known range
     files: list[Path] = field(default_factory=list)  # besides images: what the scene is read from
     notes: list[str] = field(default_factory=list)  # what is doubtful about it
+    unwarped: dict[str, Path] = field(default_factory=dict)  # gray thermal images before they were warped
+
+
+def _none_published(name: str) -> TemperatureRange | None:
+    return None
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,7 @@ class Layout:
     looks: str  # inside the folder of a scene, in one line
     fits: Callable[[Path], bool]  # whether a folder has this layout; raises SceneError if that cannot be told
     find: Callable[[Path], Found]  # raises SceneError naming the file and the remedy
+    published: Callable[[str], TemperatureRange | None] = _none_published  # °C of gray images, by a scene's name
 
 
 @dataclass(frozen=True)
@@ -68,18 +74,20 @@ def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
     return next((folder / place for place in places if is_folder(folder / place)), None)
 
 
-def find_files(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> tuple[dict[str, Path], dict[str, str]]:
+def find_files(
+    folder: Path, suffixes: tuple[str, ...] = SUFFIXES, but: Container[str] = ()
+) -> tuple[dict[str, Path], dict[str, str]]:  # fmt: skip
     """Files by view name; and by view name `train` or `test`, where these subfolders exist.
 
-    suffixes: in lower case; those of files may be in upper case. Raises SceneError for a name that no result could
-    have, for two files of one view, and for what is no regular file.
+    suffixes: in lower case; those of files may be in upper case. but: views that are passed over. Raises SceneError for
+    a name that no result could have, for two files of one view, and for what is no regular file.
     """
     paths: dict[str, Path] = {}
     shipped: dict[str, str] = {}
     subfolders = [name for name in ("train", "test") if is_folder(folder / name)]
     for sub in subfolders or [""]:
         for path in listed(folder / sub):
-            if path.suffix.lower() not in suffixes or path.name.startswith("."):
+            if path.suffix.lower() not in suffixes or path.name.startswith(".") or path.stem in but:
                 continue
             check_view_name(path.stem, f"{path.parent}: the file {path.name!r}")
             regular_file(path)

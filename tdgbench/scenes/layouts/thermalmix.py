@@ -1,10 +1,14 @@
-"""ThermalMix, as shipped: temperatures as arrays, warped into the RGB camera.
+"""ThermalMix, as shipped: gray images of temperatures, warped into the RGB camera; or arrays that were made of them.
 
-Facts: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places; RGB in
-`images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; `warped_thermal/<view>.npy`
-holds °C. Views without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV
-and ignores their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default,
-so `images_1` comes first and a smaller copy last.
+Facts of the download: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py, which the authors' readme runs after it:
+`warped_thermal/<view>.jpg` has the names of `thermal/<view>.jpg`, the images before the warp, and spans the scene's
+PUBLISHED range; `warped_thermal/<view>.npy` in °C (`scenes/warped.py`) is what that script writes.
+
+Facts of the loader: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places; RGB
+in `images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; it reads the arrays. Views
+without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV and ignores
+their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default, so `images_1`
+comes first and a smaller copy last.
 """
 
 from __future__ import annotations
@@ -15,30 +19,72 @@ from pathlib import Path
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_folder, is_there, listed
 from tdgbench.scenes.layouts.layout import Found, Layout, find_files, find_model
+from tdgbench.scenes.registry import registered
+from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import FILE, read_radiometry
+from tdgbench.scenes.warped import PICTURES
 
 MODELS = ("colmap_sparse/0", "sparse/0", "colmap/sparse/0")
-ARRAYS = "warped_thermal"
+WARPED = "warped_thermal"
+UNWARPED = "thermal"
 TITLE = "ThermalMix"
+
+# °C of black and white. Source: `min_max` of mert-o/ThermalNeRFs e1d4e2647a, img_temp_mapper.py.
+PUBLISHED = {
+    "face": TemperatureRange(22.5, 35.2),
+    "hand": TemperatureRange(22.1, 33.6),
+    "panel": TemperatureRange(22.7, 55.8),  # no scene of Table 1
+    "lion": TemperatureRange(16.8, 48.3),
+    "pan": TemperatureRange(19.4, 129.8),
+    "laptop": TemperatureRange(21.6, 40.2),
+}
+
+
+def published_range(name: str) -> TemperatureRange | None:
+    """°C of black and white in a scene's gray images, by its name or an alias; None of other scenes.
+
+    >>> published_range("Hands")
+    TemperatureRange(min=22.1, max=33.6)
+    """
+    try:
+        name = registered(name).name
+    except KeyError:  # no scene of Table 1
+        pass
+    return PUBLISHED.get(name.lower())
 
 
 def _fits(folder: Path) -> bool:
-    return is_folder(folder / ARRAYS)
+    return is_folder(folder / WARPED)
 
 
 def _find(folder: Path) -> Found:
     if not _fits(folder):
-        raise SceneError(f"{folder} has no {ARRAYS}/ folder; the layout is {LAYOUT.looks}")
-    arrays, shipped = find_files(folder / ARRAYS, (".npy",))
-    if not arrays:
-        raise SceneError(f"{folder / ARRAYS} holds no array; put <view>.npy of each view there, in °C (H, W)")
+        raise SceneError(f"{folder} has no {WARPED}/ folder; the layout is {LAYOUT.looks}")
+    arrays, shipped = find_files(folder / WARPED, (".npy",))
+    pictures, placed = find_files(folder / WARPED, PICTURES, but=arrays)
+    if not arrays and not pictures:
+        raise SceneError(
+            f"{folder / WARPED} holds no image and no array; put <view>.jpg (gray) or <view>.npy (°C, (H, W)) of each "
+            "view there"
+        )
+    unwarped = {}
+    if pictures and is_folder(folder / UNWARPED):
+        found = find_files(folder / UNWARPED, PICTURES)[0]
+        unwarped = {name: path for name, path in found.items() if name in pictures}
     photos = _rgb_folder(folder)
     model = find_model(folder, MODELS, TITLE)
-    files = [*model.files, *([folder / FILE] if is_there(folder / FILE) else [])]
-    rgb = {} if photos is None else find_files(photos)[0]
     return Found(
-        model.posed, model.points, arrays, rgb, shipped, read_radiometry(folder / FILE), True, files, model.notes
-    )  # fmt: skip
+        model.posed,
+        model.points,
+        {**pictures, **arrays},
+        {} if photos is None else find_files(photos)[0],
+        {**placed, **shipped},
+        read_radiometry(folder / FILE),
+        in_celsius=True,
+        files=[*model.files, *unwarped.values(), *([folder / FILE] if is_there(folder / FILE) else [])],
+        notes=model.notes,
+        unwarped=unwarped,
+    )
 
 
 def _rgb_folder(folder: Path) -> Path | None:
@@ -51,7 +97,9 @@ def _rgb_folder(folder: Path) -> Path | None:
 LAYOUT = Layout(
     "thermalmix",
     TITLE,
-    f"{ARRAYS}/<view>.npy (°C), rgb/ or images/, colmap_sparse/0, sparse/0 or colmap/sparse/0 (COLMAP)",
+    f"{WARPED}/<view>.jpg (gray) with {UNWARPED}/<view>.jpg, or {WARPED}/<view>.npy (°C), rgb/ or images/, "
+    "colmap_sparse/0, sparse/0 or colmap/sparse/0 (COLMAP)",
     _fits,
     _find,
+    published_range,
 )

@@ -15,6 +15,7 @@ def paths(*names: str) -> list[PurePosixPath]:
     ("files", "folders"),
     [
         (["lion/warped_thermal/1.npy", "lion/colmap_sparse/0/cameras.bin"], ["lion"]),  # ThermalMix
+        (["T/lion/warped_thermal/1.jpg", "T/panel/thermal/1.jpg", "T/lion/thermal/1.jpg"], ["T/lion", "T/panel"]),
         (
             ["R/Truck/rgb/train/1.jpg", "R/Truck/raw_images/1.jpg", "R/Dimsum/colmap/sparse/0/x"],
             ["R/Truck", "R/Dimsum"],

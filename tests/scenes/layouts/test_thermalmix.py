@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.scenes import ReadOptions, RegisteredDataset, SceneError
-from tests.helpers.layouts import DISTORTIONS, celsius, write_thermalmix
+from tdgbench.scenes import FolderDataset, ReadOptions, RegisteredDataset, SceneError
+from tdgbench.scenes.layouts.thermalmix import PUBLISHED, published_range
+from tdgbench.scenes.scene import TemperatureRange
+from tests.helpers.layouts import DISTORTIONS, celsius, write_downloaded_thermalmix, write_thermalmix
 
 
 def framed(degC, number):
@@ -155,7 +157,7 @@ def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):
         load(folder)
     shutil.rmtree(folder / "warped_thermal")
     (folder / "warped_thermal").mkdir()
-    with pytest.raises(SceneError, match=r"warped_thermal holds no array; put <view>\.npy"):
+    with pytest.raises(SceneError, match=r"warped_thermal holds no image and no array; put <view>\.jpg \(gray\) or"):
         load(folder)
 
 
@@ -168,3 +170,117 @@ def test_arrays_of_counts(small_gray_scene, tmp_path, load):
     original = celsius(small_gray_scene.train[0], small_gray_scene)
     shown = 10 + 50 * load(folder).train[0].thermal
     assert abs(shown.mean() - original.mean()) < 0.5
+
+
+LION = PUBLISHED["lion"]
+JPEG_ERROR = 1.5, 6  # levels, of quality 95 at 48×36 px: mean, and that below which 99 % of the pixels are
+LEVEL = (LION.max - LION.min) / 255  # °C
+
+
+def test_as_downloaded(small_gray_scene, tmp_path, load):
+    """Gray images only; °C from the published range, filler below the minimum of the images before the warp."""
+    scene = load(write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5))
+    assert (len(scene.train), len(scene.test), scene.channels, scene.temperature) == (8, 2, 1, LION)
+    for view, original in zip(scene.views, small_gray_scene.views, strict=True):
+        assert view.thermal.shape == (36, 48, 1) and view.rgb.shape == (36, 48, 3)
+        assert not view.valid[:, :6].any() and view.valid[:, 8:].all()  # one block of the JPEG
+        truth = LION.min + original.thermal[..., 0] * (LION.max - LION.min)
+        error = np.abs(LION.min + view.thermal[..., 0] * (LION.max - LION.min) - truth)[view.valid]
+        assert error.mean() < JPEG_ERROR[0] * LEVEL and np.percentile(error, 99) < JPEG_ERROR[1] * LEVEL
+    assert scene.notes[0].startswith("layout ThermalMix: warped_thermal/<view>.jpg") and "lost" in scene.notes[1]
+    assert scene.notes[2:4] == [
+        "black and white of gray images are 16.8 and 48.3 °C, as published",
+        "16.7% of the pixels are masked, as filler of the warp, darker than the image before it (data.fillers=[] keeps "
+        "them, raised to that)",
+    ]
+
+
+def test_filler_that_is_kept_is_raised_to_the_minimum(small_gray_scene, tmp_path, load):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5)
+    for view in load(folder, fillers=[]).views:
+        lowest = np.asarray(Image.open(folder / "thermal" / f"{view.name}.jpg")).min() / 255
+        assert view.valid is None and lowest > 0.02 and np.allclose(view.thermal[:, :4], lowest, atol=1e-6)
+
+
+def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_path, load):
+    assert published_range("Faces") == PUBLISHED["face"] and published_range("panel") == TemperatureRange(22.7, 55.8)
+    assert published_range("Truck") is None and published_range("kettle") is None
+    write_downloaded_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "Hands")
+    assert RegisteredDataset(str(tmp_path), ReadOptions(), "thermalmix").load("hand").temperature == PUBLISHED["hand"]
+    write_downloaded_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "panel")
+    assert FolderDataset(str(tmp_path / "ThermalMix"), ReadOptions()).load("panel").temperature == PUBLISHED["panel"]
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "kettle")
+    with pytest.raises(SceneError, match=r"kettle/warped_thermal holds gray images.*set data\.temperature=\[min,max\]"):
+        load(folder)
+    assert load(folder, temperature=[5, 50]).temperature == TemperatureRange(5, 50)
+    (folder / "temperature.json").write_text('{"min": 10, "max": 60}')
+    scene = load(folder)
+    assert scene.temperature == TemperatureRange(10, 60) and not any("as published" in note for note in scene.notes)
+    assert load(folder, temperature=[5, 50]).temperature == TemperatureRange(5, 50)
+
+
+def test_arrays_win(small_gray_scene, tmp_path, load):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5)
+    shown = load(folder)
+    for view in small_gray_scene.views:
+        np.save(folder / "warped_thermal" / f"{view.name}.npy", celsius(view, small_gray_scene))
+    scene = load(folder)
+    assert all(view.valid is None and view.thermal_path.suffix == ".npy" for view in scene.views)
+    assert scene.temperature != LION and not any("gray images" in note for note in scene.notes)
+    (folder / "warped_thermal" / "view003.npy").unlink()
+    mixed = load(folder)
+    assert "9 views are read from arrays, 1 from gray images: view003" in mixed.notes and mixed.temperature == LION
+    one, other = (next(view for view in scene.views if view.name == "view003") for scene in (mixed, shown))
+    assert np.array_equal(one.thermal, other.thermal) and np.array_equal(one.valid, other.valid)
+
+
+def test_without_images_before_the_warp(small_gray_scene, tmp_path, load):
+    """A black frame in the same place of all views is found as in arrays, and grows to blocks, too."""
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=16)
+    shutil.rmtree(folder / "thermal")
+    scene = load(folder)
+    assert any(note.startswith("10 gray images have none from before the warp") for note in scene.notes)
+    assert any("filled with 16.8 °C" in note for note in scene.notes)
+    assert all(not view.valid[:, :17].any() and view.valid[:, 24:].all() for view in scene.views)
+    unmasked = write_downloaded_thermalmix(small_gray_scene, tmp_path / "other" / "lion")
+    shutil.rmtree(unmasked / "thermal")
+    assert all(view.valid is None for view in load(unmasked).views)
+
+
+def test_the_place_of_known_fillers_shows_the_others(small_gray_scene, tmp_path, load):
+    """A view that is black somewhere before the warp has its filler where the other views have theirs."""
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=16)
+    path = folder / "thermal" / "view003.jpg"
+    Image.new("L", (32, 24)).save(path)
+    scene = load(folder)
+    view = next(view for view in scene.views if view.name == "view003")
+    assert not view.valid[:, :17].any() and view.valid[:, 24:].all()
+
+
+@pytest.mark.parametrize("camera", ["SIMPLE_RADIAL", "OPENCV"])
+def test_gray_images_are_undistorted_and_resized_as_arrays(small_gray_scene, tmp_path, load, camera):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", camera=camera, frame=5)
+    shown = load(folder, width=30)
+    for path in sorted((folder / "warped_thermal").iterdir()):
+        lowest = np.asarray(Image.open(folder / "thermal" / path.name)).min()
+        degC = LION.min + np.maximum(np.asarray(Image.open(path)), lowest) * LEVEL
+        degC[:, :8] = np.nan
+        np.save(path.with_suffix(".npy"), degC)
+        path.unlink()
+    arrays = load(folder, width=30, temperature=[LION.min, LION.max], fillers=[])
+    for one, other in zip(shown.views, arrays.views, strict=True):
+        assert np.array_equal(one.valid, other.valid) and 0.5 < one.valid.mean() < 1
+        assert np.allclose(one.thermal, other.thermal, atol=1e-5)
+
+
+def test_every_file_of_the_download_is_in_the_fingerprint(small_gray_scene, tmp_path, load):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion")
+    before = load(folder).fingerprint
+    (folder / "thermal" / "notes.txt").write_text("not used")
+    assert load(folder).fingerprint == before
+    for place in ("thermal", "warped_thermal", "rgb"):
+        path = folder / place / "view004.jpg"
+        content = path.read_bytes()
+        path.write_bytes(content + b" ")
+        assert load(folder).fingerprint != before
+        path.write_bytes(content)

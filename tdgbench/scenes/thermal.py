@@ -1,0 +1,78 @@
+"""Thermal images of a scene, from what its layout found and what the options say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tdgbench.scenes.celsius import array_reader, celsius_images, file_reader
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.layouts import Found
+from tdgbench.scenes.measured import Source, ThermalImages, shown_images
+from tdgbench.scenes.options import ReadOptions
+from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.temperature import Radiometry, check_range
+from tdgbench.scenes.warped import Pictures, is_picture
+from tdgbench.text import some
+
+
+def thermal_images(
+    found: Found,
+    sources: Mapping[str, Source],
+    train: list[str],
+    options: ReadOptions,
+    published: TemperatureRange | None,
+) -> ThermalImages:
+    """Read the thermal images of a scene. Raises SceneError.
+
+    train: views whose temperatures give the range, unless it is known. published: °C of black and white in gray images
+    of this scene, used if neither the options nor the scene's files say it.
+    """
+    radiometry = found.radiometry
+    if options.temperature is not None:
+        try:
+            given = check_range(*options.temperature)
+        except (ValueError, TypeError) as error:
+            raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
+        scale = (None, 0.0) if radiometry is None else (radiometry.degC_per_count, radiometry.degC_at_zero)
+        radiometry = Radiometry(given, *scale)
+    pictures = [name for name, source in sources.items() if is_picture(source.path)]
+    if found.in_celsius and pictures:
+        return _of_pictures(found, sources, pictures, train, options, radiometry, published)
+    if found.in_celsius or options.thermal == "radiometric":
+        reader = array_reader(radiometry) if found.in_celsius else file_reader(radiometry)
+        return celsius_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
+    return shown_images(sources, radiometry, options.channels)
+
+
+def _of_pictures(
+    found: Found,
+    sources: Mapping[str, Source],
+    pictures: list[str],
+    train: list[str],
+    options: ReadOptions,
+    radiometry: Radiometry | None,
+    published: TemperatureRange | None,
+) -> ThermalImages:
+    """Thermal images of gray images of temperatures; views that are not in `pictures` have arrays."""
+    notes = []
+    if radiometry is None:
+        if published is None:
+            raise SceneError(
+                f"{sources[pictures[0]].path.parent} holds gray images, but the temperatures of black and white are not "
+                "known, nor published for a scene of this name; set data.temperature=[min,max] in °C, or add "
+                "temperature.json"
+            )
+        notes.append(f"black and white of gray images are {published.min:g} and {published.max:g} °C, as published")
+        radiometry = Radiometry(published)
+    if len(pictures) < len(sources):
+        arrays = len(sources) - len(pictures)
+        notes.append(f"{arrays} views are read from arrays, {len(pictures)} from gray images: {some(pictures)}")
+    alone = [name for name in pictures if name not in found.unwarped]
+    if alone and options.fillers is None:
+        notes.append(
+            f"{len(alone)} gray images have none from before the warp; only constant fillers are found: {some(alone)}"
+        )
+    reader = Pictures(radiometry, found.unwarped, options.fillers is None, array_reader(radiometry))
+    images = celsius_images(sources, reader, train, options, radiometry.range)
+    return replace(images, notes=[*notes, *images.notes])
