@@ -36,8 +36,8 @@ from tdgbench.scenes.validate import check_size
 class Temperatures(NamedTuple):
     """Temperatures of a view, as a file has them.
 
-    degC: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not finite;
-    else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours; 8 of JPEGs.
+    degC: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not
+    finite; else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours.
     ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
     """
 

@@ -59,9 +59,8 @@ def _of_pictures(
     if radiometry is None:
         if published is None:
             raise SceneError(
-                f"{sources[pictures[0]].path.parent} holds gray images, but the temperatures of black and white are not "
-                "known, nor published for a scene of this name; set data.temperature=[min,max] in °C, or add "
-                "temperature.json"
+                f"{sources[pictures[0]].path.parent} holds gray images, and no temperatures of black and white are "
+                "published for a scene of this name; set data.temperature=[min,max] in °C, or add temperature.json"
             )
         notes.append(f"black and white of gray images are {published.min:g} and {published.max:g} °C, as published")
         radiometry = Radiometry(published)

@@ -1,14 +1,14 @@
 """Gray images of temperatures that were warped into another camera, as ThermalMix ships them.
 
-Facts: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py. Black and white are the lowest and the highest temperature of the
-scene. Pixels of `warped_thermal/<view>.jpg` that are darker than every pixel of the image before the warp,
+Facts: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py. Black and white are the lowest and the highest temperature of
+the scene. Pixels of `warped_thermal/<view>.jpg` that are darker than every pixel of the image before the warp,
 `thermal/<view>.jpg`, are the warp's filler. The authors raise them to that minimum and save the array; here they are
 masked.
 
 Both images are JPEGs. A measured pixel may be a few levels below the minimum by their noise, and a filler spoils the
 blocks that it lies in. So a region below the minimum is filler if as many of its pixels as a block has are nearer to
-black than to the minimum; it grows to whole blocks. Noise is raised to the minimum, as the authors do. A minimum that is
-itself nearly black tells nothing: then, and without an image before the warp, fillers are found as in arrays
+black than to the minimum; it grows to whole blocks. Noise is raised to the minimum, as the authors do. A minimum that
+is itself nearly black tells nothing: then, and without an image before the warp, fillers are found as in arrays
 (`fillers.py`).
 """
 
@@ -39,8 +39,8 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R 601, as OpenCV reads
 class Pictures:
     """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
 
-    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. arrays: reader
-    of .npy files, which some views may have.
+    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. arrays:
+    reader of .npy files, which some views may have.
     """
 
     radiometry: Radiometry

@@ -4,16 +4,17 @@ Facts of the download: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py, which th
 `warped_thermal/<view>.jpg` has the names of `thermal/<view>.jpg`, the images before the warp, and spans the scene's
 PUBLISHED range; `warped_thermal/<view>.npy` in °C (`scenes/warped.py`) is what that script writes.
 
-Facts of the loader: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places; RGB
-in `images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; it reads the arrays. Views
-without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV and ignores
-their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default, so `images_1`
-comes first and a smaller copy last.
+Facts of the loader: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places;
+RGB in `images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; it reads the arrays.
+Views without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV and
+ignores their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default, so
+`images_1` comes first and a smaller copy last.
 """
 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
@@ -46,10 +47,8 @@ def published_range(name: str) -> TemperatureRange | None:
     >>> published_range("Hands")
     TemperatureRange(min=22.1, max=33.6)
     """
-    try:
+    with suppress(KeyError):  # of a scene that is not of Table 1
         name = registered(name).name
-    except KeyError:  # no scene of Table 1
-        pass
     return PUBLISHED.get(name.lower())
 
 

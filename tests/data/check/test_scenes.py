@@ -10,7 +10,7 @@ from tdgbench.data.check.scenes import check_scenes, find_place
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.registry import SCENES
 from tdgbench.scenes.synthetic import SyntheticDataset
-from tests.helpers.layouts import write_rgbt_scenes, write_thermalmix
+from tests.helpers.layouts import write_downloaded_thermalmix, write_rgbt_scenes, write_thermalmix
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +41,24 @@ def test_paper_scenes(tmp_path, small_scene, small_gray_scene):
     assert span.min - 1 < lion.temperature[0] < lion.temperature[1] < span.max + 1
     assert checks["Pan"].status == "missing" and "tdgbench data get thermalmix" in checks["Pan"].problems[0]
     assert checked(tmp_path / "ThermalMix")[1].keys() == {"Laptop", "Pan", "Lion", "Hand", "Face"}
+
+
+def test_thermalmix_as_downloaded(tmp_path, small_gray_scene):
+    """Gray images, whose range is published for scenes of these names only; a damaged one is named."""
+    for name in ("lion", "panel", "kettle", "pan"):
+        write_downloaded_thermalmix(small_gray_scene, tmp_path / name, frame=5)
+    for view in small_gray_scene.views[2:4]:
+        (tmp_path / "pan" / "warped_thermal" / f"{view.name}.jpg").write_bytes(b"no image")
+    checks = checked(tmp_path)[1]
+    assert {name: check.status for name, check in checks.items()} == {
+        "lion": "ok", "panel": "ok", "kettle": "broken", "pan": "broken",
+    }  # fmt: skip
+    lion = checks["lion"]
+    assert (lion.layout, lion.views, lion.channels, lion.temperature) == ("ThermalMix", 10, 1, (16.8, 48.3))
+    assert lion.masked == pytest.approx(8 / 48) and lion.rgb == 10
+    assert checks["panel"].temperature == (22.7, 55.8)
+    assert any("set data.temperature=[min,max] in °C" in problem for problem in checks["kettle"].problems)
+    assert len(checks["pan"].problems) == 2 and all("warped_thermal/view00" in p for p in checks["pan"].problems)
 
 
 def test_nothing_there(tmp_path):
