@@ -84,7 +84,9 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
         skipped = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
     if skipped is not None:
-        return skipped
+        if skipped.status == "kept" and existing is not None and existing.key == record.key:
+            run.discard_checkpoint()  # a run may have been ended between its result and this
+        return replace(skipped, message="; ".join(filter(None, [skipped.message, *run.remarks])))
     if training_device(cfg.backend.name).type == "cuda":
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
         record.environment = describe_environment()

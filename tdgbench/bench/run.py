@@ -154,6 +154,10 @@ class CellRun(SetupObserver):
                 images = {name: to_8bit(one.image) for name, one in renders.items()}
                 self._board.results(record.iterations, record.scores, images)
 
+    def discard_checkpoint(self) -> None:
+        """Remove the cell's checkpoint, if there is one."""
+        self._discard(Checkpoint(self._checkpoint_path, {}, None))
+
     def close(self) -> None:
         """Close the TensorBoard log, if there is one."""
         if self._board is not None:
@@ -211,11 +215,14 @@ class CellRun(SetupObserver):
         record.gaussians = {name: len(model) for name, model in method.models().items()}
         record.density = {name: model.work.density() for name, model in method.models().items()}
 
+    @property
+    def _checkpoint_path(self) -> Path:
+        return self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
+
     def _open_checkpoint(self) -> Checkpoint:
         """Checkpoint of this cell; with overwrite=always a stored one is removed."""
-        path = self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
         made_with = {"settings, data or code": self.record.key, **same_bytes_on(self.record.environment)}
-        checkpoint = Checkpoint(path, made_with, self.cfg.checkpoint)
+        checkpoint = Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
             self._discard(checkpoint)
         return checkpoint

@@ -9,7 +9,7 @@ import pytest
 from methods.splat import Splat
 from tdgbench.bench import cell
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.record import read_all, schema_problems
 from tdgbench.bench.run import CellRun
 from tests.helpers.cells import fails, hidden, statuses
@@ -103,6 +103,16 @@ def test_a_failed_replacement_is_finished_before_the_cell_is_looked_up(tiny_cell
     assert tiny_cell().status == "kept" and hidden(tiny_cell.folder) == []
     tiny_cell.folder.rename(tiny_cell.folder.with_name(".seed0.part-old"))
     assert tiny_cell().status == "kept" and hidden(tiny_cell.folder) == []
+
+
+def test_the_checkpoint_of_a_finished_cell_is_removed(tiny_cell):
+    """A kill, or a full disk, between a result and the removal of its checkpoint left the latter for good."""
+    assert tiny_cell().status == "ok"
+    checkpoint = tiny_cell.experiment / "checkpoints" / f"{short_name(tiny_cell.experiment, tiny_cell.folder)}.pt"
+    checkpoint.parent.mkdir(exist_ok=True)
+    checkpoint.write_bytes(b"state")
+    assert tiny_cell("overwrite=never", "budget.iterations=11").status == "kept" and checkpoint.exists()
+    assert tiny_cell().status == "kept" and not checkpoint.exists()
 
 
 def test_a_failure_beside_a_running_process_removes_nothing_of_its(tiny_cell, monkeypatch):

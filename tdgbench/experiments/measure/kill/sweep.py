@@ -25,6 +25,7 @@ from tdgbench.experiments.measure.kill.compare import compare
 ROOT = Path(__file__).resolve().parents[4]
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT")
 MAX_SECONDS = 300.0  # of a run that nothing ends
+MAX_ABORT = 10.0  # seconds from SIGABRT to the end of the process
 MAX_ENDING = 30.0  # seconds from SIGTERM or SIGINT to the end of the process
 
 How = Literal["SIGKILL", "SIGTERM", "SIGINT", "full disk"]
@@ -77,7 +78,7 @@ class Sweep:
         command = [sys.executable, "-m", *module, *self.words, f"results={results}"]
         with _log(results).open("wb") as out:
             return subprocess.Popen(
-                command, cwd=self.scratch, env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True,
+                command, cwd=self.scratch, env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}, start_new_session=True,
                 stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT,
             )  # fmt: skip
 
@@ -154,13 +155,23 @@ def _kill(sweep: Sweep, results: Path, how: str, at: float) -> Kill:
     try:
         status = process.wait(timeout=MAX_ENDING)
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        status = process.wait()
-        problems.append(f"it did not end within {MAX_ENDING:.0f} s of {how}")
+        status = _abort(process)
+        said = _log(results).read_text(encoding="utf-8", errors="replace")
+        problems.append(f"it did not end within {MAX_ENDING:.0f} s of {how}:\n{said}")
     problems += _wrong_end(
         how, status, _log(results).read_text(encoding="utf-8", errors="replace"), _began(results / sweep.name, begin)
     )
     return Kill(how, at, status, 0, 0, problems)
+
+
+def _abort(process: subprocess.Popen) -> int:
+    """End a process that does not end by itself; where it stands, in all threads, goes to its log."""
+    process.send_signal(signal.SIGABRT)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=MAX_ABORT)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    return process.wait()
 
 
 def _wrong_end(how: str, status: int, said: str, began: bool) -> Iterator[str]:
