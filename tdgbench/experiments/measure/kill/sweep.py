@@ -78,7 +78,8 @@ class Sweep:
         command = [sys.executable, "-m", *module, *self.words, f"results={results}"]
         with _log(results).open("wb") as out:
             return subprocess.Popen(
-                command, cwd=self.scratch, env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}, start_new_session=True,
+                command, cwd=self.scratch, start_new_session=True,
+                env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"},
                 stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT,
             )  # fmt: skip
 
