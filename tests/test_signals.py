@@ -48,7 +48,8 @@ def test_a_signal_ends_a_run_in_one_line(tmp_path, data_root, number, status):
     assert run.returncode == status and out == ""
     lines = err.splitlines()
     kept = "results/single keeps 0 finished cells and a checkpoint of "
-    assert len(lines) == 1 and lines[0].startswith(f"interrupted by {number.name}; {kept}")
+    assert len(lines) == 2 and ": starts, " in lines[0]
+    assert lines[1].startswith(f"interrupted by {number.name}; {kept}")
     with FileLock(next((tmp_path / "results" / "single" / "locks").glob("*.lock")), timeout=0):
         pass
 

@@ -15,7 +15,7 @@ WORDS: dict[Status, str] = {
     "kept": "already there",
     "failed": "failed",
     "missing": "without data",
-    "no prior": "failed",
+    "no prior": "failed, it has no depth prior",
     "elsewhere": "running in another process",
 }
 ONCE = "compile"  # stage that only the first cell of a machine spends time in
@@ -47,7 +47,7 @@ class Outcome:
         """
         scores = f", {self.scores}" if self.scores else ""
         first = self.message.partition("\n")[0]
-        remark = f" ({first})" if first and self.status in ("ok", "failed", "no prior") else ""
+        remark = f" ({first})" if first and self.status in ("ok", "failed") else ""
         return f"{self.title}: {WORDS[self.status]}{scores}{remark}"
 
 

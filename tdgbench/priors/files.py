@@ -12,7 +12,7 @@ import torch
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, SceneError, View
-from tdgbench.scenes.images import opened_image
+from tdgbench.scenes.images import whole_image
 from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
@@ -80,7 +80,7 @@ def _as_prior_error() -> Iterator[None]:
 
 def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Depth map (H, W) float32 in [0, 1] of size (H, W), NaN where unknown. Raises SceneError or PriorError."""
-    with opened_image(path) as image:
+    with whole_image(path) as image:
         mode, counts = image.mode, np.asarray(image)
     if mode not in LARGEST_COUNT:
         raise PriorError(

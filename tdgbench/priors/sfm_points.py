@@ -49,6 +49,11 @@ class SfmPointsPrior:
             )
         thermal = resize(view.thermal, width, height).mean(axis=2)
         dense = self._solve(inverse, weight, thermal)
+        if not np.isfinite(dense).all():
+            raise PriorError(
+                f"prior.estimator.smoothness={self.smoothness:g} and prior.estimator.edge={self.edge:g} give view "
+                f"{view.name} of {scene.name} no finite depth; raise them"
+            )
         full = resize(dense[..., None].astype(np.float32), camera.width, camera.height)[..., 0]
         return DepthPrior(full, "disparity")
 

@@ -78,7 +78,8 @@ class RegisteredDataset:
         for key in dict.fromkeys(self._registered(name).dataset for name in names):
             missing = [name for name in names if self._registered(name).dataset == key]
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
-            lines.append(f"    get them from {registry.PUBLISHED_AT[key]}; layout: <scene>/ with {LAYOUTS[key].looks}")
+            lines.append(f"    tdgbench data get {key} {self.root}   ({registry.PUBLISHED_AT[key]})")
+            lines.append(f"    layout: <scene>/ with {LAYOUTS[key].looks}")
         lines.append("  elsewhere: data.root=DIR; other layouts: docs/data.md")
         return "\n".join(lines)
 

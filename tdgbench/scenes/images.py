@@ -77,17 +77,24 @@ def read_image_bytes(path: Path) -> bytes:
     return read_bytes(path)
 
 
+@contextmanager
+def whole_image(path: Path) -> Iterator[Image.Image]:
+    """As `opened_image`, of a file that is read once and whose checksums, if its format has some, are right."""
+    content = read_image_bytes(path)
+    with opened_image(path, content) as image:
+        if image.format == "PNG":
+            image.verify()  # the checksums, which decoding ignores; the image is closed then
+    with opened_image(path, content) as image:
+        yield image
+
+
 def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     """Read an image as float32 (H, W, 1 or 3) in [0, 1].
 
     8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how.
     Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
-    content = read_image_bytes(path)
-    with opened_image(path, content) as opened:
-        if opened.format == "PNG":
-            opened.verify()  # the checksums, which decoding ignores; the image is closed then
-    with opened_image(path, content) as opened:
+    with whole_image(path) as opened:
         image: Image.Image = opened
         if image.mode in (*TO_GRAY, *TO_COLOR):
             image = image.convert("L" if image.mode in TO_GRAY else "RGB")

@@ -38,8 +38,8 @@ def training_views(record: Record, root: Path) -> dict[str, View]:
 
 @cache
 def known_targets() -> frozenset[str]:
-    """What the files of `conf/dataset/` name. A record may come from anywhere: nothing else that it names is run."""
-    files = (conf_folder() / "dataset").glob("*.yaml")
+    """What data sets in `conf/` name. A record may come from anywhere: nothing else that it names is run."""
+    files = [conf_folder() / "read_options.yaml", *(conf_folder() / "dataset").glob("*.yaml")]
     return frozenset(one for path in files for one in _targets(OmegaConf.to_container(OmegaConf.load(path))))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tdgbench.data.prepare.sources import ViewFiles
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import opened_image, read_image
+from tdgbench.scenes.images import read_image, whole_image
 from tdgbench.scenes.inputs import regular_file
 from tdgbench.scenes.radiometric import COUNT_MODES, PhotoMapping, is_radiometric, read_celsius, read_thermogram
 from tdgbench.scenes.temperature import Radiometry
@@ -79,7 +79,7 @@ def holds_celsius(path: Path, scale: CountScale) -> bool:
     """Whether temperatures can be read from a thermal file; else it shows values without a scale."""
     if is_radiometric(regular_file(path)):
         return True
-    with opened_image(path) as image:
+    with whole_image(path) as image:
         return image.mode in COUNT_MODES and scale.degC_per_count is not None
 
 

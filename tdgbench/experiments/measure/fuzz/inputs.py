@@ -23,7 +23,7 @@ THERMAL = {"png8": "png", "jpg": "jpg", "png16": "png", "tif16": "tif", "tif32":
 TEMPERATURES = {"min": 0.0, "max": 40.0, "degC_per_count": 0.001, "degC_at_zero": 0.0}
 MODELS = ("old", "new", "text")
 CELL = ("budget=demo", "budget.iterations=3", "budget.sh_degree=0", "metrics.lpips.download=false", "threads=1",
-        "dataset=folder", "data.root=data", "results=out")  # fmt: skip
+        "dataset=folder", "data.root=data", "results=out", "prior=sfm_points")  # fmt: skip
 
 
 def write_inputs(base: Path) -> None:
