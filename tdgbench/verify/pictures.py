@@ -12,12 +12,30 @@ from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera, View
-from tdgbench.scoring import RenderedImages, to_8bit
+from tdgbench.scoring import RenderedImages
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.verify.findings import Findings
 
+ROUNDING = 0.01  # levels; float32 renders of one model differ by 1e-4
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
+
+
+def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
+    """How stored levels (uint8) differ from an image in [0, 1] of the same shape; empty if they do not.
+
+    Halfway between two levels, where a saturated gray of 0.5 lies, both are right.
+
+    >>> difference_of(np.array([127, 128], np.uint8), np.array([0.5, 0.5]))
+    ''
+    >>> difference_of(np.array([100, 128], np.uint8), np.array([0.5, 0.5]))
+    '50.0% of the values differ, by up to 27.5 levels'
+    """
+    off = np.abs(stored - np.clip(image, 0, 1) * 255.0)
+    differs = off > 0.5 + ROUNDING
+    if off.max() <= 1.5 and differs.mean() <= MAX_DIFFERENT:
+        return ""
+    return f"{differs.mean():.1%} of the values differ, by up to {off.max():.1f} levels"
 
 
 class Pictures:
@@ -59,19 +77,16 @@ class Pictures:
     def _differences(self, gaussians: Gaussians, name: str, path: str, stored: np.ndarray) -> list[str]:
         """How a stored render differs from the model's. Both must be (H, W, C)."""
         render = render_model(gaussians, self.cameras[name], depth=path.startswith("renders/"))
-        again = to_8bit(render.image.numpy())
+        again = render.image.numpy()
         if stored.shape != again.shape:
             return [f"{path} is {stored.shape}, the model gives {again.shape}"]
         if path.startswith("renders/"):
             self.depths[name] = (render.requested_depth / render.alpha.clamp_min(1e-6)).numpy()
             if stored.shape[2] != self.record.channels:
                 return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
-        difference = np.abs(stored.astype(int) - again.astype(int))
-        if difference.max() > 1 or (difference > 0).mean() > MAX_DIFFERENT:
-            share = f"{(difference > 0).mean():.1%} of the values differ, by up to {difference.max()}"
-            model = "model.ply" if path.startswith("renders/") else "model_rgb.ply"
-            return [f"{path} is not what {model} gives: {share}"]
-        return []
+        problem = difference_of(stored, again)
+        model = "model.ply" if path.startswith("renders/") else "model_rgb.ply"
+        return [f"{path} is not what {model} gives: {problem}"] if problem else []
 
     def _has(self, sub: str, name: str) -> bool:
         return (self.folder / sub / f"{name}.png").exists()
