@@ -74,7 +74,9 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
         _, err = run.communicate(timeout=60)
     finally:
         run.kill()
-    assert run.returncode == status and len(err.splitlines()) == 1
+    *before, last = err.splitlines()
+    assert run.returncode == status and last.startswith(f"interrupted by {number.name}")
+    assert all(": starts, " in line or " cells: " in line for line in before), err
     time.sleep(1)
     assert not _of_session(run.pid)
 
