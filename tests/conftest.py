@@ -14,7 +14,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tests.helpers.configs import SMALL, config
 from tests.helpers.masks import masked_scene, with_garbage
-from tests.helpers.paths import SHARED
+from tests.helpers.paths import SHARED, lpips_backbone
 from tests.helpers.scenes import small_dataset
 
 
@@ -30,19 +30,13 @@ def arco_folder() -> Path:
 @pytest.fixture(scope="session")
 def squeeze_weights() -> Path:
     """A real LPIPS backbone, where it is."""
-    file = SHARED / "lpips_squeeze" / "squeezenet1_1_torchvision_fp16.npz"
-    if not file.exists():
-        pytest.skip(f"the LPIPS backbone is not at {file}")
-    return file
+    return lpips_backbone("lpips_squeeze/squeezenet1_1_torchvision_fp16.npz")
 
 
 @pytest.fixture(scope="session")
 def vgg_weights() -> Path:
     """The real LPIPS backbone of published tables, where it is."""
-    file = SHARED / "lpips_vgg" / "vgg16_torchvision_fp16.npz"
-    if not file.exists():
-        pytest.skip(f"the LPIPS backbone is not at {file}")
-    return file
+    return lpips_backbone("lpips_vgg/vgg16_torchvision_fp16.npz")
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,17 +29,17 @@ def write_cameras(path: Path, scene: Scene) -> None:
 
 def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
     """Read the cameras of one part, by view name. Raises ValueError, naming the file, if it holds anything else."""
-    try:
-        return {name: _from_json(one) for name, one in json.loads(read_text(path))[part].items()}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} holds no cameras: {error!r}") from error
+    with _parsing(path):
+        return _of_part(json.loads(read_text(path)), part)
 
 
 def read_all_cameras(folder: Path) -> Cameras:
     """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be right."""
     path = folder / FILE
-    read_text(path)
-    found: Cameras = {"train": read_cameras(path, "train"), "test": read_cameras(path, "test")}
+    text = read_text(path)
+    with _parsing(path):
+        content = json.loads(text)
+        found: Cameras = {part: _of_part(content, part) for part in ("train", "test")}
     for name, camera in [*found["train"].items(), *found["test"].items()]:
         if Path(name).name != name or "\0" in name:
             raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
@@ -46,6 +48,19 @@ def read_all_cameras(folder: Path) -> Cameras:
         except SceneError as error:
             raise ValueError(str(error)) from error
     return found
+
+
+@contextmanager
+def _parsing(path: Path) -> Iterator[None]:
+    """Turn errors of a content that is no cameras into ValueError, naming the file."""
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} holds no cameras: {error!r}") from error
+
+
+def _of_part(content: Any, part: str) -> dict[str, Camera]:
+    return {name: _from_json(one) for name, one in content[part].items()}
 
 
 def _as_json(camera: Camera) -> dict[str, object]:

@@ -13,21 +13,17 @@ from tdgbench.data.check.table1_time import Table1Time
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
 
-UNCUT = 1000  # characters, width of tables where there is no terminal
 COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 
 
 def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) -> None:
     """Print one row per scene, then problems and notes, one line each."""
-    screen = console()
-    if not screen.is_terminal:
-        screen.width = UNCUT
     table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
     for heading in ("scene", "layout", "views", "split", "size", "ch", "°C", "masked", "edges, px", "status"):
         table.add_column(heading, overflow="fold")
     for check in checks:
         table.add_row(*_row(check))
-    screen.print(table)
+    console().print(table)
     for check in checks:
         for problem in check.problems:
             say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
