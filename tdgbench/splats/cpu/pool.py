@@ -1,17 +1,25 @@
-"""Thread pool that runs the kernels: plain Python threads, since the kernels release the GIL.
+"""Threads that run the kernels: plain Python threads, since the kernels release the GIL.
 
 Callers cut work into pieces whose results do not depend on their number, so no result depends on the threads.
+
+An exception of a signal handler (Ctrl-C) may be raised between any two instructions of the main thread. The locks of
+`concurrent.futures` and `threading` do not stand that: one stays held for good, or is released twice. So calls are
+handed over through `SimpleQueue`, whose operations happen whole or not at all, and waiting ends by what is there.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import Any
 
+WAKE_SECONDS = 0.1  # between looks at the calls, where the message that one has ended was lost to an interruption
+
 _threads: int | None = None
-_pool: tuple[int, int, ThreadPoolExecutor] | None = None  # process id, workers, pool
+_calls: SimpleQueue[_Call] = SimpleQueue()  # those that no worker has taken
+_workers = 0
 
 
 def available_cores() -> int:
@@ -46,12 +54,19 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
     """
     if len(arguments) == 1:
         return [function(*arguments[0])]
-    futures = [_executor(len(arguments) - 1).submit(function, *rest) for rest in arguments[1:]]
+    _start_workers(len(arguments) - 1)
+    ended: SimpleQueue[None] = SimpleQueue()
+    calls = [_Call(function, rest, ended) for rest in arguments[1:]]
+    for call in calls:
+        _calls.put(call)
     try:
-        return [function(*arguments[0]), *(future.result() for future in futures)]
-    except BaseException:
-        wait(futures)  # they use the caller's arrays
-        raise
+        first = function(*arguments[0])
+    finally:
+        _wait(calls, ended)  # they use the caller's arrays
+    for call in calls:
+        if call.error is not None:
+            raise call.error
+    return [first, *(call.result for call in calls)]
 
 
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:
@@ -63,9 +78,50 @@ def chunks(count: int, threads: int) -> list[tuple[int, int]]:
     return [(count * t // threads, count * (t + 1) // threads) for t in range(threads)]
 
 
-def _executor(workers: int) -> ThreadPoolExecutor:
-    """Pool of this process with at least so many workers; a forked child cannot use its parent's threads."""
-    global _pool
-    if _pool is None or _pool[0] != os.getpid() or _pool[1] < workers:
-        _pool = (os.getpid(), workers, ThreadPoolExecutor(workers, thread_name_prefix="tdgbench"))
-    return _pool[2]
+class _Call:
+    """A call of a worker, and how it ended."""
+
+    def __init__(self, function: Callable[..., Any], arguments: tuple[Any, ...], ended: SimpleQueue[None]) -> None:
+        self.function, self.arguments, self.ended = function, arguments, ended
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self.has_ended = False
+
+    def run(self) -> None:
+        try:
+            self.result = self.function(*self.arguments)
+        except BaseException as error:
+            self.error = error
+        self.has_ended = True
+        self.ended.put(None)
+
+
+def _wait(calls: Sequence[_Call], ended: SimpleQueue[None]) -> None:
+    while not all(call.has_ended for call in calls):
+        try:
+            ended.get(timeout=WAKE_SECONDS)
+        except Empty:
+            continue
+
+
+def _start_workers(count: int) -> None:
+    """Have at least so many workers. They are daemons: the process ends without them."""
+    global _workers
+    while _workers < count:
+        Thread(target=_work, args=(_calls,), name="tdgbench", daemon=True).start()
+        _workers += 1
+
+
+def _work(calls: SimpleQueue[_Call]) -> None:
+    while True:
+        calls.get().run()
+
+
+def _forget_workers() -> None:
+    """A forked child has none of its parent's threads."""
+    global _calls, _workers
+    _calls, _workers = SimpleQueue(), 0
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_workers)

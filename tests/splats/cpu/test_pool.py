@@ -1,4 +1,6 @@
 import os
+import random
+import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -47,6 +49,30 @@ def test_many_threads_may_ask_at_once():
     with ThreadPoolExecutor(4) as callers:
         for i, results in enumerate(callers.map(ask, range(4))):
             assert results == [[a * a for a in range(i, i + 3)]] * 50
+
+
+class Alarm(KeyboardInterrupt):
+    pass
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no interval timers")
+def test_a_signal_at_any_moment_leaves_the_workers_usable():
+    """`concurrent.futures` hangs here, or raises errors of its own."""
+
+    def alarm(number, frame):
+        raise Alarm
+
+    moment, before = random.Random(0), signal.signal(signal.SIGALRM, alarm)
+    try:
+        for _ in range(2000):
+            with pytest.raises(Alarm):
+                signal.setitimer(signal.ITIMER_REAL, moment.uniform(1e-4, 6e-4))
+                while True:
+                    pool.run(abs, [(-1,), (-2,)])
+            assert pool.run(abs, [(-3,), (-4,)]) == [3, 4]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
