@@ -8,6 +8,7 @@ SIGTERM do not end with 130 and 143, or if something is left over.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 import time
@@ -31,6 +32,10 @@ def main() -> int:
     parser.add_argument("--name", default="single", help="name of the experiment's folder")
     parser.add_argument("sweep", nargs="*", default=list(SMALL), help="Hydra overrides (default: four small cells)")
     args = parser.parse_args()
+    if (
+        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    ):  # as in `python -m benchmarks.killed &`; sweeps would inherit it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     with tempfile.TemporaryDirectory() as scratch:
         sweep, begin = Sweep(args.sweep, args.name, Path(scratch)), time.monotonic()
         calm = sweep.run_calm()

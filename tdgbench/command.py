@@ -16,6 +16,7 @@ from tdgbench.tools import TOOLS
 from tdgbench.usage import usage
 
 DEMO = "+experiment=demo"
+FULL_ERROR = "HYDRA_FULL_ERROR"  # environment variable; Hydra raises its errors instead of printing tracebacks
 
 
 def run(words: list[str]) -> int:
@@ -31,8 +32,13 @@ def run(words: list[str]) -> int:
         say(f"tdgbench {__version__}")
     else:
         sys.argv[1:] = words or [DEMO]  # where Hydra reads them
-        os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing tracebacks
-        run_experiment()
+        before = os.environ.get(FULL_ERROR)
+        os.environ[FULL_ERROR] = "1"
+        try:
+            run_experiment()
+        finally:
+            if before is None:
+                del os.environ[FULL_ERROR]
     return 0
 
 

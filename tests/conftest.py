@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,13 @@ from tests.helpers.configs import SMALL, config
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
 from tests.helpers.scenes import small_dataset
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ctrl_c_is_heard() -> None:
+    """A shell starts `pytest &` with Ctrl-C ignored, and the processes that tests start would inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

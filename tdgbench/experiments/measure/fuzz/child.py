@@ -62,7 +62,7 @@ class Child:
         seconds = time.monotonic() - self.start
         ending: Literal["signal", "hang", "memory"] = "signal"
         if pid == 0:
-            self.peak = max(self.peak, _tree_megabytes(self.pid))
+            self.peak = max(self.peak, tree_megabytes(self.pid))
             if self.peak <= self.limits.megabytes and seconds <= self.limits.seconds:
                 return None
             ending = "memory" if self.peak > self.limits.megabytes else "hang"
@@ -114,7 +114,7 @@ def _status_of(work: Callable[[], int | str | None]) -> int:
     return code if isinstance(code, int) else int(code is not None)
 
 
-def _tree_megabytes(pid: int) -> float:
+def tree_megabytes(pid: int) -> float:
     """Resident memory of a process and its descendants."""
     total, pending = 0, [pid]
     while pending:

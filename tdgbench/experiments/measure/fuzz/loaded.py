@@ -34,6 +34,7 @@ def load_scene(root: str, scene: str, prior: DepthEstimator) -> int:
             content[f"K/{view.name}"], content[f"pose/{view.name}"] = camera.K, camera.world_to_camera
             content[f"size/{view.name}"] = [camera.width, camera.height]
             content[f"thermal/{view.name}"] = view.thermal
+            content[f"valid/{view.name}"] = np.True_ if view.valid is None else view.valid
             if view.load_rgb is not None:
                 content[f"rgb/{view.name}"] = view.rgb
         prior.identity(found)

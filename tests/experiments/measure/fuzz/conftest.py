@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from tdgbench.__main__ import main
 from tdgbench.experiments.measure.fuzz.case import Programs
-from tdgbench.experiments.measure.fuzz.child import Limits
+from tdgbench.experiments.measure.fuzz.child import Limits, tree_megabytes
 from tdgbench.experiments.measure.fuzz.suite import Suite
 from tdgbench.tools import TOOLS
 
@@ -13,4 +15,5 @@ from tdgbench.tools import TOOLS
 def suite(tmp_path) -> Suite:
     """A suite without results."""
     programs = Programs(main, TOOLS["verify"].run)
-    return Suite(programs, tmp_path / "scratch", Limits(seconds=20, megabytes=1500), results=False)
+    here = round(tree_megabytes(os.getpid()))  # a fork begins with the memory of this process
+    return Suite(programs, tmp_path / "scratch", Limits(seconds=20, megabytes=here + 1500), results=False)

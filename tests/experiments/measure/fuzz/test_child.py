@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tdgbench.experiments.measure.fuzz.child import Child, Limits, _tree_megabytes
+from tdgbench.experiments.measure.fuzz.child import Child, Limits, tree_megabytes
 
 
 def run(work, folder, limits=None):
@@ -61,7 +61,7 @@ def test_memory_is_limited(tmp_path):
         while True:
             eaten.append(b"x" * 10_000_000)
 
-    limit = 1500 + round(_tree_megabytes(os.getpid()))  # a fork begins with the memory of this process
+    limit = 1500 + round(tree_megabytes(os.getpid()))  # a fork begins with the memory of this process
     ran = run(eat, tmp_path, Limits(seconds=20, megabytes=limit))
     assert ran.ending == "memory" and limit < ran.megabytes < limit + 1500
 
@@ -74,7 +74,7 @@ def test_memory_of_descendants_counts(tmp_path):
             del held
         time.sleep(60)
 
-    here = _tree_megabytes(os.getpid())
+    here = tree_megabytes(os.getpid())
     assert run(eat, tmp_path, Limits(seconds=20, megabytes=int(here) + 400)).ending == "memory"
 
 

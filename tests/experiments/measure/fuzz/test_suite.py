@@ -14,7 +14,6 @@ import pytest
 
 from tdgbench.experiments.measure.fuzz import loaded
 from tdgbench.experiments.measure.fuzz.case import Change
-from tdgbench.experiments.measure.fuzz.child import Limits
 from tdgbench.experiments.measure.fuzz.kinds.colmap import FIELDS, NewColmap, OldColmap, TextColmap
 from tdgbench.experiments.measure.fuzz.report import counts, line
 from tdgbench.experiments.measure.fuzz.suite import Drawn, draw
@@ -96,7 +95,7 @@ def test_every_defect_of_a_loader_is_found(suite, monkeypatch, name):
     expected, after = DEFECTS[name]
     broken(monkeypatch, after)
     if expected == "hang":
-        suite.limits = Limits(seconds=1)
+        suite.limits = suite.limits._replace(seconds=1)
     assert outcome(suite) == expected
 
 

@@ -42,7 +42,7 @@ class Images(SceneKind):
             path.rename(other)
             return Change(f"{sub}/{path.name}: renamed to {other.name}", (*names, other.name, other.stem))
         if how < 0.4:
-            what = rng.choice(_PICTURES)(path, rng)
+            what = rng.choice(PICTURES)(path, rng)
             return Change(f"{sub}/{path.name}: {what}", names)
         data, what = damage(path.read_bytes(), rng)
         path.write_bytes(data)
@@ -106,4 +106,4 @@ def _text(path: Path, rng: random.Random) -> str:
     return "text"
 
 
-_PICTURES = (_other_size, _bomb, _mode, _numbers, _text)
+PICTURES = (_other_size, _bomb, _mode, _numbers, _text)

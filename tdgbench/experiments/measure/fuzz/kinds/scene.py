@@ -50,7 +50,11 @@ class SceneKind(Kind):
         if self.whole:  # what it would have loaded; then what it wrote
             return self.wrong_on_disk() or cells.unverified(self.folder)
         found = loaded(self.folder)
-        return differences(self.scene / "sparse" / "0", found) or self.wrong_values(found)
+        return self.wrong_cameras(found) or self.wrong_values(found)
+
+    def wrong_cameras(self, found: dict) -> str:
+        """Why loaded cameras or points are wrong."""
+        return differences(self.scene / "sparse" / "0", found)
 
     def records(self, scene: str) -> list[dict[str, Any]]:
         """Records of a scene's cells."""
