@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -27,6 +28,13 @@ def started(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+def end_session(run: subprocess.Popen[str]) -> None:
+    """Kill a run and its workers, which would train on without it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+
+
 def wait_for_checkpoint(run: subprocess.Popen[str], folder: Path) -> None:
     for _ in range(600):
         if list((folder / "checkpoints").glob("[!.]*.pt")) or run.poll() is not None:
@@ -44,7 +52,7 @@ def test_a_signal_ends_a_run_in_one_line(tmp_path, data_root, number, status):
         run.send_signal(number)
         out, err = run.communicate(timeout=60)
     finally:
-        run.kill()
+        end_session(run)
     assert run.returncode == status and out == ""
     lines = err.splitlines()
     kept = "results/single keeps 0 finished cells and a checkpoint of "
@@ -73,7 +81,7 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
         run.send_signal(number)
         _, err = run.communicate(timeout=60)
     finally:
-        run.kill()
+        end_session(run)
     *before, last = err.splitlines()
     assert run.returncode == status and last.startswith(f"interrupted by {number.name}")
     assert all(": starts, " in line or " cells: " in line for line in before), err

@@ -27,7 +27,7 @@ SOURCES = ("tdgbench", "methods", "conf", "paper_tables", "pyproject.toml", "set
 def run(*call: str | Path, cwd: Path) -> str:
     """Output of a command that must succeed, without this checkout on its path."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"COLUMNS": "200"}
-    done = subprocess.run([*map(str, call)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=600)
+    done = subprocess.run([*map(str, call)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
     return done.stdout
 

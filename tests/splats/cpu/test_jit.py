@@ -16,17 +16,15 @@ def test_lanes_can_be_forced(monkeypatch):
         jit.lanes()
 
 
-# Forward and backward in two variants.
+# Forward and backward.
 RENDER = """
 from tdgbench.splats import rasterization
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
-total = 0.0
-for channels, mode in ((1, "RGB"), (3, "RGB+D")):
-    leaves = [p.requires_grad_() for p in random_gaussians(50, 0, None, channels)]
-    image = rasterization(*leaves, *turned_camera(20, 20), 20, 20, render_mode=mode)[0]
-    image.sum().backward()
-    total += image.double().sum().item() + sum(p.grad.double().sum().item() for p in leaves)
+leaves = [p.requires_grad_() for p in random_gaussians(50, 0, None, 1)]
+image = rasterization(*leaves, *turned_camera(20, 20), 20, 20)[0]
+image.sum().backward()
+total = image.double().sum().item() + sum(p.grad.double().sum().item() for p in leaves)
 """
 # Prints the sum, and the hits and misses of the cache over all kernels called.
 COUNT = """
@@ -43,7 +41,7 @@ def test_a_second_process_compiles_nothing():
     """What this process has compiled, the next one loads."""
     exec(RENDER, {})
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    run = subprocess.run([sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=300)
+    run = subprocess.run([sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=1200)
     _, hits, misses = run.stdout.split()
     assert int(hits) > 10 and int(misses) == 0
 
@@ -58,10 +56,12 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(tmp_path):
         )
         for _ in range(2)
     ]
-    results = [process.communicate(timeout=300) for process in start]
+    results = [process.communicate(timeout=1200) for process in start]
     assert all(process.returncode == 0 for process in start), results
     files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
-    third = subprocess.run([sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=300)
+    third = subprocess.run(
+        [sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=1200
+    )
     totals, hits, misses = zip(*(out.split() for out in (results[0][0], results[1][0], third.stdout)), strict=True)
     assert len(set(totals)) == 1
     assert int(misses[0]) > 10 and int(hits[2]) > 10 and int(misses[2]) == 0
