@@ -144,5 +144,7 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
         return text if is_named or not words else f"{text} in: {' '.join(words)}"
     if isinstance(error, (OSError, *EXPECTED_ERRORS)):
         return str(error)
+    if isinstance(error.__cause__, OSError):  # e.g. of logging, whose file cannot be opened
+        return f"{error}: {error.__cause__}"
     command = f" in: {' '.join(words)}" if words else ""
     return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging.config
 import textwrap
 
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.experiments.experiment import Experiment, experiment_of
+from tdgbench.experiments.experiment import Experiment, experiment_of, in_words
 from tests.helpers.command import command
 from tests.helpers.configs import config
 
@@ -77,3 +78,12 @@ def test_every_experiment_file_names_an_experiment(name):
 def test_a_target_that_is_no_experiment_is_named():
     with pytest.raises(TypeError, match=r"job\._target_ is pathlib\.Path, which is no"):
         experiment_of(OmegaConf.create({"job": {"_target_": "pathlib.Path"}}))
+
+
+def test_the_file_that_could_not_be_written_is_named(tmp_path):
+    """Logging says `Unable to configure handler 'file'` of a full disk, and no more."""
+    file = {"class": "logging.FileHandler", "filename": str(tmp_path / "nosuch" / "tdgbench.log")}
+    with pytest.raises(ValueError) as error:
+        logging.config.dictConfig({"version": 1, "handlers": {"file": file}, "root": {"handlers": ["file"]}})
+    said = in_words(error.value, ["seed=0"])
+    assert said.startswith("Unable to configure handler 'file': ") and "nosuch/tdgbench.log" in said
