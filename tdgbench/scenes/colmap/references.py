@@ -15,6 +15,7 @@ from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, Pose, Sen
 from tdgbench.scenes.validate import MAX_COORDINATE
 
 UNIT_TOLERANCE = 1e-3  # of a quaternion's norm; COLMAP writes 1 to the last digits
+ROUNDING = 1e-12  # of that norm
 POSE_TOLERANCE = 1e-6  # between images and frames; of the translation, as a share of its length where that is above 1
 
 
@@ -149,8 +150,12 @@ def _check_pose(model: Tables, file: str, what: str, pose: Pose) -> None:
 
 
 def _rigid(pose: Pose) -> pycolmap.Rigid3d:
+    """A pose whose rotation is one: pycolmap takes a quaternion of another length as it is."""
     w, x, y, z = pose.quaternion
-    return pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, w])), np.array(pose.translation))
+    quaternion, norm = np.array([x, y, z, w]), math.hypot(*pose.quaternion)
+    if abs(norm - 1) > ROUNDING:
+        quaternion /= norm
+    return pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(pose.translation))
 
 
 def _close(a: np.ndarray, b: np.ndarray) -> bool:

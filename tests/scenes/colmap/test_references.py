@@ -4,6 +4,7 @@ import math
 import shutil
 import struct
 
+import numpy as np
 import pytest
 
 from tdgbench.scenes import SceneError
@@ -38,6 +39,17 @@ def test_quaternions_that_are_no_rotations(old, quaternion):
     put(old / "images.bin", QUATERNION, "<4d", *quaternion)
     with pytest.raises(SceneError, match=r"the quaternion of image '.*' has length .*; it must be 1"):
         read_model(old)
+
+
+def test_a_quaternion_that_is_nearly_1_long_makes_a_rotation(old):
+    before = read_model(old)[0]
+    quaternion = struct.unpack_from("<4d", (old / "images.bin").read_bytes(), QUATERNION)
+    put(old / "images.bin", QUATERNION, "<4d", *(0.9995 * value for value in quaternion))
+    after = read_model(old)[0]
+    for name, one in before.items():
+        np.testing.assert_allclose(
+            after[name].camera.world_to_camera, one.camera.world_to_camera, rtol=0, atol=1e-14, err_msg=name
+        )
 
 
 def test_a_pose_too_far_to_compute_with(old):
