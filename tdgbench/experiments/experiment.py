@@ -120,8 +120,9 @@ def _status_1_on_error() -> Iterator[None]:
 
 def check_results_folder(folder: Path) -> None:
     """Raise OptionError unless files can be written to a folder, which need not exist yet."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists() or path.is_symlink())
+    there = folder
     try:
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists() or path.is_symlink())
         with tempfile.TemporaryFile(dir=there) as file:
             file.write(bytes(4096))
             file.flush()

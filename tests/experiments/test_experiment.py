@@ -8,7 +8,8 @@ import textwrap
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.experiments.experiment import Experiment, experiment_of, in_words
+from tdgbench.bench.options import OptionError
+from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of, in_words
 from tests.helpers.command import command
 from tests.helpers.configs import config
 
@@ -87,3 +88,8 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
         logging.config.dictConfig({"version": 1, "handlers": {"file": file}, "root": {"handlers": ["file"]}})
     said = in_words(error.value, ["seed=0"])
     assert said.startswith("Unable to configure handler 'file': ") and "nosuch/tdgbench.log" in said
+
+
+def test_a_folder_whose_name_is_too_long(tmp_path):
+    with pytest.raises(OptionError, match=r"(?s)^results.*File name too long.*choose another folder with results=DIR"):
+        check_results_folder(tmp_path / ("a" * 300) / "single")

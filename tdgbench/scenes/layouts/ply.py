@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData
+from plyfile import PlyData, PlyListProperty
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import regular_file
@@ -26,7 +26,9 @@ def read_points(path: Path) -> PointCloud:
             counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", file.read(HEADER_SIZE).partition(b"end_header")[0])
         if not counts or sum(map(int, counts)) * SMALLEST_ROW > path.stat().st_size:
             raise ValueError("its header states no vertices, or more than the file has bytes for")
-        vertex = PlyData.read(str(path))["vertex"]
+        content = PlyData.read(str(path))
+        _check_end(path.read_bytes().partition(b"end_header")[2].partition(b"\n")[2], content)
+        vertex = content["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
         names = {one.name for one in vertex.properties}
         colors = np.full(xyz.shape, 0.5, np.float32)
@@ -41,6 +43,18 @@ def read_points(path: Path) -> PointCloud:
     if not (np.abs(xyz) <= MAX_COORDINATE).all() or not ((colors >= 0) & (colors <= 1)).all():  # NaN included
         raise SceneError(f"{path} has points or colours that are not finite, or beyond {MAX_COORDINATE:g}; {REMEDY}")
     return PointCloud(xyz, colors)
+
+
+def _check_end(rows: bytes, content: PlyData) -> None:
+    """Raise ValueError if the file has more rows than its header states, which plyfile does not see."""
+    if content.text:
+        found, stated = sum(bool(row.strip()) for row in rows.splitlines()), sum(map(len, content.elements))
+    elif any(isinstance(one, PlyListProperty) for element in content.elements for one in element.properties):
+        return  # rows of different sizes
+    else:
+        found, stated = len(rows), sum(element.data.nbytes for element in content.elements)
+    if found != stated:
+        raise ValueError(f"it has {found} {'rows' if content.text else 'bytes of rows'}, its header states {stated}")
 
 
 def where_they_are(

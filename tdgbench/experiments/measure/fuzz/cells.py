@@ -65,7 +65,7 @@ def command_and_verify(programs: Programs, words: list[str], experiment: str) ->
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(out),
         ):
-            verified = programs.verify([experiment])
+            verified = programs.verify(["--", experiment])  # whose name may begin with a dash
         Path(VERIFIED).write_text(
             json.dumps({"status": verified, "said": Path("verify.txt").read_text(encoding="utf-8")}), encoding="utf-8"
         )

@@ -21,7 +21,8 @@ from tdgbench.resources import conf_folder
 GROUPS = ("backend", "budget", "dataset", "init", "method", "metrics", "prior", "skip")
 PRIOR = "prior=sfm_points"  # of the captures; the default needs weights
 NEED_MORE = ("prior=marigold", "prior=depth_anything", "prior=onnx", "prior=synthetic", "backend=cuda",
-             "backend=reference", "dataset=paper", "dataset=rgbt_scenes", "dataset=thermalmix")  # fmt: skip
+             "backend=reference", "dataset=paper", "dataset=rgbt_scenes", "dataset=thermalmix",
+             "dataset=thermoscenes", "dataset=ti_nsd")  # fmt: skip
 SMALL = {"dataset=synthetic": ("dataset.loader.width=32", "dataset.loader.height=24", "dataset.loader.views=6",
                                "dataset.loader.points=150", "scene=orbit")}  # fmt: skip
 FREE = ("name", "results", "root", "scene", "label", "weights", "folder", "default_scene", "compared_with", "order",

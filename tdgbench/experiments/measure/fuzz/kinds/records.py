@@ -79,7 +79,7 @@ class Records(Kind):
             place[key] = value
             what = f"is {value!r}"
         path.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        return Change(f"record.json: {'.'.join(trail)} {what}", ("record.json", *trail))
+        return Change(f"record.json: {'.'.join(trail)} {what}", ("record.json", "in the record", *trail))
 
     def run(self, programs: Programs) -> int:
         with Path(SAID).open("w", encoding="utf-8") as out, contextlib.redirect_stdout(out):

@@ -35,6 +35,7 @@ class Transforms(SceneKind):
         super().__init__(base, folder, rng)
         write_thermoscenes(self.scene, read(self.scene / "sparse" / "0"))
         shutil.rmtree(self.scene / "sparse")
+        (self.scene / "temperature.json").unlink()
 
     def mutate(self, rng: random.Random) -> Change:
         path = self.scene / rng.choice((FILE, FILE, FILE, BOUNDS, POINTS))
