@@ -25,7 +25,7 @@ class ColmapPoints:
 
     def points(self, scene: Scene) -> PointCloud:
         if scene.points is None or not len(scene.points.points):
-            raise SceneError(f"{scene.name}: its COLMAP model has no points; use init=random")
+            raise SceneError(f"{scene.name} has no sparse points; use init=random")
         return scene.points
 
     def describe(self, scene: Scene) -> dict[str, object]:
@@ -110,5 +110,5 @@ class BoxAroundPoints(RandomPoints):
 
     def box(self, scene: Scene) -> np.ndarray:
         if scene.points is None or len(scene.points.points) < 2:
-            raise SceneError(f"{scene.name}: its COLMAP model has no points, which init=random_box needs")
+            raise SceneError(f"{scene.name} has no sparse points, which init=random_box needs")
         return np.quantile(scene.points.points, [self.outside, 1 - self.outside], axis=0)

@@ -58,7 +58,11 @@ def experiment_of(cfg: DictConfig) -> Experiment:
     """The experiment of a configuration. Raises TypeError if `job._target_` names anything else."""
     if not isinstance(cfg.job._target_, str):
         raise OptionError([Problem("job._target_", "must be the dotted name of a class", cfg.job._target_)])
-    kind = get_class(cfg.job._target_)
+    try:
+        kind = get_class(cfg.job._target_)
+    except Exception as error:  # Hydra's, and whatever the import of a plug-in raises
+        reason = str(error).replace("\n", " ")
+        raise OptionError([Problem("job._target_", f"cannot be loaded: {reason}", cfg.job._target_)]) from error
     if not issubclass(kind, Experiment):
         raise TypeError(f"job._target_ is {cfg.job._target_}, which is no tdgbench.experiments.experiment.Experiment")
     return kind()

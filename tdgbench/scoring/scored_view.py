@@ -12,6 +12,7 @@ import numpy as np
 from tdgbench.scenes import Scene, View
 
 Border = Literal["zero", "valid"]
+ConventionName = Literal["3dgs", "standard"]  # as a record names it
 Modality = Literal["thermal", "rgb"]
 
 

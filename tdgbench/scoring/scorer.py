@@ -13,7 +13,14 @@ from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.lpips import LPIPS, Net, Range
 from tdgbench.scoring.metric import Metric
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
-from tdgbench.scoring.scored_view import Border, Convention, NotApplicableError, RenderedImages, ScoredView
+from tdgbench.scoring.scored_view import (
+    Border,
+    Convention,
+    ConventionName,
+    NotApplicableError,
+    RenderedImages,
+    ScoredView,
+)
 
 
 @dataclass(frozen=True)
@@ -31,8 +38,10 @@ class Scorer:
     ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed).
     """
 
-    def __init__(self, convention: str, ssim_border: Border, lpips_range: Range, lpips: LPIPSOptions) -> None:
-        self.convention = convention
+    def __init__(
+        self, convention: ConventionName, ssim_border: Border, lpips_range: Range, lpips: LPIPSOptions
+    ) -> None:
+        self.convention: str = convention
         self.settings = Convention(ssim_border, self.lpips)
         self.lpips_range: Range = lpips_range
         self.lpips_options = lpips

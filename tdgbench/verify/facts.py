@@ -15,7 +15,7 @@ from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.scoring.lpips import Net, Range
-from tdgbench.scoring.scored_view import Border
+from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.splats.ply import count_rows
 
 TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
@@ -34,7 +34,7 @@ class LPIPSSettings(TypedDict):
 class MetricSettings(TypedDict):
     """Settings that scores depend on."""
 
-    convention: str
+    convention: ConventionName
     ssim_border: Border
     lpips_range: Range
     lpips: LPIPSSettings

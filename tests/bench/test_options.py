@@ -40,6 +40,7 @@ WRONG = [
     ("budget.rates.position_final=0", "budget.rates.position_final=0: must be above 0"),
     ("budget.density.every=0", "budget.density.every=0: must be at least 1"),
     ("budget.plateau.gain=-0.1", "budget.plateau.gain=-0.1: must be at least 0"),
+    ("metrics.convention=nosuch", "metrics.convention=nosuch: must be 3dgs or standard"),
     ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
     ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
     ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),

@@ -60,6 +60,8 @@ def _find(folder: Path) -> Found:
         points, moved = where_they_are(read_points(ply), content.applied_transform, poses)
         notes += [f"{ply.name} was in the world before applied_transform, which is applied to it"] if moved else []
         files.append(ply)
+    elif content.points is not None:
+        notes.append(f"{path.name} names the points {content.points}, which are not there")
     posed = {name: frame.posed for name, frame in content.frames.items()}
     return Found(posed, points, thermal, rgb, _shipped(content, path), bounds, files=files, notes=notes)
 

@@ -39,10 +39,10 @@ class Transforms(SceneKind):
 
     def mutate(self, rng: random.Random) -> Change:
         path = self.scene / rng.choice((FILE, FILE, FILE, BOUNDS, POINTS))
-        names, how = (path.name, "view0", "split="), rng.random()
+        names, how = (path.name, "view0", "split=", "sparse points"), rng.random()
         if how < 0.05:
             path.unlink()
-            return Change(f"{path.name}: deleted", (*names, "points", "COLMAP"))
+            return Change(f"{path.name}: deleted", (*names, "COLMAP"))
         if how < 0.4 and path.name == FILE:
             try:
                 content = json.loads(path.read_bytes())
