@@ -11,7 +11,8 @@ from omegaconf import DictConfig, ListConfig, Node, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
-from tdgbench.bench.signature import STRICT, Problem, model_problems, not_finite, signature_problems
+from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, not_finite, signature_problems
+from tdgbench.bench.suggest import option_meant
 from tdgbench.splats.backends import backend_names
 from tdgbench.training.skips.registry import find_skips
 
@@ -41,6 +42,8 @@ def check_options(cfg: DictConfig) -> None:
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
+        if problem.what == UNKNOWN:
+            problem = problem._replace(what=f"{UNKNOWN}{option_meant(name)}")
         first.setdefault(name, problem._replace(option=name))
     if first:
         raise OptionError(list(first.values()))

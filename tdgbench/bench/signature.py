@@ -21,6 +21,9 @@ SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
+UNKNOWN = "is no option"
+
+
 class Problem(NamedTuple):
     """What is wrong with one option."""
 
@@ -149,7 +152,7 @@ def _problem(error: ErrorDetails, name: str) -> Problem:
 
 MESSAGES = {  # by pydantic's type of error
     "missing": "is missing",
-    "extra_forbidden": "is no option",
+    "extra_forbidden": UNKNOWN,
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "float_type": "must be a number",

@@ -13,16 +13,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hydra.errors import HydraException, OverrideParseException
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
 from hydra.experimental.callback import Callback
 from hydra.utils import get_class
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
 from tdgbench.bench.plan import compose_jobs
 from tdgbench.bench.signature import Problem
+from tdgbench.bench.suggest import meant, option_meant
 from tdgbench.terminal import guard_streams, say
 
 
@@ -142,6 +148,14 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
     """
     if isinstance(error, OverrideParseException):
         return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
+        return _unknown_choice(error.missing_cfg_file, error.options)
+    if isinstance(error, ConfigCompositionException) and isinstance(
+        error.__cause__, ConfigAttributeError | ConfigKeyError
+    ):
+        option = str(error.__cause__.full_key)
+        typed = next((word for word in words if word.lstrip("+~").startswith(f"{option}=")), option)
+        return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
         text = "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
@@ -153,3 +167,9 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
         return f"{error}: {error.__cause__}"
     command = f" in: {' '.join(words)}" if words else ""
     return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"
+
+
+def _unknown_choice(file: str, choices: Sequence[str]) -> str:
+    """file: of the choice that is not there, for example method/tgd."""
+    group, _, choice = file.rpartition("/")
+    return f"{group}={choice}: there is no such {group}{meant(choice, choices)} (there are {', '.join(choices)})"

@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.inputs import is_folder, listed, utf8_name
+from tdgbench.scenes.inputs import is_folder, is_there, listed, utf8_name
 from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
@@ -80,7 +80,8 @@ class RegisteredDataset:
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
             lines.append(f"    tdgbench data get {key} {self.root}   ({registry.PUBLISHED_AT[key]})")
             lines.append(f"    layout: <scene>/ with {LAYOUTS[key].looks}")
-        lines.append("  elsewhere: data.root=DIR; other layouts: docs/data.md")
+        nowhere = "" if is_there(self.root) else f"  {self.root} does not exist; "
+        lines.append(f"{nowhere or '  '}elsewhere: data.root=DIR; other layouts: docs/data.md")
         return "\n".join(lines)
 
     def _registered(self, name: str) -> registry.RegisteredScene:
@@ -132,6 +133,8 @@ class FolderDataset:
         return [name for name in names if name not in self.names()]
 
     def explain_missing(self, names: list[str]) -> str:
+        if not is_there(self._root()):
+            return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
         there = ", ".join(self.names()) or "none"
         layouts = "; ".join(one.looks for one in ([self.layout] if self.layout else LAYOUTS.values()))
         return (

@@ -24,6 +24,7 @@ from tdgbench.text import one_line
 if TYPE_CHECKING:
     from tdgbench.tables.build import Tables
 
+BUILT_IN = "synthetic"  # data set of the built-in scenes
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
@@ -36,7 +37,19 @@ def findings(tables: Tables) -> list[str]:
         found += [] if tables.effects is None else _effects(tables.effects)
     if tables.difference is not None:
         found.append(published(tables.difference))
+    if found:
+        found += _caveats(tables.main)
     return [one_line(sentence) for sentence in found]
+
+
+def _caveats(main: pd.DataFrame) -> Iterable[str]:
+    """What the findings are no evidence of. main: any main table; that of an ablation has no scenes."""
+    if "scene" not in main:
+        return
+    scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
+    if set(scenes["dataset"]) == {BUILT_IN}:
+        once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
+        yield f"These scenes are built in, so this is no evidence on the paper's claims{once}"
 
 
 def published(differences: pd.DataFrame) -> str:

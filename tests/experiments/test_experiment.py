@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of, in_words
-from tests.helpers.command import command
+from tests.helpers.command import command, command_here
 from tests.helpers.configs import config
 
 CODE = """
@@ -88,6 +88,19 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
         logging.config.dictConfig({"version": 1, "handlers": {"file": file}, "root": {"handlers": ["file"]}})
     said = in_words(error.value, ["seed=0"])
     assert said.startswith("Unable to configure handler 'file': ") and "nosuch/tdgbench.log" in said
+
+
+@pytest.mark.parametrize(("word", "said"), [
+    ("iterations=3000", "iterations=3000: is no option; did you mean budget.iterations? ("),
+    ("+iterations=3000", "iterations=3000: is no option; did you mean budget.iterations?"),
+    ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
+    ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are msmg, splat,"),
+    ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are demo,"),
+    ("job._target_=nosuch.Class", "job._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
+])  # fmt: skip
+def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
+    run = command_here(tmp_path, word)
+    assert run.returncode == 1 and run.stderr.startswith(f"error: {said}") and run.stderr.count("\n") == 1, run.stderr
 
 
 def test_a_folder_whose_name_is_too_long(tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 from tdgbench.data.check.report import as_json, print_table
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
 from tdgbench.data.check.table1_time import Table1Time, table1_time
+from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.splits import SPLITS
 from tdgbench.terminal import say
 
@@ -27,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Check the scenes in a folder. Exit status 0 if all that should be there can be used, else 1."""
     place = find_place(arguments.root, arguments.split)
+    if not is_there(arguments.root):
+        say(f"{arguments.root} does not exist", stderr=True)
 
     def begin(what: str) -> None:
         say(what, "checking", "dim", stderr=True)

@@ -55,8 +55,9 @@ class SceneCheck:
 
 @dataclass(frozen=True)
 class Place:
-    """Scenes that are looked for. names: all that should be there. is_paper: whether they are the paper's."""
+    """Scenes that are looked for. root: data.root. names: all that should be there. is_paper: whether the paper's."""
 
+    root: Path
     dataset: Dataset
     names: list[str]
     is_paper: bool
@@ -73,13 +74,15 @@ def find_place(root: Path, split: str) -> Place:
     key = titles.get(root.resolve().name.lower())
     if key is not None and is_folder(root):
         one = RegisteredDataset(str(root.resolve().parent), options, key)  # type: ignore[arg-type]
-        return Place(one, one.names(), is_paper=True)
+        return Place(root.parent, one, one.names(), is_paper=True)
     paper = RegisteredDataset(str(root), options)
     if not is_folder(root) or any(path.name.lower() in titles and is_folder(path) for path in listed(root)):
-        return Place(paper, paper.names(), is_paper=True)
+        return Place(root, paper, paper.names(), is_paper=True)
     folder = FolderDataset(str(root), options)
     names = folder.names()
-    return Place(folder, names, is_paper=False) if names else Place(paper, paper.names(), is_paper=True)
+    if names:
+        return Place(root, folder, names, is_paper=False)
+    return Place(root, paper, paper.names(), is_paper=True)
 
 
 def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCheck]:
@@ -90,16 +93,16 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
         check = SceneCheck(name, described.dataset, published=VIEWS.get(name) if place.is_paper else None)
         if name in missing:
             check.status = "missing"
-            check.problems.append(_where_from(name) if place.is_paper else "it is not there")
+            check.problems.append(_where_from(name, place.root) if place.is_paper else "it is not there")
         else:
             begin(name)
             _examine(place.dataset, check)
         yield check
 
 
-def _where_from(name: str) -> str:
+def _where_from(name: str, root: Path) -> str:
     key = registry.registered(name).dataset
-    return f"not there: get it from {registry.PUBLISHED_AT[key]} (tdgbench data get {key} DIR)"
+    return f"not there: tdgbench data get {key} {root} (or {registry.PUBLISHED_AT[key]})"
 
 
 def _examine(dataset: Dataset, check: SceneCheck) -> None:

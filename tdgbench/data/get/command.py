@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from tdgbench.data.get.errors import GetError
 from tdgbench.data.get.fetch import Job, Options, fetch, listing, states
 from tdgbench.data.get.packages import found_scenes
 from tdgbench.data.get.progress import amount
@@ -40,9 +41,15 @@ def run(arguments: argparse.Namespace) -> int:
     options = Options(tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
     job = Job(source, arguments.root / source.folder, options)
     say(f"{source.folder} ({source.paper}): {source.page}")
-    if not arguments.list:
-        return 0 if fetch(job) else 1
-    show_listing(job)
+    try:
+        if not arguments.list:
+            return 0 if fetch(job) else 1
+        show_listing(job)
+    except GetError as error:
+        if source.page in str(error):
+            raise
+        by_hand = f"or open {source.page} in a browser and unpack its files to {job.folder}/<Scene>"
+        raise GetError(f"{error}; {by_hand}") from error
     return 0
 
 

@@ -79,6 +79,6 @@ def _by_browser(source: Source, problem: str, error: Exception) -> GetError:
 def _help(source: Source) -> str:
     scenes = PurePosixPath(source.folder, "<Scene>")
     return (
-        f"open {source.page} in a browser, download the scenes and put them into {scenes} of your data folder; if the "
+        f"open {source.page} in a browser, download the scenes and put them into {scenes} of your data folder. If the "
         f"page is gone, ask its authors ({source.authors})"
     )

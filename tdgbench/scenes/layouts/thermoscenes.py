@@ -42,9 +42,9 @@ def _find(folder: Path) -> Found:
         stated = frame.thermal_file
         place = by_name.get(name) if stated is None else folder / stated
         if place is not None and is_there(place):
-            thermal[name] = _image(place)
+            thermal[name] = _image(place, f"{path}: frame {name}")
         if is_there(folder / frame.file):
-            rgb[name] = _image(folder / frame.file)
+            rgb[name] = _image(folder / frame.file, f"{path}: frame {name}")
     if not thermal:
         raise SceneError(
             f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
@@ -70,9 +70,9 @@ def _json_file(folder: Path) -> Path | None:
     return next((folder / name for name in JSON_FILES if is_there(folder / name)), None)
 
 
-def _image(path: Path) -> Path:
+def _image(path: Path, where: str) -> Path:
     if path.suffix.lower() not in SUFFIXES:
-        raise SceneError(f"{path} is no image of {', '.join(SUFFIXES)}; export it as one of them")
+        raise SceneError(f"{where} names {path}, which is none of {', '.join(SUFFIXES)}; export it as one of them")
     return regular_file(path)
 
 

@@ -76,6 +76,10 @@ def test_no_network(tmp_path, monkeypatch):
     assert run.returncode == 1 and waited == [2.0, 4.0]
     notes = [line for line in run.stderr.splitlines() if line.startswith("note: Connection refused; trying again in ")]
     assert len(notes) == 2 and run.stderr.splitlines()[2].startswith("error: the list of files of ThermoScenes (http")
+    assert (
+        "or open https://" in run.stderr
+        and "in a browser and unpack its files to data/ThermoScenes/<Scene>" in run.stderr
+    )
 
 
 @pytest.mark.parametrize("words", [["get", "kitti", "data"], ["get", "thermalmix"]])
