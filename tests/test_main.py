@@ -152,6 +152,15 @@ def test_tools_take_the_words_after_their_name(tmp_path, small_results):
     assert tdgbench_here(tmp_path, "tables", "--help").stdout.startswith("usage: tdgbench tables")
 
 
+def test_a_method_with_the_name_of_another_one_is_refused(tmp_path, data_root):
+    """As a copied YAML file has it: its cells would be those of the other method."""
+    (tmp_path / "yaml" / "method").mkdir(parents=True)
+    shutil.copy(ROOT / "conf" / "method" / "splat.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
+    run = command(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
+    assert run.returncode == 1
+    assert "method.name=splat: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
+
+
 def test_plug_ins_in_the_working_folder(tmp_path, data_root):
     """A method and its YAML outside the checkout: `--config-dir` finds one, the working folder the other."""
     (tmp_path / "mine.py").write_text("from methods.splat import Splat\n\n\nclass Mine(Splat):\n    pass\n")

@@ -12,7 +12,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
 from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, not_finite, signature_problems
-from tdgbench.bench.suggest import option_meant
+from tdgbench.bench.suggest import choices, option_meant
 from tdgbench.splats.backends import backend_names
 from tdgbench.training.skips.registry import find_skips
 
@@ -67,6 +67,16 @@ def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> No
         raise OptionError(problems)
 
 
+def check_method_name(cfg: DictConfig, choice: str | None) -> None:
+    """Raise OptionError if a method's file, conf/method/<choice>.yaml, gives it the name of another method.
+
+    Its cells would be those of the other one.
+    """
+    name = OmegaConf.select(cfg, "method.name")
+    if choice not in (None, name) and name in choices("method"):
+        raise OptionError([Problem("method.name", f"is another method; set `name: {choice}` in {choice}.yaml", name)])
+
+
 def names_to_text(cfg: DictConfig) -> DictConfig:
     """Replace names that were read as whole numbers by text, in place; returns the configuration.
 
@@ -119,18 +129,18 @@ class _Dataset(_PlugIn):
 
 
 class _Init(_PlugIn):
-    name: str
+    name: Annotated[str, Field(min_length=1)]
     points: dict[str, Any]
 
 
 class _Prior(_PlugIn):
-    name: str
+    name: Annotated[str, Field(min_length=1)]
     made_from: Literal["thermal images", "points", "truth", "files"] | None = None
     estimator: dict[str, Any]
 
 
 class _Method(_PlugIn):
-    name: str
+    name: Annotated[str, Field(min_length=1)]
     label: str | None = None
     order: int | None = None
     compared_with: str | None = None

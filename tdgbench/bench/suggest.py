@@ -39,6 +39,15 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {alike[0]}?" if alike else ""
 
 
+def choices(group: str) -> list[str]:
+    """Built-in choices of a group of options.
+
+    >>> choices("metrics")
+    ['3dgs', 'standard']
+    """
+    return sorted(path.stem for path in (conf_folder() / group).glob("*.yaml"))
+
+
 @cache
 def option_names() -> tuple[str, ...]:
     """Dotted names of all options in conf/, of every choice."""

@@ -57,6 +57,8 @@ WRONG = [
     ("prior.made_from=clouds", "prior.made_from=clouds: must be thermal images, points, truth or files"),
     ("dataset.loader.views=0", "dataset.loader.views=0: must be at least 2"),
     ("data.root=${nowhere}", "data.root: Interpolation key 'nowhere' not found"),
+    ("method.name=''", "method.name='': must"),
+    ("init.name=''", "init.name='': must"),
     ("name=''", "name='': must be the name of one folder"),
     ("name=a/b", "name=a/b: must be the name of one folder"),
     ("name=../x", "name=../x: must be the name of one folder"),

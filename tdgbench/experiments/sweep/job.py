@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
 from tdgbench.bench.cell import run_cell
+from tdgbench.bench.options import check_method_name
 from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import plan_of_job
 from tdgbench.bench.progress import CellProgress
@@ -53,6 +54,7 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
     try:
         plan = plan_of_job(Path(hydra.sweep.dir))
         title = plan.title(overrides)
+        check_method_name(cfg, hydra.runtime.choices.get("method"))
         if cfg.threads is None:
             cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
         return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
