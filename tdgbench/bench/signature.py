@@ -152,6 +152,7 @@ def _problem(error: ErrorDetails, name: str) -> Problem:
 
 MESSAGES = {  # by pydantic's type of error
     "missing": "is missing",
+    "string_too_short": "must not be empty",
     "extra_forbidden": UNKNOWN,
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
