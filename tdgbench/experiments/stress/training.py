@@ -25,7 +25,7 @@ from tdgbench.training.method import Method
 FAMILY = "training"
 CAP = 350  # Gaussians
 ONE_PLACE = Raises("SceneError", "stand in one place")
-NO_POINTS = Raises("SceneError", "no points; use init=random")
+NO_POINTS = Raises("SceneError", "no sparse points; use init=random")
 FINITE = Holds("every loss and parameter stays finite")
 
 

@@ -43,7 +43,7 @@ def test_a_second_process_compiles_nothing():
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     run = subprocess.run([sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=1200)
     _, hits, misses = run.stdout.split()
-    assert int(hits) > 10 and int(misses) == 0
+    assert int(hits) > 5 and int(misses) == 0
 
 
 @pytest.mark.slow
@@ -64,5 +64,5 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(tmp_path):
     )
     totals, hits, misses = zip(*(out.split() for out in (results[0][0], results[1][0], third.stdout)), strict=True)
     assert len(set(totals)) == 1
-    assert int(misses[0]) > 10 and int(hits[2]) > 10 and int(misses[2]) == 0
+    assert int(misses[0]) > 5 and int(hits[2]) > 5 and int(misses[2]) == 0
     assert files and files == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
