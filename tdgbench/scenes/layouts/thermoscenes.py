@@ -15,7 +15,7 @@ from typing import Any
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.inputs import is_folder, is_there, regular_file
 from tdgbench.scenes.layouts.layout import Found, Layout, find_optional, model_folder
 from tdgbench.scenes.layouts.ply import read_points, where_they_are
 from tdgbench.scenes.layouts.transforms import Transforms, read_transforms
@@ -55,6 +55,8 @@ def _find(folder: Path) -> Found:
     notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
     ply = folder / (content.points or POINTS)
     points = None
+    if is_folder(ply):
+        raise SceneError(f"{path} names the points {ply}, which is a folder. Correct ply_file_path")
     if is_there(ply):
         poses = [frame.posed.camera for frame in content.frames.values()]
         points, moved = where_they_are(read_points(ply), content.applied_transform, poses)

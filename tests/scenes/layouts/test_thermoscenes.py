@@ -130,6 +130,7 @@ BAD = [
     (lambda c: c.update(applied_transform=[1, 2]), "has no applied_transform of 4×4"),
     (lambda c: c.update(train_filenames="all"), "train_filenames is no list of paths"),
     (lambda c: c.update(ply_file_path=7), "has no ply_file_path"),
+    (lambda c: c.update(ply_file_path="images"), r"transforms\.json names the points .*images, which is a folder"),
 ]  # fmt: skip
 
 
