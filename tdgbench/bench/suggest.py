@@ -26,7 +26,7 @@ def option_meant(option: str) -> str:
     """
     known, last = option_names(), option.rpartition(".")[2]
     alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
-    return meant(option, known) if not alike else f"; did you mean {_listed(alike[:3])}?"
+    return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
 
 
 def meant(word: str, known: Iterable[str]) -> str:
@@ -66,7 +66,3 @@ def _names(content: Any, prefix: str) -> Iterator[str]:
             continue
         yield f"{prefix}{key}"
         yield from _names(value, f"{prefix}{key}.")
-
-
-def _listed(names: list[str]) -> str:
-    return " or ".join(names)

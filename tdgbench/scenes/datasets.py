@@ -80,8 +80,8 @@ class RegisteredDataset:
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
             lines.append(f"    tdgbench data get {key} {self.root}   ({registry.PUBLISHED_AT[key]})")
             lines.append(f"    layout: <scene>/ with {LAYOUTS[key].looks}")
-        nowhere = "" if is_there(self.root) else f"  {self.root} does not exist; "
-        lines.append(f"{nowhere or '  '}elsewhere: data.root=DIR; other layouts: docs/data.md")
+        nowhere = "" if is_there(self.root) else f"{self.root} does not exist; "
+        lines.append(f"  {nowhere}elsewhere: data.root=DIR; other layouts: docs/data.md")
         return "\n".join(lines)
 
     def _registered(self, name: str) -> registry.RegisteredScene:

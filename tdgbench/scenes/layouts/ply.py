@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from plyfile import PlyData, PlyListProperty
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import regular_file
+from tdgbench.scenes.inputs import read_bytes
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.validate import MAX_COORDINATE
 
@@ -22,12 +23,12 @@ CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in
 def read_points(path: Path) -> PointCloud:
     """Vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
     try:
-        with regular_file(path).open("rb") as file:
-            counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", file.read(HEADER_SIZE).partition(b"end_header")[0])
-        if not counts or sum(map(int, counts)) * SMALLEST_ROW > path.stat().st_size:
+        data = read_bytes(path)
+        counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", data[:HEADER_SIZE].partition(b"end_header")[0])
+        if not counts or sum(map(int, counts)) * SMALLEST_ROW > len(data):
             raise ValueError("its header states no vertices, or more than the file has bytes for")
-        content = PlyData.read(str(path))
-        _check_end(path.read_bytes().partition(b"end_header")[2].partition(b"\n")[2], content)
+        content = PlyData.read(io.BytesIO(data))
+        _check_end(data.partition(b"end_header")[2].partition(b"\n")[2], content)
         vertex = content["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
         names = {one.name for one in vertex.properties}
