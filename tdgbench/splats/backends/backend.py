@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple, Protocol
 
@@ -42,6 +42,13 @@ class Backend(Protocol):
 
     def why_not(self) -> str | None:
         """Why it cannot run on this machine, or None."""
+        return None
+
+    def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
+        """Constants that it always blends with, given AS_3DGS; None: it blends with those that it is given.
+
+        packages: versions of the packages that it ran with, by default those that are installed.
+        """
         return None
 
     def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
