@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from tdgbench.bench.backend_check import choose
+from tdgbench.bench.backend_check.choose import Choice
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import Scene
@@ -26,6 +29,14 @@ def ctrl_c_is_heard() -> None:
     """A shell starts `pytest &` with Ctrl-C ignored, and the processes that tests start would inherit that."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def auto_is_the_cpu() -> Iterator[None]:
+    """Tests compare bytes, which a GPU need not repeat: `backend=auto` is the CPU, wherever they run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choose, "choose", lambda run: Choice("cpu"))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -73,8 +73,22 @@ class Backend(Protocol):
         gaussians = state.split(rows).activated(options.sh_degree)
         view = self.render(gaussians, camera.to(rows), RenderOptions(options.depth, blending=options.blending))
         if rows.requires_grad:
-            rows.register_hook(lambda grad: collect(_dense(grad, view)))
+            _deliver_once(rows, lambda grad: collect(_dense(grad, view)))
         return view
+
+
+def _deliver_once(rows: torch.Tensor, deliver: Callable[[torch.Tensor], None]) -> None:
+    """Call deliver(gradient of the rows) in the next backward pass.
+
+    Then the hook is removed: it holds the view, whose graph holds the rows and so the hook, a cycle that Python's
+    garbage collector does not see. Each iteration would keep its gradients for ever.
+    """
+
+    def receive(grad: torch.Tensor) -> None:
+        handle.remove()
+        deliver(grad)
+
+    handle = rows.register_hook(receive)
 
 
 def _dense(grad: torch.Tensor, view: Render) -> Gradients:

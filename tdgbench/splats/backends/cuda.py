@@ -1,7 +1,7 @@
 """The `cuda` backend: gsplat (the extra `cuda`), with 3DGS's conventions where it allows.
 
 Constants of gsplat differ from those of the other backends (nerfstudio-project/gsplat, v1.5.3 and 1db12c01): before
-1.6, alpha is capped at 0.999 rather than 0.99 (RasterizeToPixels3DGSFwd.cu; c5ff586b changed it), and a Gaussian's radius
+1.6, alpha is capped at 0.999 rather than 0.99 (RasterizeToPixels3DGSFwd.cu; changed by c5ff586b). A Gaussian's radius
 ends where its alpha falls below 1/255, not at 3 σ (ProjectionEWA3DGSFused.cu), so that density control may not count a
 faint one at the border as visible. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance
 1e-4, eps2d is added to the image covariance, depth is the accumulated z. Before 1.6, harmonics have three channels

@@ -27,6 +27,7 @@ def machine(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     auto.cache_clear()
 
+    monkeypatch.setattr(choosing, "choose", choose)  # other tests are on the CPU
     monkeypatch.setattr(checking, "scenes", lambda: {"small": lambda: cloud(30, width=20, height=15)})
 
     def with_gpus(*names, why_not=None, driver="570.1"):
@@ -193,6 +194,7 @@ def test_processes_that_begin_together_check_once(tmp_path):
 @pytest.mark.cuda
 def test_a_real_gpu_is_taken_or_named(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(choosing, "choose", choose)
     auto.cache_clear()
     try:
         assert training_backend("auto") == "cuda", capsys.readouterr().err
