@@ -22,7 +22,10 @@ from tests.helpers.paths import ROOT
 FAST_BACKENDS = [
     pytest.param(
         name,
-        marks=pytest.mark.skipif(load_backend(name).why_not() is not None, reason=str(load_backend(name).why_not())),
+        marks=[
+            pytest.mark.skipif(load_backend(name).why_not() is not None, reason=str(load_backend(name).why_not())),
+            *([pytest.mark.cuda] if load_backend(name).device == "cuda" else []),
+        ],
     )
     for name in backend_names()
     if name != "reference"
