@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from tdgbench.bench.backend_check import choose
+from tdgbench.bench.backend_check.choose import Choice
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import Scene
 from tdgbench.scenes.synthetic import SyntheticDataset
+from tdgbench.splats.backends import load_backend
+from tdgbench.splats.backends.cuda import CudaBackend
 from tests.helpers.configs import SMALL, config
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
@@ -24,6 +29,23 @@ def ctrl_c_is_heard() -> None:
     """A shell starts `pytest &` with Ctrl-C ignored, and the processes that tests start would inherit that."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def auto_is_the_cpu() -> Iterator[None]:
+    """Tests compare bytes, which a GPU need not repeat: `backend=auto` is the CPU, wherever they run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choose, "choose", lambda run: Choice("cpu"))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def gpu_where_one_is_needed(request) -> None:
+    """Skip tests marked `cuda` where the backend cannot run, with the reason."""
+    if request.node.get_closest_marker("cuda") is not None:
+        reason = load_backend("cuda").why_not()
+        if reason is not None:
+            pytest.skip(reason)
 
 
 @pytest.fixture(scope="session")
@@ -74,7 +96,9 @@ def small_results(tmp_path_factory, data_root) -> Path:
     progress = CellProgress(Console(quiet=True), 30)
     for overrides in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
         assert run_cell(config(*common, *overrides), "", progress).status == "ok"
-    assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
+    with pytest.MonkeyPatch.context() as patch:  # wherever a GPU is
+        patch.setattr(CudaBackend, "why_not", lambda self: "torch finds no CUDA GPU")
+        assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
     return results / "single"
 
 

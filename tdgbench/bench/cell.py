@@ -10,6 +10,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench import failures, stored
+from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.environment import describe_environment
 from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
@@ -87,10 +88,11 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         if skipped.status == "kept" and existing is not None and existing.key == record.key:
             run.discard_checkpoint()  # a run may have been ended between its result and this
         return replace(skipped, message="; ".join(filter(None, [skipped.message, *run.remarks])))
-    if training_device(cfg.backend.name).type == "cuda":
+    on_gpu = training_device(training_backend(cfg.backend.name)).type == "cuda"
+    if on_gpu:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
         record.environment = describe_environment()
-    with PeakMemory() as memory:
+    with PeakMemory(on_gpu) as memory:
         run.train()
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
     run.write()

@@ -16,21 +16,23 @@ ROUNDING_MB = 16.0
 class PeakMemory:
     """Context that measures peak memory.
 
-    mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most GPU memory that torch
-    reserved, MB; None without a GPU.
+    mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most memory of the current GPU
+    that torch reserved, MB; None unless `on_gpu`.
 
     Linux tracks the peak and lets a process reset it. Where the reset has no effect (some sandboxes), a thread samples
     the current size instead.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_gpu: bool = False) -> None:
+        """on_gpu: the work is on the current CUDA GPU."""
+        self._on_gpu = on_gpu
         self.mb: float | None = None
         self.gpu_mb: float | None = None
         self._stop = threading.Event()
         self._sampler: threading.Thread | None = None
 
     def __enter__(self) -> PeakMemory:
-        if torch.cuda.is_available():
+        if self._on_gpu:
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
@@ -42,7 +44,7 @@ class PeakMemory:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if torch.cuda.is_available():
+        if self._on_gpu:
             self.gpu_mb = round(torch.cuda.max_memory_reserved() / 2**20, 1)
         if self._sampler is not None:
             self._stop.set()

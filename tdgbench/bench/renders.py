@@ -9,9 +9,12 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.masks import write_mask
+from tdgbench.bench.record import Record
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends import backend_names, load_backend
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.method import Method
@@ -57,6 +60,15 @@ def _write_pair(folder: Path, suffix: str, name: str, image: np.ndarray, target:
 
 
 @torch.no_grad()
-def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False) -> Render:
+def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False, blending: Blending = AS_3DGS) -> Render:
     """Render a stored model from a camera, at the model's full SH degree."""
-    return render_view(gaussians.activated(gaussians.sh_degree), Pinhole.of(camera), depth=depth)
+    return render_view(gaussians.activated(gaussians.sh_degree), Pinhole.of(camera), depth=depth, blending=blending)
+
+
+def blending_of(record: Record) -> Blending:
+    """Constants that the renders of a cell were blended with."""
+    packages = record.environment.get("packages")
+    own = None
+    if record.backend in backend_names() and isinstance(packages, dict):
+        own = load_backend(record.backend).constants(packages)
+    return own or AS_3DGS

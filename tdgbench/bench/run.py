@@ -10,11 +10,11 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import cast
 
-import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench import cameras
+from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import code_version, same_bytes_on
 from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key, relevant_config
@@ -30,12 +30,11 @@ from tdgbench.bench.training_log import write_log
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scoring import Scorer, mean_scores, to_8bit
-from tdgbench.splats.backends import choose_backend
 from tdgbench.splats.ply import save_ply
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, train
-from tdgbench.training.method import Method, training_device
+from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 from tdgbench.training.skips.plateau import Plateau
@@ -195,13 +194,15 @@ class CellRun(SetupObserver):
 
     def _describe_scene(self) -> None:
         """Put facts about the scene, its metrics and its backend into the record."""
-        record, scene, backend = self.record, self.scene, self.cfg.backend.name
+        record, scene = self.record, self.scene
         record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
         span = scene.temperature
         record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
         record.convention = self.scorer.convention
         record.views = {"train": len(scene.train), "test": len(scene.test)}
-        record.backend = choose_backend(backend, training_device(backend), torch.float32)
+        record.backend = training_backend(self.cfg.backend.name)
+        if self.cfg.backend.name == "auto" and auto().line:
+            record.notes.append(f"backend: {auto().line}")
 
     def _describe_training(self, training: Training) -> None:
         """Put facts about the finished training into the record."""
@@ -221,7 +222,11 @@ class CellRun(SetupObserver):
 
     def _open_checkpoint(self) -> Checkpoint:
         """Checkpoint of this cell; with overwrite=always a stored one is removed."""
-        made_with = {"settings, data or code": self.record.key, **same_bytes_on(self.record.environment)}
+        made_with = {
+            "settings, data or code": self.record.key,
+            "backend": self.record.backend,
+            **same_bytes_on(self.record.environment),
+        }
         checkpoint = Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
             self._discard(checkpoint)

@@ -10,6 +10,7 @@ import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
@@ -65,16 +66,17 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     priors = _estimate_priors(cfg, scene, skips, prior_cache, observer) if method.needs_prior else {}
+    backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, cfg.backend.name, int(cfg.seed), skips)
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
         method.setup(context)
     if compiles:
         with observer.stage("compile"):
             channels = {scene.channels, *([3] if method.needs_rgb else [])}
             masked = any(view.valid is not None for view in scene.train)
-            compile_kernels(channels, budget, cfg.backend.name, masked)
+            compile_kernels(channels, budget, backend, masked)
     return Training(method, context)
 
 

@@ -137,7 +137,10 @@ class Method(Protocol):
 
 
 def training_device(backend: str) -> torch.device:
-    """Device on which a backend trains; `auto` trains on the CPU. Raises RuntimeError if the backend cannot run."""
+    """Device on which a backend trains; raises RuntimeError if it cannot run.
+
+    `auto` is the CPU here: `tdgbench.bench.backend_check` replaces it by a name before a cell is set up.
+    """
     device = torch.device("cpu" if backend == "auto" else load_backend(backend).device)
     choose_backend(backend, device, torch.float32)
     return device

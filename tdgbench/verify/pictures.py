@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
-from tdgbench.bench.renders import render_model
+from tdgbench.bench.renders import blending_of, render_model
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages
 from tdgbench.splats import Gaussians
@@ -76,7 +76,9 @@ class Pictures:
 
     def _differences(self, gaussians: Gaussians, name: str, path: str, stored: np.ndarray) -> list[str]:
         """How a stored render differs from the model's. Both must be (H, W, C)."""
-        render = render_model(gaussians, self.cameras[name], depth=path.startswith("renders/"))
+        render = render_model(
+            gaussians, self.cameras[name], depth=path.startswith("renders/"), blending=blending_of(self.record)
+        )
         again = render.image.numpy()
         if stored.shape != again.shape:
             return [f"{path} is {stored.shape}, the model gives {again.shape}"]

@@ -3,6 +3,7 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
 from tdgbench.bench import memory
 from tdgbench.bench.memory import PeakMemory
@@ -33,6 +34,20 @@ def test_measures_a_peak_and_not_the_one_before():
     if quiet is None:
         pytest.skip("this platform does not report the memory of a process")
     assert busy > quiet + 0.8 * MEGABYTES
+
+
+def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
+    """A cell on the CPU opens no context on a GPU that others use."""
+    asked = []
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "reset_peak_memory_stats", lambda: asked.append("reset"))
+    monkeypatch.setattr(torch.cuda, "max_memory_reserved", lambda: asked.append("read") or 3 * 2**20)
+    with PeakMemory() as peak:
+        pass
+    assert peak.gpu_mb is None and not asked
+    with PeakMemory(on_gpu=True) as peak:
+        assert asked == ["reset"]
+    assert peak.gpu_mb == 3.0 and asked == ["reset", "read"]
 
 
 def test_reports_nothing_where_the_platform_does_not(monkeypatch, tmp_path):

@@ -3,7 +3,9 @@ import pytest
 import torch
 from PIL import Image
 
-from tdgbench.bench.renders import render_images, render_model, render_views, write_renders
+from tdgbench.bench.record import Record
+from tdgbench.bench.renders import blending_of, render_images, render_model, render_views, write_renders
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tests.helpers.training import ready_to_train
 
 
@@ -25,6 +27,29 @@ def test_pairs_of_pictures(small_scene, tmp_path):
         assert {p.name for p in (tmp_path / folder).iterdir()} == names
     target = np.asarray(Image.open(tmp_path / "targets" / f"{views[0].name}.png"))
     assert np.abs(target / 255 - views[0].thermal).max() <= 0.5 / 255 + 1e-6
+
+
+def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():
+    """Whatever is installed here: gsplat before 1.6 caps alpha at 0.999."""
+    record = Record("splat", "synthetic", "orbit", "colmap", 0, "e", "")
+    record.environment = {"packages": {"gsplat": "1.5.3"}}
+    caps = []
+    for record.backend in ("cuda", "cpu", "", "a plug-in of elsewhere"):
+        caps.append(blending_of(record).max_alpha)
+    assert caps == [0.999, 0.99, 0.99, 0.99]
+    record.backend, record.environment = "cuda", {"packages": {"gsplat": "1.6.0"}}
+    assert blending_of(record) == AS_3DGS
+    record.environment = {}
+    assert blending_of(record) == AS_3DGS
+
+
+def test_constants_of_a_cell_change_its_renders(small_gray_scene):
+    method, _ = ready_to_train(small_gray_scene, "splat", 3)
+    model, camera = method.models()["thermal"].gaussians.detach(), small_gray_scene.test[0].camera
+    model.opacity_logits[:] = 9.0
+    default, other = (render_model(model, camera, blending=b).image for b in (AS_3DGS, Blending(max_alpha=0.999)))
+    assert (default - other).abs().max() > 1e-3
+    assert torch.equal(render_model(model, camera).image, default)
 
 
 def test_a_method_that_renders_no_depth_is_named(small_gray_scene, monkeypatch):

@@ -1,8 +1,9 @@
-"""The stages of a cell: checkpoints."""
+"""The stages of a cell: checkpoints, and the backend that trains."""
 
 import pytest
 from rich.console import Console
 
+from tdgbench.bench.backend_check import choose
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.hashes import hashes_of_content
 from tdgbench.bench.progress import CellProgress
@@ -42,6 +43,18 @@ def killed_at(iteration, monkeypatch):
     monkeypatch.setattr(checkpoints.Checkpoint, "after_step", write_and_die)
 
 
+@pytest.fixture
+def auto_is(monkeypatch):
+    """What `backend=auto` stands for, as from a new process on: `auto_is("reference", "why")`."""
+
+    def of(backend, line):
+        monkeypatch.setattr(choose, "choose", lambda run: choose.Choice(backend, line))
+        choose.auto.cache_clear()
+
+    yield of
+    choose.auto.cache_clear()
+
+
 def test_a_killed_cell_resumes(run, tmp_path, monkeypatch):
     assert run(tmp_path / "calm").status == "ok"
     with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
@@ -68,3 +81,31 @@ def test_a_checkpoint_of_other_settings_is_not_used(run, tmp_path, monkeypatch, 
     (record,) = read_all(tmp_path / "single")
     assert record.resumed == []
     assert any("not used: other settings, data or code" in note for note in record.notes) == noted
+
+
+def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):
+    """The key holds the choice `auto`; the record says what trained, and why."""
+    few = ("budget.iterations=3", "scene=turntable")
+    auto_is("cpu", "the CPU trains, not A: it is wrong")
+    assert run(tmp_path / "a", *few).status == "ok"
+    auto_is("reference", "A trains: it agrees")
+    assert run(tmp_path / "a", *few).status == "kept"
+    assert run(tmp_path / "b", *few).status == "ok"
+    assert run(tmp_path / "c", "backend=cpu", *few).status == "ok"
+    first, second, named = (read_all(tmp_path / name / "single")[0] for name in "abc")
+    assert (first.backend, second.backend, named.backend) == ("cpu", "reference", "cpu")
+    assert first.key == second.key != named.key
+    assert first.notes[-1] == "backend: the CPU trains, not A: it is wrong"
+    assert second.notes[-1] == "backend: A trains: it agrees"
+    assert not any("backend" in note for note in named.notes)
+
+
+def test_a_checkpoint_of_another_backend_is_not_used(run, tmp_path, monkeypatch, auto_is):
+    few = ("budget.iterations=8", "scene=turntable")
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at(5, patch)
+        run(tmp_path, "checkpoint=0", *few)
+    auto_is("reference", "A trains: it agrees")
+    assert run(tmp_path, *few).status == "ok"
+    (record,) = read_all(tmp_path / "single")
+    assert record.resumed == [] and any("not used: other backend (iteration 5)" in note for note in record.notes)

@@ -88,4 +88,5 @@ def _as_a_process(folder: Path, words: tuple[str, ...]) -> Iterator[None]:
 
 
 def _variables(folder: Path) -> dict[str, str]:
-    return {"TORCH_HOME": str(folder / "torch"), "COLUMNS": "200"}
+    """CUDA_VISIBLE_DEVICES: tests compare bytes, which a GPU need not repeat."""
+    return {"TORCH_HOME": str(folder / "torch"), "COLUMNS": "200", "CUDA_VISIBLE_DEVICES": ""}

@@ -1,3 +1,6 @@
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import torch
@@ -51,6 +54,20 @@ def test_past_autograd_is_the_reference(channels, degree, used):
     for column in starts:  # every kind of parameter by itself
         assert np.linalg.norm((fast[1] - exact[1])[:, column]) < 1e-3 * np.linalg.norm(exact[1][:, column])
     assert torch.equal(fast[3], exact[3])
+
+
+def test_an_iteration_leaves_nothing_behind():
+    """Backends with autograd: the view, its graph and the gradients go with the step."""
+    state = TrainingState(cloud(1, 1))
+    camera, optimizer = Pinhole(*(t[0] for t in turned_camera(20, 20)), 20, 20), Adam(state, RATES, 1.0)
+    left, collected = [], []
+    for _ in range(2):
+        view = render_state(state, optimizer, camera, StateOptions(1, True), collected.append, "reference")
+        left += [weakref.ref(view), weakref.ref(view.image)]
+        view.image.sum().backward()
+        del view
+    gc.collect()
+    assert len(collected) == 2 and [one() for one in left] == [None] * 4
 
 
 def test_no_gradients_without_grad():

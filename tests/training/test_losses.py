@@ -3,8 +3,17 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.training.losses import l1, l1_and_dssim, min_max, photometric, smoothness, ssim, thermal
-from tdgbench.training.torch_losses import ssim_map
+from tdgbench.training.losses import (
+    inverse_expected_depth,
+    l1,
+    l1_and_dssim,
+    min_max,
+    photometric,
+    smoothness,
+    ssim,
+    thermal,
+)
+from tdgbench.training.torch_losses import _blur, ssim_map
 from tests.helpers.masks import masks
 
 
@@ -28,6 +37,33 @@ def test_ssim_gradient_by_finite_differences():
     a = torch.rand(6, 7, 1, generator=g, dtype=torch.float64).requires_grad_()
     b = torch.rand(6, 7, 1, generator=g, dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda x: ssim_map(x, b).mean(), a)
+
+
+def test_the_window_of_ssim_is_a_convolution():
+    g = torch.Generator().manual_seed(2)
+    images = torch.rand(3, 1, 13, 17, generator=g, dtype=torch.float64).requires_grad_()
+    offsets = torch.arange(11, dtype=torch.float64) - 5
+    weights = torch.exp(-(offsets**2) / (2 * 1.5**2))
+    window = torch.outer(weights, weights) / weights.sum() ** 2
+    expected = torch.nn.functional.conv2d(images, window[None, None], padding=5)
+    upstream = torch.rand(expected.shape, generator=g, dtype=torch.float64)
+    (want,) = torch.autograd.grad(expected, images, upstream)
+    (got,) = torch.autograd.grad(_blur(images), images, upstream)
+    assert torch.allclose(_blur(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
+
+
+@pytest.mark.parametrize("reading", ["paper", "reference"])
+def test_losses_stay_on_the_device_of_the_image(reading):
+    """Mixed devices raise an error; `meta` stands for a GPU."""
+    image = torch.rand(20, 30, 3, device="meta", requires_grad=True)
+    loss = thermal(image, torch.rand(20, 30, 3, device="meta"), 0.2, 0.1, reading)
+    loss.backward()
+    assert loss.device.type == image.grad.device.type == "meta"
+    with pytest.raises(RuntimeError, match="device"):
+        thermal(image, torch.rand(20, 30, 3), 0.2, 0.1, reading)
+    depth = torch.rand(20, 30, device="meta", requires_grad=True)
+    inverse_expected_depth(depth, torch.rand(20, 30, device="meta"), 1e-3).sum().backward()
+    assert depth.grad.device.type == "meta"
 
 
 def test_equal_and_constant_images():

@@ -2,37 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
+from tdgbench.bench.backend_check.compare import Cloud
 from tdgbench.scenes import FolderDataset, ReadOptions
 from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.ply import load_ply
-from tdgbench.splats.view import NEAR_PLANE
-
-
-@dataclass
-class Cloud:
-    """Gaussians and a camera, as `rasterization` takes them.
-
-    means (N, 3) world units; quats (N, 4) wxyz; scales (N, 3) world units; opacities (N,); colors (N, D), or (N, K, D)
-    with SH `degree`; viewmat (4, 4); K (3, 3) px.
-    """
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    colors: Tensor
-    viewmat: Tensor
-    K: Tensor
-    width: int
-    height: int
-    degree: int | None = None
-    near_plane: float = NEAR_PLANE
 
 
 def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:

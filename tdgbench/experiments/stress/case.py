@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE
 from tdgbench.experiments.stress.outcome import Observed
 
 
@@ -23,8 +24,8 @@ class Expected(Protocol):
 class Close:
     """Finite, and close to the float64 reference: errors relative to the values' range, to the gradients' norm."""
 
-    image: float = 5e-5
-    gradients: float = 2e-4
+    image: float = IMAGE_TOLERANCE
+    gradients: float = GRADIENT_TOLERANCE
 
     def judge(self, observed: Observed) -> bool:
         if observed.error is not None:

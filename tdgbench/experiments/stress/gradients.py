@@ -13,7 +13,8 @@ from tdgbench.experiments.measure.clouds import Cloud
 from tdgbench.experiments.stress.case import Case, Close
 from tdgbench.experiments.stress.compare import NAMES, cloud, compared, render
 from tdgbench.experiments.stress.outcome import Observed
-from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.backends import load_backend
+from tdgbench.splats.blending import Blending
 
 FAMILY = "gradients"
 STEP = 1e-6
@@ -39,7 +40,7 @@ def _differences(name: str, degree: int | None) -> Callable[[str], Observed]:
         scene = cloud(4, seed=30, width=9, height=7, degree=degree)
         scene.scales = scene.scales * 3
         weights = torch.randn(7, 9, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        constants = AS_3DGS if backend == "cuda" else WITHOUT_THRESHOLDS
+        constants = load_backend(backend).constants() or WITHOUT_THRESHOLDS
         smooth = replace(constants, min_alpha=1e-9, min_transmittance=0.0)
 
         def total(changed: Cloud) -> float:

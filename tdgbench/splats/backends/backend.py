@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple, Protocol
 
@@ -44,6 +44,13 @@ class Backend(Protocol):
         """Why it cannot run on this machine, or None."""
         return None
 
+    def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
+        """Constants that it always blends with, given AS_3DGS; None: it blends with those that it is given.
+
+        packages: versions of the packages that it ran with, by default those that are installed.
+        """
+        return None
+
     def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
         """Context of the first steps of a training with these channel counts, to compile for it meanwhile."""
         return nullcontext()
@@ -66,8 +73,22 @@ class Backend(Protocol):
         gaussians = state.split(rows).activated(options.sh_degree)
         view = self.render(gaussians, camera.to(rows), RenderOptions(options.depth, blending=options.blending))
         if rows.requires_grad:
-            rows.register_hook(lambda grad: collect(_dense(grad, view)))
+            _deliver_once(rows, lambda grad: collect(_dense(grad, view)))
         return view
+
+
+def _deliver_once(rows: torch.Tensor, deliver: Callable[[torch.Tensor], None]) -> None:
+    """Call deliver(gradient of the rows) in the next backward pass.
+
+    Then the hook is removed: it holds the view, whose graph holds the rows and so the hook, a cycle that Python's
+    garbage collector does not see. Each iteration would keep its gradients for ever.
+    """
+
+    def receive(grad: torch.Tensor) -> None:
+        handle.remove()
+        deliver(grad)
+
+    handle = rows.register_hook(receive)
 
 
 def _dense(grad: torch.Tensor, view: Render) -> Gradients:

@@ -1,22 +1,32 @@
 """The `cuda` backend: gsplat (the extra `cuda`), with 3DGS's conventions where it allows.
 
-gsplat's constants (1.5.3) differ from the other backends: alpha is capped at 0.999 rather than 0.99, and a Gaussian's
-radius ends where its alpha falls below 1/255, not at 3 σ, so that density control may not count a faint one at the
-border as visible. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance 1e-4, eps2d is
-added to the image covariance, depth is the accumulated z.
+Constants of gsplat differ from those of the other backends (nerfstudio-project/gsplat, v1.5.3 and 1db12c01): before
+1.6, alpha is capped at 0.999 rather than 0.99 (RasterizeToPixels3DGSFwd.cu; changed by c5ff586b). A Gaussian's radius
+ends where its alpha falls below 1/255, not at 3 σ (ProjectionEWA3DGSFused.cu), so that density control may not count a
+faint one at the border as visible. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance
+1e-4, eps2d is added to the image covariance, depth is the accumulated z. Before 1.6, harmonics have three channels
+(rendering.py asserts it); others are filled up with zeros.
 """
 
 from __future__ import annotations
 
+import importlib
+import importlib.metadata
 import importlib.util
+import re
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend
-from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
+
+SH_CHANNELS = 3
+MAX_ALPHA_BEFORE_1_6 = 0.999
 
 
 class CudaBackend(Backend):
@@ -33,7 +43,11 @@ class CudaBackend(Backend):
             return "gsplat is not installed: pip install 'tdgbench[cuda]'"
         if not torch.cuda.is_available():
             return "torch finds no CUDA GPU"
-        return None
+        return _import_problem()
+
+    def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
+        version = installed_version() if packages is None else packages.get("gsplat")
+        return AS_3DGS if _release(version) >= (1, 6) else replace(AS_3DGS, max_alpha=MAX_ALPHA_BEFORE_1_6)
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         from gsplat import rasterization
@@ -41,21 +55,54 @@ class CudaBackend(Backend):
         if replace(options.blending, tight=AS_3DGS.tight, end_early=AS_3DGS.end_early) != AS_3DGS:
             raise ValueError("backend cuda blends with gsplat's constants; leave `blending` as it is")
         means, quats, scales, opacities, colors, sh_degree = gaussians
+        channels, camera = colors.shape[-1], camera.to(means)
+        if sh_degree is not None and channels < SH_CHANNELS:
+            colors = torch.nn.functional.pad(colors, (0, SH_CHANNELS - channels))
+        mode = "RGB" if not options.depth else "RGB+D" if channels else "D"
         rendered, alphas, meta = rasterization(
             means, quats, scales, opacities, colors, camera.viewmat[None], camera.K[None], camera.width, camera.height,
             near_plane=camera.near_plane, far_plane=camera.far_plane, eps2d=camera.eps2d, sh_degree=sh_degree,
-            packed=False, tile_size=16, render_mode="RGB+D" if options.depth else "RGB",
+            packed=False, tile_size=16, render_mode=mode,
         )  # fmt: skip
         transmittance = 1.0 - alphas[0, ..., 0]
         depth = rendered[0, ..., -1] if options.depth else None
-        image = rendered[0, ..., :-1] if options.depth else rendered[0]
+        image = rendered[0, ..., :channels]
         if options.background is not None:
-            image = image + transmittance[..., None] * options.background
+            image = image + transmittance[..., None] * options.background.to(image)
         radii = meta["radii"][0]
         if radii.dim() == 2:  # one per axis since 1.5
             radii = radii.amax(dim=1) * (radii > 0).all(dim=1)
         projection = Projection(_probe_of(meta["means2d"]), radii.to(torch.int32), meta["depths"][0])
         return Render(image, depth, transmittance, projection)
+
+
+@cache
+def _import_problem() -> str | None:
+    """Why gsplat cannot be imported; None if it can."""
+    try:
+        importlib.import_module("gsplat")
+    except Exception as error:  # of a build for another torch, too
+        text = str(error).splitlines() or [""]
+        return f"gsplat cannot be imported ({type(error).__name__}: {text[0]})"
+    return None
+
+
+def installed_version() -> str | None:
+    """Version of gsplat; None if its files name none."""
+    try:
+        return importlib.metadata.version("gsplat")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _release(version: str | None) -> tuple[int, ...]:
+    """First two numbers of a version; of 1.5.3 where it is not known.
+
+    >>> _release("1.6.0+pt29cu128"), _release(None)
+    ((1, 6), (1, 5))
+    """
+    found = re.match(r"(\d+)\.(\d+)", version or "")
+    return (int(found[1]), int(found[2])) if found else (1, 5)
 
 
 def _probe_of(means2d: Tensor) -> Tensor:

@@ -43,13 +43,18 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def cache_dir(lanes: int) -> Path:
-    """Folder of the machine code of these sources for registers of `lanes` floats.
+def cache_home() -> Path:
+    """Folder of all of tdgbench's caches for this user.
 
     Raises RuntimeError if the environment names no folder for caches and the user has no home folder.
     """
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "tdgbench" / "numba" / f"{_fingerprint()}-{lanes}"
+    return Path(home) / "tdgbench"
+
+
+def cache_dir(lanes: int) -> Path:
+    """Folder of the machine code of these sources for registers of `lanes` floats; raises as `cache_home`."""
+    return cache_home() / "numba" / f"{_fingerprint()}-{lanes}"
 
 
 def open_cache(lanes: int) -> Path:

@@ -1,6 +1,6 @@
 """The adapter to gsplat, against a stand-in that has gsplat's signature and shapes and renders with the reference.
 
-What gsplat itself computes is checked by `test_rasterization.py` where a CUDA GPU is.
+What gsplat itself computes is checked by `test_rasterization.py` and `test_check.py` where a CUDA GPU is.
 """
 
 import sys
@@ -21,9 +21,15 @@ def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, 
                          backgrounds=None, render_mode="RGB", sparse_grad=False):  # fmt: skip
     """gsplat 1.5.3's face: renders (C, H, W, D), alphas (C, H, W, 1), means2d (C, N, 2), radii per axis (C, N, 2)."""
     assert not packed and backgrounds is None
+    if sh_degree is None:
+        assert colors.shape[:-1] == means.shape[:-1]
+    else:  # rendering.py of v1.5.3
+        assert colors.dim() == 3 and colors.shape[-1] == 3 and (sh_degree + 1) ** 2 <= colors.shape[-2], colors.shape
+    if render_mode == "D":
+        colors, sh_degree = colors.new_zeros(len(means), 0), None
     gaussians = GaussianTensors(means, quats, scales, opacities, colors, sh_degree)
     camera = Pinhole(viewmats[0], Ks[0], width, height, near_plane, far_plane, eps2d)
-    view = reference.BACKEND.render(gaussians, camera, RenderOptions(depth=render_mode == "RGB+D"))
+    view = reference.BACKEND.render(gaussians, camera, RenderOptions(depth="D" in render_mode))
     image = view.image if view.depth is None else torch.cat([view.image, view.depth[..., None]], dim=-1)
     found = view.projection
     means2d = found.means2d.detach()[None].requires_grad_()
@@ -43,11 +49,15 @@ def stand_in(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", module)
 
 
-@pytest.mark.parametrize(("degree", "depth", "background"), [(None, True, 0.3), (2, False, None), (2, True, None)])
-def test_hands_over_and_takes_back(stand_in, degree, depth, background):
-    given = [p.double() for p in random_gaussians(40, 3, degree, 3)]
+@pytest.mark.parametrize(
+    ("degree", "channels", "depth", "background"),
+    [(None, 3, True, 0.3), (2, 3, False, None), (2, 3, True, None), (3, 1, True, 0.2), (0, 1, False, None),
+     (None, 1, True, None), (None, 0, True, None)],
+)  # fmt: skip
+def test_hands_over_and_takes_back(stand_in, degree, channels, depth, background):
+    given = [p.double() for p in random_gaussians(40, 3, degree, channels)]
     (view,), (K,) = (t.double() for t in turned_camera(20, 15))
-    color = None if background is None else torch.full((3,), background, dtype=torch.float64)
+    color = None if background is None else torch.full((channels,), background, dtype=torch.float64)
     camera, options = Pinhole(view, K, 20, 15), RenderOptions(depth, color)
     results = []
     for backend in (cuda.BACKEND, reference.BACKEND):
@@ -57,7 +67,8 @@ def test_hands_over_and_takes_back(stand_in, degree, depth, background):
         parts = [out.image, out.transmittance, *([out.depth] if depth else [])]
         sum((p * torch.randn(p.shape, generator=g, dtype=torch.float64)).sum() for p in parts).backward()
         means2d, radii, depths = out.projection
-        results.append([*parts, radii.double(), depths, means2d, means2d.grad, *(p.grad for p in leaves)])
+        used = leaves if channels else leaves[:-1]
+        results.append([*parts, radii.double(), depths, means2d, means2d.grad, *(p.grad for p in used)])
         assert (out.depth is not None) == depth
     for ours, theirs in zip(*results, strict=True):
         assert torch.allclose(ours, theirs, atol=1e-12)
@@ -70,6 +81,46 @@ def test_other_constants_are_refused(stand_in):
     cuda.BACKEND.render(given, camera, RenderOptions(blending=replace(AS_3DGS, end_early=False)))
     with pytest.raises(ValueError, match="gsplat's constants"):
         cuda.BACKEND.render(given, camera, RenderOptions(blending=replace(AS_3DGS, min_alpha=0.1)))
+
+
+def test_everything_is_handed_over_on_the_device_of_the_gaussians(monkeypatch):
+    """The camera of a scene is float64 on the CPU."""
+
+    def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, **options):
+        tensors = (means, quats, scales, opacities, colors, viewmats, Ks)
+        assert {(t.device.type, t.dtype) for t in tensors} == {("meta", torch.float32)}
+        count = len(means)
+        meta = {"means2d": means[None, :, :2], "radii": means.new_empty(1, count, 2), "depths": means[None, :, 2]}
+        return means.new_empty(1, height, width, 4), means.new_empty(1, height, width, 1), meta
+
+    module = types.ModuleType("gsplat")
+    module.rasterization = rasterization
+    monkeypatch.setitem(sys.modules, "gsplat", module)
+    given = GaussianTensors(*(p.to("meta") for p in random_gaussians(5, 3, 1, 3)), 1)
+    camera = Pinhole(*(t[0].double() for t in turned_camera(20, 15)), 20, 15)
+    view = cuda.BACKEND.render(given, camera, RenderOptions(depth=True, background=torch.zeros(3)))
+    tensors = (view.image, view.depth, view.transmittance, *view.projection)
+    assert {t.device.type for t in tensors} == {"meta"} and view.image.shape == (15, 20, 3)
+
+
+@pytest.mark.parametrize(
+    ("version", "cap"), [("1.5.3", 0.999), ("1.5.3+pt24cu121", 0.999), ("1.6.0", 0.99), ("2.0", 0.99), (None, 0.999)]
+)
+def test_the_cap_of_alpha_follows_the_version(version, cap):
+    constants = cuda.BACKEND.constants({"gsplat": version})
+    assert constants == replace(AS_3DGS, max_alpha=cap)
+
+
+def test_gsplat_that_cannot_be_imported_is_a_reason(monkeypatch, tmp_path):
+    (tmp_path / "gsplat").mkdir()
+    (tmp_path / "gsplat" / "__init__.py").write_text("raise ImportError('undefined symbol: _ZN3c10\\nand more')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    cuda._import_problem.cache_clear()
+    try:
+        assert cuda.BACKEND.why_not() == "gsplat cannot be imported (ImportError: undefined symbol: _ZN3c10)"
+    finally:
+        cuda._import_problem.cache_clear()
 
 
 def test_without_a_gpu_it_says_why():

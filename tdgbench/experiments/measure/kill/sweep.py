@@ -73,13 +73,16 @@ class Sweep:
     scratch: Path
 
     def start(self, results: Path, full_at: int | None = None) -> subprocess.Popen[bytes]:
-        """Start it in a new process group; its output goes to <results>.log. full_at: see full_disk."""
+        """Start it in a new process group; its output goes to <results>.log. full_at: see full_disk.
+
+        It trains on the CPU: bytes are compared, which a GPU need not repeat.
+        """
         module = ["tdgbench"] if full_at is None else [full_disk.__name__, str(full_at), str(results)]
         command = [sys.executable, "-m", *module, *self.words, f"results={results}"]
         with _log(results).open("wb") as out:
             return subprocess.Popen(
                 command, cwd=self.scratch, start_new_session=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"},
+                env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1", "CUDA_VISIBLE_DEVICES": ""},
                 stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT,
             )  # fmt: skip
 

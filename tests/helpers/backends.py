@@ -1,0 +1,94 @@
+"""Stand-ins for a GPU's backend: the reference in float32, right or wrong in one way."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from types import ModuleType
+
+import pytest
+import torch
+
+from tdgbench.splats.backends import reference
+from tdgbench.splats.backends.backend import Backend
+from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
+
+NAME = "stand_in"
+
+
+class StandIn(Backend):
+    """The reference. Subclasses change what it takes or gives."""
+
+    inputs = "float32 tensors"
+
+    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
+        return dtype == torch.float32
+
+    def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
+        return reference.BACKEND.render(gaussians, camera, options)
+
+
+class WrongValue(StandIn):
+    """A thousandth too bright."""
+
+    def render(self, gaussians, camera, options):
+        view = super().render(gaussians, camera, options)
+        return replace(view, image=1.001 * view.image)
+
+
+class _Scaled(torch.autograd.Function):
+    """The values, with a gradient that is 1 % too large."""
+
+    @staticmethod
+    def forward(ctx, values):
+        return values.clone()
+
+    @staticmethod
+    def backward(ctx, grad):
+        return 1.01 * grad
+
+
+class WrongGradient(StandIn):
+    """Right values; the gradient of the scales is 1 % too large."""
+
+    def render(self, gaussians, camera, options):
+        return super().render(gaussians._replace(scales=_Scaled.apply(gaussians.scales)), camera, options)
+
+
+class NotFinite(StandIn):
+    """One pixel is NaN."""
+
+    def render(self, gaussians, camera, options):
+        view = super().render(gaussians, camera, options)
+        spoiled = torch.zeros_like(view.image)
+        spoiled[0, 0] = torch.nan
+        return replace(view, image=view.image + spoiled)
+
+
+class Raises(StandIn):
+    """Raises an error; `error` is that of a GPU without free memory."""
+
+    error: Exception = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 MiB.\nGPU 0 has a total of …")
+
+    def render(self, gaussians, camera, options):
+        raise self.error
+
+
+class Unsteady(StandIn):
+    """Every render differs from the one before, by a share `size` of its values."""
+
+    def __init__(self, size: float) -> None:
+        self.size, self.renders = size, 0
+
+    def render(self, gaussians, camera, options):
+        self.renders += 1
+        view = super().render(gaussians, camera, options)
+        return replace(view, image=(1 + self.size * (self.renders % 2)) * view.image)
+
+
+def register(monkeypatch: pytest.MonkeyPatch, backend: Backend, name: str = NAME) -> str:
+    """Make a backend known under a name for a test; returns the name."""
+    module = ModuleType(f"tdgbench.splats.backends.{name}")
+    module.BACKEND = backend  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return name
