@@ -106,6 +106,7 @@ class CellRun(SetupObserver):
         """Set the method up and train it."""
         self.progress.start(len(self.scene.train))
         self.scorer = instantiate(self.cfg.metrics)
+        self.scorer.device = training_device(self.cfg.backend.name)
         self._describe_scene()
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=self._prior_cache(), observer=self
