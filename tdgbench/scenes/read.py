@@ -12,7 +12,7 @@ import numpy as np
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
-from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
+from tdgbench.scenes.inputs import hash_of, is_folder, is_there, note_tree, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
 from tdgbench.scenes.measured import Source, ThermalImages, resample
@@ -32,6 +32,7 @@ def read_scene(folder: Path, description: Description, options: ReadOptions, lay
 
     Raises SceneError naming the file or view and the remedy.
     """
+    note_tree(folder)
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:
