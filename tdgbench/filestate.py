@@ -52,15 +52,15 @@ class States:
 
     def add_file(self, path: Path, state: FileState) -> None:
         """Note a state; the first one of a path stays."""
-        self.files.setdefault(os.path.abspath(path), state)
+        self.files.setdefault(str(path.absolute()), state)
 
     def add_names(self, folder: Path) -> None:
         """Note the names in a folder. One that cannot be listed counts as changed."""
-        self.names.setdefault(os.path.abspath(folder), _hash_of_names(folder, below=False))
+        self.names.setdefault(str(folder.absolute()), _hash_of_names(folder, below=False))
 
     def add_tree(self, folder: Path) -> None:
         """Note the names of everything below a folder. One that cannot be listed counts as changed."""
-        self.trees.setdefault(os.path.abspath(folder), _hash_of_names(folder, below=True))
+        self.trees.setdefault(str(folder.absolute()), _hash_of_names(folder, below=True))
 
     def is_now(self) -> bool:
         """Whether all files and names are as they were."""
@@ -114,7 +114,7 @@ def merged(parts: Iterable[States]) -> States | None:
 
 def _hash_of_names(folder: Path, *, below: bool) -> str:
     """Hash of the names in a folder, or of all paths below it, links followed; empty if one cannot be listed."""
-    names, visited, pending = [], set(), [os.path.abspath(folder)]
+    names, visited, pending = [], set(), [str(folder.absolute())]
     while pending:
         place = pending.pop()
         real = os.path.realpath(place)
