@@ -25,10 +25,9 @@ def main() -> int:
         sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
     with interruptible() as interruption:
         try:
-            from tdgbench import command  # its imports take seconds, in which Ctrl-C works
+            from tdgbench import command
 
-            interruption.begin()
-            return command.run(sys.argv[1:])
+            return command.run(sys.argv[1:], interruption.begin)
         except (Exception, Interrupted) as error:
             interruption.end()
             if interruption.signal is not None:
@@ -49,7 +48,7 @@ def _in_words(error: BaseException) -> str:
 
 def _kept() -> str:
     """What is kept of an interrupted run, if it has begun."""
-    callback = getattr(sys.modules.get("tdgbench.experiments.experiment"), "ExperimentCallback", None)
+    callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""
     from tdgbench.bench.kept import kept

@@ -1,15 +1,19 @@
-"""The command line: its first word chooses a tool; without one, Hydra composes a configuration and runs its job."""
+"""The command line: its first word chooses a tool; without one, Hydra composes a configuration and runs its job.
+
+What takes seconds to import is imported where it is needed: neither help nor a sweep that is finished needs it.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 
 import hydra
 from omegaconf import DictConfig
 
 from tdgbench import __version__
-from tdgbench.experiments.experiment import run_job
+from tdgbench.experiments.callback import ExperimentCallback
 from tdgbench.resources import conf_folder
 from tdgbench.terminal import say
 from tdgbench.tools import TOOLS
@@ -19,9 +23,16 @@ DEMO = "+experiment=demo"
 FULL_ERROR = "HYDRA_FULL_ERROR"  # environment variable; Hydra raises its errors instead of printing tracebacks
 
 
-def run(words: list[str]) -> int:
-    """Run a command line; no words: the demo. Returns the exit status; errors are raised."""
+def run(words: list[str], on_loaded: Callable[[], None] | None = None) -> int:
+    """Run a command line; no words: the demo. Returns the exit status; errors are raised.
+
+    on_loaded: called once everything that the command needs is imported.
+    """
     if words and words[0] in TOOLS:
+        from tdgbench.experiments import experiment  # noqa: F401 (what tools need, before `on_loaded`)
+
+        if on_loaded is not None:
+            on_loaded()
         return TOOLS[words[0]].run(words[1:])
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
         say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
@@ -34,6 +45,7 @@ def run(words: list[str]) -> int:
         sys.argv[1:] = words or [DEMO]  # where Hydra reads them
         before = os.environ.get(FULL_ERROR)
         os.environ[FULL_ERROR] = "1"
+        ExperimentCallback.on_loaded = on_loaded
         try:
             run_experiment()
         finally:
@@ -45,4 +57,6 @@ def run(words: list[str]) -> int:
 @hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")
 def run_experiment(cfg: DictConfig) -> None:
     """Run one job of the experiment that the composed configuration names."""
+    from tdgbench.experiments.experiment import run_job
+
     run_job(cfg)

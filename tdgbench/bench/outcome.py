@@ -18,6 +18,7 @@ WORDS: dict[Status, str] = {
     "no prior": "failed, it has no depth prior",
     "elsewhere": "running in another process",
 }
+COMPLETE: tuple[Status, ...] = ("ok", "kept")  # the cell has a result
 ONCE = "compile"  # stage that only the first cell of a machine spends time in
 
 

@@ -29,22 +29,24 @@ from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
+from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores, to_8bit
 from tdgbench.splats.ply import save_ply
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, train
-from tdgbench.training.method import Method
+from tdgbench.training.method import Method, training_device
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 from tdgbench.training.skips.plateau import Plateau
 
 
 class CellRun(SetupObserver):
-    """One run of a cell: `load`, then `train`, then `write`. Each of them fills in the record."""
+    """One run of a cell: `identify`, then `load`, `train` and `write`. Each of them fills in the record."""
 
     scene: Scene
     method: Method
+    _outline: Outline
     skips: Skips
     scorer: Scorer
     log: TrainingLog
@@ -69,7 +71,7 @@ class CellRun(SetupObserver):
         self.progress.stage(name)
         start = time.perf_counter()
         yield
-        self.record.seconds[name] = round(time.perf_counter() - start, 3)
+        self.record.seconds[name] = round(self.record.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
 
     def count(self, done: int, total: int) -> None:
         self.progress.count(done, total)
@@ -90,21 +92,29 @@ class CellRun(SetupObserver):
         self.progress.rename(record.title)
         return dataset
 
-    def load(self) -> None:
-        """Load the scene without its images, make the method, and compute the cell's key."""
+    def identify(self) -> None:
+        """Compute the cell's key, for which no image is decoded, and make the method."""
         cfg, record = self.cfg, self.record
         with self.stage("load"):
-            dataset = self.locate()
-            self.scene = dataset.load(cfg.scene)
+            self._outline = outline_of(self.locate(), cfg.scene)
             self.method = instantiate(cfg.method.method)
             record.config = relevant_config(cfg, self.method)
             record.data, record.code = self._fingerprint(), code_version()
             record.key = cell_key(record)
 
+    def load(self) -> None:
+        """Load the scene. While that fails, the cell has no key, so that the next run tries again."""
+        key, self.record.key = self.record.key, ""
+        with self.stage("load"):
+            self.scene = self._outline.read()
+        self.record.key = key
+
     def train(self) -> None:
         """Set the method up and train it."""
         self.progress.start(len(self.scene.train))
         self.scorer = instantiate(self.cfg.metrics)
+        self.record.backend = training_backend(self.cfg.backend.name)
+        self.scorer.device = training_device(self.record.backend)
         self._describe_scene()
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=self._prior_cache(), observer=self
@@ -187,10 +197,9 @@ class CellRun(SetupObserver):
 
     def _fingerprint(self) -> str:
         """Fingerprint of the scene's files, and of those that its prior is read from."""
-        if not self.method.needs_prior:
-            return self.scene.fingerprint
-        files = instantiate(self.cfg.prior.estimator).identity(self.scene).get("files")
-        return self.scene.fingerprint if files is None else f"{self.scene.fingerprint}-{files}"
+        scene, needs_prior = self._outline.scene, self.method.needs_prior
+        files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
+        return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
 
     def _describe_scene(self) -> None:
         """Put facts about the scene, its metrics and its backend into the record."""
@@ -200,7 +209,6 @@ class CellRun(SetupObserver):
         record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
         record.convention = self.scorer.convention
         record.views = {"train": len(scene.train), "test": len(scene.test)}
-        record.backend = training_backend(self.cfg.backend.name)
         if self.cfg.backend.name == "auto" and auto().line:
             record.notes.append(f"backend: {auto().line}")
 

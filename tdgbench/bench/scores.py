@@ -10,10 +10,12 @@ from tdgbench.bench.reading import read_table
 from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
+from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.training.method import Method
 
 Row = dict[str, float | None]
+VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
 
 
 def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
@@ -23,8 +25,22 @@ def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[
 
 def score_training_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, float | None]:
     """Mean PSNR and SSIM of the training views; a model that overfits scores far higher here than on test views."""
-    scores = {view.name: scorer.score_train(view, render_images(method, view, with_rgb=False)) for view in scene.train}
+    scores: dict[str, dict[str, float | None]] = {}
+    for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
+        views = scene.train[start:stop]
+        renders = {view.name: render_images(method, view, with_rgb=False) for view in views}
+        scores |= scorer.score_all_train(views, renders)
     return mean_scores(scores, TRAIN_METRICS)
+
+
+def batches(count: int) -> list[tuple[int, int]]:
+    """Pieces (start, stop) of range(count): VIEWS_A_THREAD for each thread.
+
+    >>> all(stop - start <= VIEWS_A_THREAD * pool.get_threads() for start, stop in batches(1000))
+    True
+    """
+    size = VIEWS_A_THREAD * pool.get_threads()
+    return [(start, min(start + size, count)) for start in range(0, count, size)]
 
 
 def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:

@@ -1,15 +1,13 @@
-"""The contract of an experiment, and the Hydra callback that serves all of them.
+"""The contract of an experiment, and what all of them share.
 
 A new experiment is one class that `job._target_` of one file in `conf/experiment/` names.
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,17 +17,15 @@ from hydra.errors import (
     MissingConfigException,
     OverrideParseException,
 )
-from hydra.experimental.callback import Callback
 from hydra.utils import get_class
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
-from tdgbench.bench.plan import compose_jobs
 from tdgbench.bench.signature import Problem
 from tdgbench.bench.suggest import meant, option_meant
-from tdgbench.terminal import guard_streams, say
+from tdgbench.terminal import guard_streams
 
 
 class Experiment(ABC):
@@ -78,54 +74,6 @@ def run_job(cfg: DictConfig) -> None:
     """Do one job of the configured experiment."""
     guard_streams()  # of a launcher's process
     experiment_of(cfg).run(names_to_text(cfg))
-
-
-class ExperimentCallback(Callback):
-    """Calls `start` and `end` of the configured experiment, for single runs and sweeps and with every launcher.
-
-    folder: of the experiment that this process has begun.
-    """
-
-    folder: ClassVar[Path | None] = None
-
-    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        _start(config)
-
-    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        if config.hydra.sweeper.get("max_batch_size") is not None:  # else Hydra composes all jobs before the first
-            with _status_1_on_error():
-                compose_jobs(config)
-        _start(config)
-
-    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
-        _end(config, Path(config.hydra.run.dir))
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        _end(config, Path(config.hydra.sweep.dir))
-
-
-def _start(cfg: DictConfig) -> None:
-    with _status_1_on_error():
-        experiment = experiment_of(names_to_text(cfg))
-        experiment.check(cfg)
-        check_results_folder(Path(cfg.results) / cfg.name)
-        ExperimentCallback.folder = Path(cfg.results) / cfg.name
-        experiment.start(cfg)
-
-
-def _end(cfg: DictConfig, jobs: Path) -> None:
-    with _status_1_on_error():
-        experiment_of(cfg).end(names_to_text(cfg), jobs)
-
-
-@contextmanager
-def _status_1_on_error() -> Iterator[None]:
-    """Errors end the run with status 1: Hydra would print a warning, go on, and end with 0."""
-    try:
-        yield
-    except Exception as error:
-        say(in_words(error, sys.argv[1:]), "error:", stderr=True)
-        raise SystemExit(1) from error
 
 
 def check_results_folder(folder: Path) -> None:

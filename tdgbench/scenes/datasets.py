@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.inputs import is_folder, is_there, listed, utf8_name
+from tdgbench.scenes.inputs import is_folder, is_there, listed, note_names, utf8_name
 from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
-from tdgbench.scenes.read import read_scene
+from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
 
 
@@ -32,6 +32,22 @@ class Dataset(Protocol):
 
     def load(self, name: str | int | None) -> Scene:
         """Read a scene. Raises MissingScenesError or SceneError."""
+
+
+@runtime_checkable
+class Outlines(Protocol):
+    """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster."""
+
+    def outline(self, name: str | int | None) -> Outline:
+        """The scene that `load` reads. Raises MissingScenesError or SceneError."""
+
+
+def outline_of(dataset: Dataset, name: str | int | None) -> Outline:
+    """Outline of a scene; of data sets without outlines, the scene itself. Raises MissingScenesError or SceneError."""
+    if isinstance(dataset, Outlines):
+        return dataset.outline(name)
+    scene = dataset.load(name)
+    return Outline(scene, lambda: scene)
 
 
 class RegisteredDataset:
@@ -67,11 +83,15 @@ class RegisteredDataset:
         return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
 
     def load(self, name: str | int | None) -> Scene:
+        return self.outline(name).read()
+
+    def outline(self, name: str | int | None) -> Outline:
         description = self.describe(name)
         folder = self._find(description.scene)
         if folder is None:
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
-        return read_scene(folder, description, self.options)
+        note_names(folder.parent)
+        return outline_scene(folder, description, self.options, None)
 
     def explain_missing(self, names: list[str]) -> str:
         lines = [f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} not in {self.root}:"]
@@ -155,12 +175,17 @@ class FolderDataset:
         return Description(check_scene_name(names[0] if name is None else name), title, "")
 
     def load(self, name: str | int | None) -> Scene:
+        return self.outline(name).read()
+
+    def outline(self, name: str | int | None) -> Outline:
         description, root = self.describe(name), self._root()
         if description.scene not in self.names():
             self._is_scene(root / description.scene)  # its error says more, where there is one
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
+        for place in (self.root, root):
+            note_names(place)
         folder = root if self._is_scene(root) else root / description.scene
-        return read_scene(folder, description, self.options, self.layout)
+        return outline_scene(folder, description, self.options, self.layout)
 
     def _root(self) -> Path:
         """The scene, or the folder of scenes."""

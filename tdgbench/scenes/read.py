@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
-from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
+from tdgbench.scenes.inputs import hash_of, is_folder, is_there, note_tree, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
 from tdgbench.scenes.measured import Source, ThermalImages, resample
@@ -27,11 +28,29 @@ RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 
 
+@dataclass(frozen=True)
+class Outline:
+    """A scene whose images have not been decoded.
+
+    scene: all but what its images tell: its channels are 0, its temperature None, its views have neither images nor
+    masks. read: gives the whole scene; raises SceneError.
+    """
+
+    scene: Scene
+    read: Callable[[], Scene]
+
+
 def read_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None = None) -> Scene:
     """Read the scene in a folder. layout: None detects it, which a note says.
 
     Raises SceneError naming the file or view and the remedy.
     """
+    return outline_scene(folder, description, options, layout).read()
+
+
+def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
+    """`read_scene` without decoding images. Raises SceneError."""
+    note_tree(folder)
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:
@@ -48,27 +67,39 @@ def read_scene(folder: Path, description: Description, options: ReadOptions, lay
         name: Source(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
         for name in names
     }
-    images = thermal_images(found, sources, train, options, layout.published(description.scene))
-    views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name), images) for name in names}
+    views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
     depth = [view.true_depth_path for view in views.values() if view.true_depth_path is not None]
-    return Scene(
+    files = [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *depth]
+    scene = Scene(
         name=description.scene,
         dataset=description.dataset,
         group=description.group,
         train=[views[n] for n in train],
         test=[views[n] for n in test],
         points=found.points,
-        temperature=images.temperature,
+        temperature=None,
         split=options.split,
-        fingerprint=_fingerprint(
-            folder, [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *depth]
-        ),
-        channels=images.channels,
+        fingerprint=_fingerprint(folder, files),
+        channels=0,
         notes=[
             *([f"{LAYOUT_NOTE}{layout.title}: {layout.looks}"] if detected else []),
-            *found.notes, *notes, *left_out, *_about_masks(masks, names), *images.notes,
+            *found.notes, *notes, *left_out, *_about_masks(masks, names),
         ],
         folder=folder,
+    )  # fmt: skip
+    published = layout.published(description.scene)
+    return Outline(scene, lambda: _with_images(scene, thermal_images(found, sources, train, options, published)))
+
+
+def _with_images(scene: Scene, images: ThermalImages) -> Scene:
+    def whole(view: View) -> View:
+        kept = images.kept[view.name]
+        valid = kept.valid if kept.is_masked else None
+        return replace(view, load_thermal=partial(images.load, view.name), load_valid=valid)
+
+    return replace(
+        scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],
+        temperature=images.temperature, channels=images.channels, notes=[*scene.notes, *images.notes],
     )  # fmt: skip
 
 
@@ -144,19 +175,23 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
 
 
-def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None, images: ThermalImages) -> View:
+def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -> View:
+    """A view without its thermal image and mask."""
     name = source.posed.name
     depth = folder / "depth" / f"{name}.npy"
     photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
         camera=camera,
-        load_thermal=partial(images.load, name),
+        load_thermal=partial(_refuse, name),
         load_rgb=None if photo is None else partial(_load_rgb, photo),
         thermal_path=source.path,
-        load_valid=images.kept[name].valid if images.kept[name].is_masked else None,
         true_depth_path=regular_file(depth) if is_there(depth) else None,
     )
+
+
+def _refuse(name: str) -> np.ndarray:
+    raise SceneError(f"the thermal image of view {name} has not been read: this is an outline of its scene")
 
 
 def _load_rgb(source: Source) -> np.ndarray:

@@ -18,6 +18,8 @@ from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_tru
 
 Net = Literal["vgg", "alex", "squeeze"]
 Range = Literal["unit", "signed"]
+CPU = torch.device("cpu")
+ROWS = 64  # of features that are compared at once
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
@@ -25,18 +27,22 @@ class LPIPS:
     """Perceptual distance of two images.
 
     input_range `signed`: images are mapped to [−1, 1] as LPIPS expects; `unit`: they stay in [0, 1] as in 3DGS's
-    metrics.py (a quirk of published tables). Raises BackboneUnavailableError if no weights are available.
+    metrics.py (a quirk of published tables). device: where the network runs. Raises BackboneUnavailableError if no
+    weights are available.
     """
 
-    def __init__(self, net: Net, input_range: Range, weights: str | None = None, download: bool = True) -> None:
+    def __init__(
+        self, net: Net, input_range: Range, weights: str | None = None, download: bool = True,
+        device: torch.device = CPU,
+    ) -> None:  # fmt: skip
         if net not in SPECS:
             raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
-        self.input_range = input_range
+        self.input_range, self.device = input_range, device
         state = trunk_weights(net, weights, download)
         package = _package_model(net, state)
         self.through_package = package is not None
         self.model: nn.Module = _PlainLPIPS(net, state) if package is None else package
-        self.model.eval().requires_grad_(False)
+        self.model.eval().requires_grad_(False).to(device)
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
@@ -45,38 +51,53 @@ class LPIPS:
 
     def _prepare(self, image: np.ndarray) -> Tensor:
         tensor = torch.from_numpy(np.ascontiguousarray(image, np.float32)).permute(2, 0, 1)[None]
-        tensor = tensor.expand(1, 3, *tensor.shape[2:])
+        tensor = tensor.to(self.device).expand(1, 3, *tensor.shape[2:])
         return tensor * 2 - 1 if self.input_range == "signed" else tensor
 
 
 class _PlainLPIPS(nn.Module):
     """Differences of unit-length features, weighted by the heads, averaged over the image."""
 
+    shift: Tensor
+    scale: Tensor
+
     def __init__(self, net: Net, state: dict[str, Tensor]) -> None:
         super().__init__()
         self.spec = SPECS[net]
         self.trunk = make_trunk(net)
         self.trunk.load_state_dict(state)
-        self.heads = _heads(net)
-        self.shift = torch.tensor(SHIFT).view(1, 3, 1, 1)
-        self.scale = torch.tensor(SCALE).view(1, 3, 1, 1)
+        self.heads = nn.ParameterList(_heads(net))
+        self.register_buffer("shift", torch.tensor(SHIFT).view(1, 3, 1, 1))
+        self.register_buffer("scale", torch.tensor(SCALE).view(1, 3, 1, 1))
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        features = zip(self._features(a), self._features(b), strict=True)
-        distance = torch.zeros(len(a))
-        for (x, y), head in zip(features, self.heads, strict=True):
-            distance = distance + ((x - y) ** 2 * head).sum(dim=1).mean(dim=(1, 2))
-        return distance
+        """Distances (N,) of images (N, 3, H, W).
 
-    def _features(self, image: Tensor) -> list[Tensor]:
-        x, found = (image - self.shift) / self.scale, []
+        Both images pass a layer before either passes the next one, so that no features but the layer's are in memory.
+        """
+        x, y = ((image - self.shift) / self.scale for image in (a, b))
+        distance, heads = torch.zeros(len(a)), iter(self.heads)
         for count, layer in enumerate(self.trunk, start=1):
             x = layer(x)
+            y = layer(y)
             if count in self.spec.ends:
-                found.append(x / (x.square().sum(dim=1, keepdim=True).sqrt() + 1e-10))
+                distance = distance + _weighted(x, y, next(heads)).mean(dim=(1, 2)).cpu()
             if count == self.spec.ends[-1]:
                 break
-        return found
+        return distance
+
+
+def _weighted(x: Tensor, y: Tensor, head: Tensor) -> Tensor:
+    """Squared differences (N, H, W) of unit-length features (N, C, H, W), weighted by a head (1, C, 1, 1).
+
+    Rows are taken some at a time: the result is the same, the memory is that of a few rows.
+    """
+    rows = zip(x.split(ROWS, dim=2), y.split(ROWS, dim=2), strict=True)
+    return torch.cat([((_unit(a) - _unit(b)) ** 2 * head).sum(dim=1) for a, b in rows], dim=1)
+
+
+def _unit(x: Tensor) -> Tensor:
+    return x / (x.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)
 
 
 def _heads(net: Net) -> list[Tensor]:

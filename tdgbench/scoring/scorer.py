@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from tdgbench.scenes import Scene, View
+from tdgbench.scoring.at_once import map_views
 from tdgbench.scoring.backbones import BackboneUnavailableError
-from tdgbench.scoring.lpips import LPIPS, Net, Range
+from tdgbench.scoring.lpips import CPU, LPIPS, Net, Range
 from tdgbench.scoring.metric import Metric
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
 from tdgbench.scoring.scored_view import (
@@ -35,8 +38,11 @@ class LPIPSOptions:
 class Scorer:
     """Scores 8-bit renders against 8-bit targets, as published tables do.
 
-    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed).
+    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Views are scored
+    at once, one thread each (`at_once`): the scores do not depend on the number of threads.
     """
+
+    device = CPU  # where the LPIPS network runs; set before the first score
 
     def __init__(
         self, convention: ConventionName, ssim_border: Border, lpips_range: Range, lpips: LPIPSOptions
@@ -50,23 +56,33 @@ class Scorer:
     def score(self, scene: Scene, renders: Mapping[str, RenderedImages]) -> dict[str, dict[str, float | None]]:
         """All metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
 
-        def shown(view: View) -> ScoredView:
-            return ScoredView(view, renders[view.name], self.settings, scene, renders)
+        def score(view: View) -> _Scored:
+            return _scored(ScoredView(view, renders[view.name], self.settings, scene, renders), METRICS.values())
 
-        return {view.name: self._score(shown(view), METRICS.values()) for view in scene.test}
+        if scene.test:
+            _ = self._lpips  # here, so that no two threads load the network
+        with torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
+            return self._collected(scene.test, map_views(score, scene.test, _most_pixels(scene.test)))
 
     def score_train(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
         """The cheap metrics of a training view, which suffice to show overfitting."""
-        return self._score(ScoredView(view, rendered, self.settings), TRAIN_METRICS.values())
+        return self.score_all_train([view], {view.name: rendered})[view.name]
 
-    def _score(self, shown: ScoredView, metrics: Iterable[Metric]) -> dict[str, float | None]:
-        scores: dict[str, float | None] = {}
-        for metric in metrics:
-            try:
-                scores[metric.name] = metric.score(shown)
-            except NotApplicableError as error:
-                scores[metric.name], self.missing[metric.name] = None, str(error)
-        return scores
+    def score_all_train(
+        self, views: Sequence[View], renders: Mapping[str, RenderedImages]
+    ) -> dict[str, dict[str, float | None]]:
+        """`score_train` of several views at once, by name."""
+
+        def score(view: View) -> _Scored:
+            return _scored(ScoredView(view, renders[view.name], self.settings), TRAIN_METRICS.values())
+
+        return self._collected(views, map_views(score, views, _most_pixels(views)))
+
+    def _collected(self, views: Sequence[View], scored: list[_Scored]) -> dict[str, dict[str, float | None]]:
+        """Scores by view; the reasons for missing ones go to `missing`."""
+        for one in scored:
+            self.missing |= one.missing
+        return {view.name: one.scores for view, one in zip(views, scored, strict=True)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
         """LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""
@@ -78,9 +94,30 @@ class Scorer:
     def _lpips(self) -> LPIPS | BackboneUnavailableError:
         options = self.lpips_options
         try:
-            return LPIPS(options.net, self.lpips_range, options.weights, options.download)
+            return LPIPS(options.net, self.lpips_range, options.weights, options.download, self.device)
         except BackboneUnavailableError as error:
             return error
+
+
+class _Scored(NamedTuple):
+    """Scores of a view, None where a metric does not apply, and why it does not."""
+
+    scores: dict[str, float | None]
+    missing: dict[str, str]
+
+
+def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> _Scored:
+    found = _Scored({}, {})
+    for metric in metrics:
+        try:
+            found.scores[metric.name] = metric.score(shown)
+        except NotApplicableError as error:
+            found.scores[metric.name], found.missing[metric.name] = None, str(error)
+    return found
+
+
+def _most_pixels(views: Sequence[View]) -> int:
+    return max((view.camera.width * view.camera.height for view in views), default=0)
 
 
 def mean_scores(

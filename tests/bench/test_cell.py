@@ -13,6 +13,8 @@ from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.scenes import measured
+from tdgbench.scenes.images import read_image
 from tdgbench.splats.ply import load_ply
 from tests.helpers.configs import SMALL, config
 
@@ -195,3 +197,18 @@ def test_the_outcome_names_what_changed(run):
     assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 30 → 31"
     kept = run("method=splat", "overwrite=never", "seed=0", "budget.sh_degree=0")
     assert kept.status == "kept" and "budget.sh_degree: 1 → 0" in kept.message
+
+
+def test_a_cell_that_is_kept_decodes_no_image(run, small_scene, tmp_path, monkeypatch):
+    """But another content of an image makes it run again."""
+    scene = shutil.copytree(small_scene.train[0].thermal_path.parents[1], tmp_path / "capture")
+    plain = config("budget=demo", "budget.iterations=2", "metrics.lpips.download=false", "dataset=folder",
+                   f"data.root={scene}", "method=splat", f"results={tmp_path / 'results'}")  # fmt: skip
+    progress = CellProgress(Console(quiet=True), 2)
+    assert run_cell(plain, "", progress).status == "ok"
+    decoded = []
+    monkeypatch.setattr(measured, "read_image", lambda path, *rest: decoded.append(path) or read_image(path, *rest))
+    assert run_cell(plain, "", progress).status == "kept" and decoded == []
+    shutil.copy(scene / "thermal" / "view006.png", scene / "thermal" / "view007.png")
+    again = run_cell(plain, "", progress)
+    assert again.status == "ok" and "the scene's files changed" in again.message and len(decoded) == 10

@@ -116,10 +116,10 @@ def test_the_checkpoint_of_a_finished_cell_is_removed(tiny_cell):
 
 
 def test_a_failure_beside_a_running_process_removes_nothing_of_its(tiny_cell, monkeypatch):
-    def load(self):
+    def identify(self):
         raise ValueError("broken")
 
-    monkeypatch.setattr(CellRun, "load", load)
+    monkeypatch.setattr(CellRun, "identify", identify)
     tiny_cell.folder.parent.mkdir(parents=True)
     part = tiny_cell.folder.with_name(".seed0.part-1")
     part.mkdir()

@@ -5,6 +5,7 @@ from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
 from tdgbench.scoring.metrics.psnr import psnr
+from tdgbench.splats.cpu import pool
 from tests.helpers.configs import config
 
 
@@ -77,6 +78,44 @@ def test_with_a_backbone(small_scene, squeeze_weights):
     scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
     values = score(scoring, small_scene, np.roll(to_8bit(view.thermal), 3, axis=0), view.true_depth)
     assert 0.001 < values["lpips"] < 1 and "lpips" not in scoring.missing
+
+
+def test_scores_do_not_depend_on_the_number_of_threads(small_scene, squeeze_weights):
+    rng = np.random.default_rng(0)
+    renders = {
+        view.name: RenderedImages(rng.random(view.thermal.shape, np.float32), view.true_depth)
+        for view in small_scene.views
+    }
+    found = []
+    for threads in (1, 2, 3):
+        pool.set_threads(threads)
+        scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
+        scores = scoring.score(small_scene, renders)
+        found.append((scores, scoring.score_all_train(small_scene.train, renders), scoring.missing))
+    pool.set_threads(None)
+    assert found[0] == found[1] == found[2]
+    assert list(found[0][0]) == [view.name for view in small_scene.test] and len(found[0][0]) > 1
+    assert found[0][1] == {v.name: scoring.score_train(v, renders[v.name]) for v in small_scene.train}
+
+
+def test_the_network_is_loaded_once_and_where_the_cell_trains(small_scene, monkeypatch):
+    loaded = []
+
+    class Network:
+        def __init__(self, net, input_range, weights, download, device):
+            loaded.append(device)
+
+        def __call__(self, image, target):
+            return 0.25
+
+    monkeypatch.setattr("tdgbench.scoring.scorer.LPIPS", Network)
+    pool.set_threads(4)
+    scoring = scorer()
+    scoring.device = torch.device("meta")
+    renders = {v.name: RenderedImages(v.thermal, v.true_depth) for v in small_scene.test}
+    assert {values["lpips"] for values in scoring.score(small_scene, renders).values()} == {0.25}
+    pool.set_threads(None)
+    assert loaded == [torch.device("meta")]
 
 
 def test_an_rgb_model_is_scored_like_the_thermal_one(small_scene):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 from omegaconf import DictConfig
 
 from tdgbench.bench.outcome import Outcome, Status
+from tdgbench.experiments.sweep.stamped import Written, files_in_words, leave_stamp, states_of_cells
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
@@ -17,16 +19,22 @@ from tdgbench.terminal import console, say
 FAILED = ("failed", "missing", "no prior")
 
 
-def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
+def finish(cfg: DictConfig, outcomes: list[Outcome], jobs: Path | None = None) -> None:
     """Write tables and pictures of all cells on disk; print a summary, one line per failure, and what was found.
 
-    Cells that lack the same prior have one line.
+    Cells that lack the same prior have one line. jobs: folder of Hydra's jobs; where all of them have a result, a stamp
+    is left, by which the same command finds that nothing has changed.
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
-    problem, found = None, list[str]()
+    problem, found, experiment = None, list[str](), Path(cfg.results) / cfg.name
     try:
-        found = _write_all(Path(cfg.results) / cfg.name)
+        cells = states_of_cells(experiment)
+        written = _write_all(experiment)
+        found = written.tables.findings
+        if jobs is not None:
+            again = summary([replace(outcome, status="kept") for outcome in outcomes])
+            leave_stamp(experiment, outcomes, jobs, cells, written, again)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(summary(outcomes))
@@ -63,13 +71,14 @@ def _cells(count: int) -> str:
     return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
-def _write_all(experiment: Path) -> list[str]:
-    """Write tables, pictures and report of all cells on disk; print where they are. Returns the findings."""
+def _write_all(experiment: Path) -> Written:
+    """Write tables, pictures and report of all cells on disk; print where they are."""
     tables = build_tables(experiment)
     show(tables, console())
-    say(f"tables: {tables.folder}")
+    written = Written(tables, {"tables": tables.folder})
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
-        say(f"pictures: {experiment / 'strip.png'}")
-    page = write_report(experiment, tables)
-    say(f"report: {page}")
-    return tables.findings
+        written.files["pictures"] = experiment / "strip.png"
+    written.files["report"] = write_report(experiment, tables)
+    for line in files_in_words(written):
+        say(line)
+    return written

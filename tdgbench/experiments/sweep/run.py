@@ -26,4 +26,4 @@ class Sweep(Experiment):
         run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
-        finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
+        finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)), jobs)

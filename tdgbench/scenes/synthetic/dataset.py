@@ -12,7 +12,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.names import scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
-from tdgbench.scenes.read import read_scene
+from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import write_scene
@@ -57,12 +57,15 @@ class SyntheticDataset:
         return Description(name, "synthetic", WORLDS[name](self.seed).group)
 
     def load(self, name: str | int | None) -> Scene:
+        return self.outline(name).read()
+
+    def outline(self, name: str | int | None) -> Outline:
         description = self.describe(name)
         world = WORLDS[description.scene](self.seed)
         folder = self.folder(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
-        return read_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
+        return outline_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
 
     def folder(self, name: str) -> Path:
         """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""

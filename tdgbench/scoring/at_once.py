@@ -1,0 +1,56 @@
+"""Work on several views at once: one thread each, so that no result depends on their number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+import torch
+
+from tdgbench.splats.cpu import pool
+
+PIXELS_AT_ONCE = 8 * 640 * 480  # LPIPS with vgg takes up to 1 kB a pixel: 300 MB for a view of 640×480, 2.4 GB for 8
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def views_at_once(pixels: int, threads: int) -> int:
+    """Number of views of so many pixels that threads work on at once: bounded by memory as well.
+
+    >>> views_at_once(640 * 480, threads=2), views_at_once(640 * 480, threads=64), views_at_once(4096 * 4096, threads=2)
+    (2, 8, 1)
+    """
+    return max(1, min(threads, PIXELS_AT_ONCE // max(1, pixels)))
+
+
+def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
+    """Results of a function of a view, in the order of the views; an idle thread takes the next one.
+
+    pixels: of the largest view. torch has one thread for each view meanwhile. Raises what a call raises.
+    """
+    results: dict[int, R] = {}
+    waiting = iter(enumerate(views))
+
+    def work() -> None:
+        torch.set_num_threads(1)  # a setting of each thread
+        for number, view in waiting:
+            results[number] = function(view)
+
+    workers = min(views_at_once(pixels, pool.get_threads()), len(views))
+    if workers > 0:
+        with one_torch_thread():
+            pool.run(work, [()] * workers)
+    return [results[number] for number in range(len(views))]
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Context in which torch computes on the calling thread alone."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
