@@ -33,7 +33,9 @@ def corrected(scene: Scene, camera: ThermalCamera, test: TestViews = "as_is") ->
     """
     unknown = [view.name for view in scene.train if view.name not in camera.views]
     if unknown:
-        raise SceneError(f"{scene.name}: the thermal camera was estimated without training view {unknown[0]}; again")
+        raise SceneError(
+            f"{scene.name}: the thermal camera was estimated without training view {unknown[0]}; estimate it again"
+        )
     train = [
         (view, _image(view, correct_values(_values(view, scene), view.name, camera), scene)) for view in scene.train
     ]

@@ -115,12 +115,13 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
 
 
 def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard errors of offsets, gains and coefficients in the gauge, if errors of values are independent."""
-    change, gains = np.eye(len(found.covariance)), found.response.gains / found.response.gains.mean()
+    """Standard errors of offsets, gains and coefficients in the gauge."""
+    covariance, gains = found.covariance(), found.response.gains / found.response.gains.mean()
+    change = np.eye(len(covariance))
     for first in (0, views):  # the derivative of `in_gauge` where the mean offset is about 0
         block = slice(first, first + views)
         change[block, block] -= np.outer(gains, np.ones(views)) / views
-    errors = np.sqrt(np.maximum(np.diag(change @ found.covariance @ change.T), 0))
+    errors = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0))
     return errors[:views], errors[views : 2 * views], errors[2 * views :]
 
 

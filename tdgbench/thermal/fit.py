@@ -12,16 +12,19 @@ covariance is the cluster-robust one (Liang and Zeger 1986), over PATCHES of eac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import Response
+from tdgbench.thermal.polynomials import TERMS
 
-ROUNDS, HUBER_ROUNDS = 30, 8
-SETTLED = 1e-4  # change of the parameters in standard deviations of the values, at which rounds end
+ROUNDS, HUBER_ROUNDS = 24, 5
+SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
 HUBER, TUKEY = 1.345, 4.685  # 95 % efficient where errors are normal (Holland and Welsch 1977)
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation
 SLOPE_BINS = 12
@@ -76,7 +79,7 @@ class Terms(NamedTuple):
 class Fit:
     """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
-    covariance: (2 V + K, 2 V + K) of offsets, gains and coefficients. before: robust standard deviation of values about
+    covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
     the mean of their point; after: of the residuals.
     """
 
@@ -86,16 +89,21 @@ class Fit:
     reference: float
     residuals: np.ndarray
     weights: np.ndarray
-    covariance: np.ndarray
+    covariance: Callable[[], np.ndarray]
     before: float
     after: float
 
 
 def fit(data: Data, terms: Terms, gain_prior: float) -> Fit:
-    """Estimate the response. gain_prior: standard deviation of gains about 1, as they are expected."""
+    """Estimate the response.
+
+    gain_prior: standard deviation of gains about 1, as they are expected. The priors of offsets and coefficients are as
+    wide as the values; with each degree of the vignette, half as wide.
+    """
     reference, spread = float(np.median(data.value)), float(np.std(data.value)) or 1.0
     sizes = [data.views, data.views, data.terms.shape[1]]
     stiffness = 1 / np.repeat([spread**2, gain_prior**2, spread**2], sizes)
+    stiffness[2 * data.views :] *= np.array([4.0 ** sum(degrees) for degrees in TERMS])
     free = terms.free(data)
     theta, temperatures = data.ideal, _means(data)
     residuals = data.value - temperatures[data.point]
@@ -108,12 +116,12 @@ def fit(data: Data, terms: Terms, gain_prior: float) -> Fit:
         temperatures = temperatures + system.temperature_step(residuals, step)
         theta = theta + step
         residuals = data.value - predict(data, theta, temperatures, reference)
-        if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * spread:
+        if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * _deviation(residuals):
             break
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
-        system.covariance(residuals, data, stiffness, free), before, _deviation(residuals),
+        partial(system.covariance, residuals, data, stiffness, free), before, _deviation(residuals),
     )  # fmt: skip
 
 

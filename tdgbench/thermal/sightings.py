@@ -15,8 +15,8 @@ MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
 POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
 GRID = (24, 160)  # columns of the grid in which points hide others
-BLUR = 1.0  # px, σ; values are those of the blurred image, which has less noise
-MARGIN = 2  # px; a value is made of pixels up to this far, which must all be valid
+BLUR = 1.0  # px, σ, of the image that slopes are taken from
+MARGIN = 2  # px; pixels up to this far must be valid
 SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
 FEWEST_VIEWS = 3  # that must see a point
 
@@ -80,16 +80,18 @@ def _grid_width(camera: Camera, points: np.ndarray) -> int:
 
 
 def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blurred values, lengths of their gradients, and whether each was measured, at positions in px."""
+    """Values at positions in px, lengths of the gradients there, and whether each was measured.
+
+    A value is that of the pixel, which has the fixed pattern of one column and row, moved from the pixel's centre to
+    the position by the gradient of the blurred image, which has little noise.
+    """
     image = view.thermal.mean(axis=2, dtype=np.float64)
-    smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
-    at = np.stack([y, x]) - 0.5  # pixel centres at integers
-    value = ndimage.map_coordinates(smooth, at, order=1, mode="nearest")
-    slope = np.hypot(*(ndimage.map_coordinates(one, at, order=1, mode="nearest") for one in np.gradient(smooth)))
+    height, width = image.shape
+    row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
+    down, right = (one[row, column] for one in np.gradient(ndimage.gaussian_filter(image, BLUR, mode="nearest")))
+    value = image[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
     size = 2 * MARGIN + 1
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)
     if view.valid is not None:
         unusable |= ndimage.minimum_filter(view.valid, size) == 0
-    rows, columns = np.rint(at).astype(int)
-    rows, columns = np.clip(rows, 0, image.shape[0] - 1), np.clip(columns, 0, image.shape[1] - 1)
-    return value, slope, ~unusable[rows, columns]
+    return value, np.hypot(down, right), ~unusable[row, column]

@@ -23,7 +23,7 @@ def test_drift_gain_and_vignette_are_recovered(drifting_scene, drifting_camera):
 def test_the_mean_stays(drifting_camera):
     assert drifting_camera.offsets.mean() == pytest.approx(0, abs=1e-9)
     assert drifting_camera.gains.mean() == pytest.approx(1)
-    assert drifting_camera.shared(96, 72).mean() == pytest.approx(0, abs=1e-9)
+    assert drifting_camera.shared(64, 48).mean() == pytest.approx(0, abs=1e-9)
 
 
 def test_standard_errors_are_those_of_the_errors(drifting_scene, drifting_camera):
@@ -35,10 +35,11 @@ def test_standard_errors_are_those_of_the_errors(drifting_scene, drifting_camera
 def test_a_clean_camera_is_left_alone(clean_scene):
     camera = estimate_camera(clean_scene)
     changes = [
-        camera.of_view(view.name)[0] + (camera.of_view(view.name)[1] - 1) * (celsius(view, clean_scene) - camera.reference)
+        camera.of_view(view.name)[0]
+        + (camera.of_view(view.name)[1] - 1) * (celsius(view, clean_scene) - camera.reference)
         for view in clean_scene.train
     ]
-    assert np.sqrt(np.mean(np.square(changes))) < 0.02 and np.abs(camera.shared(96, 72)).max() < 0.05
+    assert np.sqrt(np.mean(np.square(changes))) < 0.02 and np.abs(camera.shared(64, 48)).max() < 0.05
 
 
 def test_automatic_gain_control_is_a_gain_and_an_offset(make_scene):
@@ -46,17 +47,17 @@ def test_automatic_gain_control_is_a_gain_and_an_offset(make_scene):
     camera = estimate_camera(scene)
     true = read_truth(scene.folder)
     stretch = 1 / np.ptp(true.camera.limits[true.index(list(camera.views))], axis=1)
-    assert camera.unit == "image" and np.ptp(stretch / stretch.mean()) > 0.1
-    assert np.abs(camera.gains - stretch / stretch.mean()).max() < 0.03
+    assert camera.unit == "image" and np.ptp(stretch / stretch.mean()) > 0.05
+    assert np.abs(camera.gains - stretch / stretch.mean()).max() < 0.02
 
 
 def test_columns_of_a_fixed_pattern_are_found(make_scene):
     scene = make_scene(pattern_degC=0.5, walk_degC=2.0)
     camera = estimate_camera(scene)
     pattern = read_truth(scene.folder).camera.pattern
-    smooth = camera.map(96, 72).mean(axis=0)
+    smooth = camera.map(64, 48).mean(axis=0)
     assert camera.columns is not None
-    assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.9
+    assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.8
 
 
 def test_only_training_views_are_read(drifting_scene, drifting_camera):
@@ -70,9 +71,9 @@ def test_only_training_views_are_read(drifting_scene, drifting_camera):
 
 def test_masked_pixels_and_outliers_do_not_matter(drifting_scene):
     def spoiled(view: View) -> View:
-        image, valid = view.thermal.copy(), np.ones((72, 96), bool)
-        image[:, :20], valid[:, :20] = 0.9, False
-        image[30:36, 60:66] = 0.5  # something that moves with the camera
+        image, valid = view.thermal.copy(), np.ones((48, 64), bool)
+        image[:, :14], valid[:, :14] = 0.9, False
+        image[20:24, 40:44] = 0.5  # something that moves with the camera
         return replace(view, load_thermal=lambda: image, load_valid=lambda: valid)
 
     scene = replace(drifting_scene, train=[spoiled(view) for view in drifting_scene.train])
@@ -97,7 +98,10 @@ def test_scenes_that_tell_nothing(drifting_scene, small_scene):
     for scene, why in (
         (replace(drifting_scene, points=None), "no sparse points"),
         (replace(drifting_scene, train=drifting_scene.train[:2]), "2 training views"),
-        (replace(drifting_scene, points=PointCloud(np.zeros((1, 3)), np.zeros((1, 3), np.float32))), "0 training views"),
+        (
+            replace(drifting_scene, points=PointCloud(np.zeros((1, 3)), np.zeros((1, 3), np.float32))),
+            "0 training views",
+        ),
         (small_scene, "pseudo-colour"),
     ):
         found = estimate_camera(scene)
