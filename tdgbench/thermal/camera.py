@@ -29,8 +29,8 @@ class ThermalCamera:
 
     vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
-    standard deviation of the values of a point in different views, as they are and with the camera. sightings: (V,)
-    points that a view sees.
+    standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
+    sightings: (V,) points that a view sees.
     """
 
     unit: str  # "°C" or "image"

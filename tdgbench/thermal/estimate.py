@@ -101,6 +101,7 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
     across, down = (shares * PATCHES).astype(int).T
     return Data(
         value=scale * seen.value + zero,
+        detail=scale * seen.detail,
         point=seen.point,
         view=seen.view,
         slope=scale * seen.slope,

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from tdgbench.thermal.fit import HUBER, NORMAL, Data, Fit, Terms, fit
 from tdgbench.thermal.pattern import line_pattern
+from tdgbench.thermal.sightings import BLUR
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (Terms(), Terms(vignette=True), Terms(vignette=True, offsets=True), Terms(True, True, gains=True))
@@ -18,6 +20,8 @@ CUT = 3.0  # standard deviations; larger errors of prediction count as this larg
 FEWEST_VALUES = 10  # of a held-out view
 FIT_ROUNDS = 10
 
+Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
+
 
 @dataclass(frozen=True)
 class Explained:
@@ -27,9 +31,9 @@ class Explained:
     columns: np.ndarray | None = None
     rows: np.ndarray | None = None
 
-    def pattern(self, data: Data) -> np.ndarray:
-        """Fixed pattern (S,) at values."""
-        return _at(self.columns, data.column) + _at(self.rows, data.row)
+    def blurred(self, data: Data) -> np.ndarray:
+        """Fixed pattern (S,) in the blurred values."""
+        return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
 def explain(data: Data, gain_prior: float) -> tuple[Explained, Terms]:
@@ -37,14 +41,15 @@ def explain(data: Data, gain_prior: float) -> tuple[Explained, Terms]:
     terms = choose_terms(data, gain_prior)
     best = Explained(fit(data, terms, gain_prior))
     for _ in range(PASSES if data.size != (0, 0) else 0):
-        left, weights = best.fit.residuals + best.pattern(data), best.fit.weights
+        weights = best.fit.weights
+        left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
         lines = _lines(data, left, weights)
         if not terms.pattern:
             shown = [left, left - _held_out_pattern(data, left, weights)]
             terms = terms._replace(pattern=_simplest([one[weights > 0] for one in shown]) == 1)
         if not terms.pattern:
             break
-        cleaned = replace(data, value=data.value - Explained(best.fit, *lines).pattern(data))
+        cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
         best = Explained(replace(fit(cleaned, terms, gain_prior), before=best.fit.before), *lines)
     return best, terms
 
@@ -59,18 +64,24 @@ def choose_terms(data: Data, gain_prior: float) -> Terms:
     return LADDER[_simplest([held_out_errors(some, terms, gain_prior) for terms in LADDER])]
 
 
-def _lines(data: Data, left: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _within_points(values: np.ndarray, weights: np.ndarray, data: Data) -> np.ndarray:
+    """Values (S,) less the weighted mean of their point."""
+    total = np.maximum(np.bincount(data.point, weights, data.points), 1e-12)
+    return values - (np.bincount(data.point, weights * values, data.points) / total)[data.point]
+
+
+def _lines(data: Data, left: np.ndarray, weights: np.ndarray) -> Lines:
     """Patterns of columns and rows of what is left (S,) of the values."""
     columns = line_pattern(left, weights, data.column, data.size[0])
-    return columns, line_pattern(left - _at(columns, data.column), weights, data.row, data.size[1])
+    rows = line_pattern(left - _at(columns, None, data), weights, data.row, data.size[1])
+    return columns, rows
 
 
 def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Fixed pattern (S,) at values, each from views of other folds."""
     pattern, fold = np.zeros(len(left)), data.view % FOLDS
     for one in range(FOLDS):
-        columns, rows = _lines(data, left, np.where(fold == one, 0, weights))
-        pattern[fold == one] = (_at(columns, data.column) + _at(rows, data.row))[fold == one]
+        pattern[fold == one] = _at(*_lines(data, left, np.where(fold == one, 0, weights)), data)[fold == one]
     return pattern
 
 
@@ -118,5 +129,11 @@ def _affine_residuals(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return left
 
 
-def _at(lines: np.ndarray | None, index: np.ndarray) -> np.ndarray:
-    return np.zeros(len(index)) if lines is None else lines[index]
+def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
+    return None if lines is None else gaussian_filter1d(lines, BLUR, mode="nearest")
+
+
+def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.ndarray:
+    """Pattern (S,) of columns and rows at values."""
+    across = 0.0 if columns is None else columns[data.column]
+    return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])

@@ -35,11 +35,12 @@ PATCHES = 8  # columns and rows of patches of a view
 class Data:
     """S values (S,) of points (S,) in views (S,), and what is known of each.
 
-    slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch, column, row: (S,) in which it lies. size:
-    numbers of columns and rows.
+    detail: (S,) what a blur took from it. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
+    column, row: (S,) in which it lies. size: numbers of columns and rows.
     """
 
     value: np.ndarray
+    detail: np.ndarray
     point: np.ndarray
     view: np.ndarray
     slope: np.ndarray
@@ -53,7 +54,7 @@ class Data:
 
     def kept(self, keep: np.ndarray) -> Data:
         """The values where `keep` (S,) is true; views and points keep their numbers."""
-        arrays = ("value", "point", "view", "slope", "terms", "patch", "column", "row")
+        arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -15,7 +15,7 @@ MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
 POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
 GRID = (24, 160)  # columns of the grid in which points hide others
-BLUR = 1.0  # px, σ, of the image that slopes are taken from
+BLUR = 1.0  # px, σ; values are those of the blurred image, which has less noise
 MARGIN = 2  # px; pixels up to this far must be valid
 SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
 FEWEST_VIEWS = 3  # that must see a point
@@ -25,13 +25,14 @@ FEWEST_VIEWS = 3  # that must see a point
 class Sightings:
     """S pairs of a point and a training view that sees it.
 
-    point, view: (S,) indices. value: (S,) image value in [0, 1]. slope: (S,) length of its gradient, per px. x, y: (S,)
-    position in px. points: how many points the indices are of.
+    point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
+    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. points: how many points the indices are of.
     """
 
     point: np.ndarray
     view: np.ndarray
     value: np.ndarray
+    detail: np.ndarray
     slope: np.ndarray
     x: np.ndarray
     y: np.ndarray
@@ -41,9 +42,8 @@ class Sightings:
         """The sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
         keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
         left, point = np.unique(self.point[keep], return_inverse=True)
-        return Sightings(
-            point, self.view[keep], self.value[keep], self.slope[keep], self.x[keep], self.y[keep], len(left)
-        )
+        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y")}
+        return replace(self, point=point, points=len(left), **arrays)
 
 
 def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
@@ -53,11 +53,11 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
     parts: list[tuple[np.ndarray, ...]] = []
     for index, view in enumerate(views):
         number, x, y = _seen(view.camera, points, used)
-        value, slope, usable = _values(view, x, y)
-        whole = (number, np.full(len(number), index), value, slope, x, y)
+        value, detail, slope, usable = _values(view, x, y)
+        whole = (number, np.full(len(number), index), value, detail, slope, x, y)
         parts.append(tuple(one[usable] for one in whole))
-    point, of_view, value, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
-    found = Sightings(point, of_view, value, slope, x, y, len(points))
+    point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
+    found = Sightings(point, of_view, value, detail, slope, x, y, len(points))
     return found.kept(np.ones(len(point), bool))
 
 
@@ -79,19 +79,20 @@ def _grid_width(camera: Camera, points: np.ndarray) -> int:
     return min(int(np.clip(np.sqrt(cells * camera.width / camera.height), *GRID)), camera.width)
 
 
-def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values at positions in px, lengths of the gradients there, and whether each was measured.
+def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Values, details and slopes at positions in px, and whether each was measured.
 
-    A value is that of the pixel, which has the fixed pattern of one column and row, moved from the pixel's centre to
-    the position by the gradient of the blurred image, which has little noise.
+    With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
+    pixel's centre to the position by the gradient of the blurred image.
     """
     image = view.thermal.mean(axis=2, dtype=np.float64)
     height, width = image.shape
     row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
-    down, right = (one[row, column] for one in np.gradient(ndimage.gaussian_filter(image, BLUR, mode="nearest")))
-    value = image[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
+    smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
+    down, right = (one[row, column] for one in np.gradient(smooth))
+    value = smooth[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
     size = 2 * MARGIN + 1
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)
     if view.valid is not None:
         unusable |= ndimage.minimum_filter(view.valid, size) == 0
-    return value, np.hypot(down, right), ~unusable[row, column]
+    return value, (image - smooth)[row, column], np.hypot(down, right), ~unusable[row, column]

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from tdgbench.scenes import ReadOptions, Scene
@@ -33,7 +35,11 @@ def drifting_scene(make_scene) -> Scene:
 
 @pytest.fixture(scope="session")
 def drifting_camera(drifting_scene) -> ThermalCamera:
-    """As estimated."""
-    camera = estimate_camera(drifting_scene)
+    """As estimated, without test views, none of which can be read."""
+    camera = estimate_camera(replace(drifting_scene, test=[replace(view, load_thermal=_refuse) for view in drifting_scene.test]))
     assert isinstance(camera, ThermalCamera)
     return camera
+
+
+def _refuse():
+    raise AssertionError("a test view is read")

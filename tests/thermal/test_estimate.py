@@ -60,15 +60,6 @@ def test_columns_of_a_fixed_pattern_are_found(make_scene):
     assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.8
 
 
-def test_only_training_views_are_read(drifting_scene, drifting_camera):
-    def refuse():
-        raise AssertionError("a test view is read")
-
-    hidden = [replace(view, load_thermal=refuse) for view in drifting_scene.test]
-    again = estimate_camera(replace(drifting_scene, test=hidden))
-    assert np.array_equal(again.offsets, drifting_camera.offsets)
-
-
 def test_masked_pixels_and_outliers_do_not_matter(drifting_scene):
     def spoiled(view: View) -> View:
         image, valid = view.thermal.copy(), np.ones((48, 64), bool)
