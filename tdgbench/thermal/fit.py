@@ -119,10 +119,11 @@ def fit(data: Data, terms: Terms, gain_prior: float) -> Fit:
         residuals = data.value - predict(data, theta, temperatures, reference)
         if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * _deviation(residuals):
             break
+    inflated = residuals * _inflation(weights * sigma**2, data)
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
-        partial(system.covariance, residuals, data, stiffness, free), before, _deviation(residuals),
+        partial(system.covariance, inflated, data, stiffness, free), before, _deviation(residuals),
     )  # fmt: skip
 
 
@@ -221,6 +222,17 @@ def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
     floor = max(0.1 * _deviation(residuals), 1e-9)
     deviations = [_deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
     return np.maximum(np.array(deviations), floor)[bins]
+
+
+def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:
+    """Factor (S,) on residuals for the covariance, given Tukey's weights (S,).
+
+    Each point's temperature takes one of its values' degrees of freedom. The curvature of Tukey's ρ is less than its
+    weight: (1 − u²) (1 − 5 u²), not (1 − u²)², of the residual u over TUKEY standard deviations.
+    """
+    root, used = np.sqrt(weights), np.bincount(data.point, weights > 0, data.points)[data.point]
+    curvature = float(np.mean(root * (5 * root - 4)))
+    return np.sqrt(used / np.maximum(used - 1, 1)) * float(np.mean(weights)) / max(curvature, 1e-3)
 
 
 def _weights(scaled: np.ndarray, robust: bool) -> np.ndarray:

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -36,10 +37,8 @@ def drifting_scene(make_scene) -> Scene:
 @pytest.fixture(scope="session")
 def drifting_camera(drifting_scene) -> ThermalCamera:
     """As estimated, without test views, none of which can be read."""
-    camera = estimate_camera(replace(drifting_scene, test=[replace(view, load_thermal=_refuse) for view in drifting_scene.test]))
+    refuse = partial(pytest.fail, "a test view is read")
+    unread = [replace(view, load_thermal=refuse) for view in drifting_scene.test]
+    camera = estimate_camera(replace(drifting_scene, test=unread))
     assert isinstance(camera, ThermalCamera)
     return camera
-
-
-def _refuse():
-    raise AssertionError("a test view is read")

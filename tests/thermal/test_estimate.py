@@ -51,6 +51,7 @@ def test_automatic_gain_control_is_a_gain_and_an_offset(make_scene):
     assert np.abs(camera.gains - stretch / stretch.mean()).max() < 0.02
 
 
+@pytest.mark.slow
 def test_columns_of_a_fixed_pattern_are_found(make_scene):
     scene = make_scene(pattern_degC=0.5, walk_degC=2.0)
     camera = estimate_camera(scene)
