@@ -7,6 +7,7 @@ the points' means over views. Errors of single points average out, since a view 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,29 +16,36 @@ from tdgbench.ceiling.sightings import Samples, Sightings, pixel_moves
 from tdgbench.ceiling.spread import MEDIAN_OF_SQUARE, means_by_point, sums_by_point
 from tdgbench.scenes import Camera
 
-ROUNDS = 10  # of the alternation between views and points' means
+ROUNDS = 8  # of the alternation between views and points' means
 HUBER = 1.5  # standard deviations
+LEAST_SCALE = 1e-6  # of image values
 
 
 def step(sightings: Sightings, samples: Samples, blur: float) -> tuple[Camera, ...]:
-    """The views' cameras after one step."""
-    point, view, count = sightings.point, sightings.view, len(sightings.points)
-    effect = [_effect(camera, sightings.points[point[view == v]]) for v, camera in enumerate(sightings.cameras)]
+    """The views' cameras after one step. Cameras move by few times `blur` px, where the images say little.
+
+    Sightings are in the order of their views.
+    """
+    point, count, views = sightings.point, len(sightings.points), len(sightings.cameras)
+    ends = np.searchsorted(sightings.view, np.arange(views + 1))
+    parts = [slice(first, last) for first, last in pairwise(ends)]
     slopes = np.zeros((*samples.values.shape, 6))
-    for v, one in enumerate(effect):
-        slopes[view == v] = np.matmul(samples.gradients[view == v], one)
-    turns = np.zeros((len(sightings.cameras), 6))
+    ridges = np.zeros((views, 6))
+    for view, (camera, rows) in enumerate(zip(sightings.cameras, parts, strict=True)):
+        effect = _effect(camera, sightings.points[point[rows]])
+        slopes[rows] = np.matmul(samples.gradients[rows], effect)
+        ridges[view] = (effect**2).sum(axis=1).mean(axis=0) / blur**2 if len(effect) else 1.0
+    turns = np.zeros((views, 6))
+    rest = samples.values - means_by_point(samples.values, point, count)[point]
+    scale = np.sqrt(np.median(rest**2) / MEDIAN_OF_SQUARE) + LEAST_SCALE
     for _ in range(ROUNDS):
-        moved = samples.values + (slopes @ turns[view][:, :, None])[:, :, 0]
+        moved = samples.values + (slopes @ turns[sightings.view][:, :, None])[:, :, 0]
         rest = moved - means_by_point(moved, point, count)[point]
-        scale = np.sqrt(np.median(rest**2) / MEDIAN_OF_SQUARE) + 1e-6
         weight = 1 / np.maximum(np.abs(rest) / (HUBER * scale), 1)
-        for v in range(len(turns)):
-            rows = view == v
-            a, w = slopes[rows].reshape(-1, 6), weight[rows].reshape(-1)
-            gram = (a * w[:, None]).T @ a
-            gram += np.eye(6) * scale**2 * np.array([1, 1, 1, *[np.trace(effect[v][:, :, 3:].transpose(0, 2, 1) @ effect[v][:, :, 3:], axis1=1, axis2=2).mean() / np.trace(effect[v][:, :, :3].transpose(0, 2, 1) @ effect[v][:, :, :3], axis1=1, axis2=2).mean()] * 3]) * (effect[v][:, :, :3] ** 2).sum(axis=(1, 2)).mean() / blur**2 if rows.any() else np.eye(6)
-            turns[v] -= np.linalg.solve(gram, a.T @ (w * rest[rows].reshape(-1)))
+        for view, rows in enumerate(parts):
+            slope, w = slopes[rows].reshape(-1, 6), weight[rows].reshape(-1, 1)
+            gram = (slope * w).T @ slope + np.diag(scale**2 * ridges[view] + 1e-30)
+            turns[view] -= np.linalg.solve(gram, slope.T @ (w * rest[rows].reshape(-1, 1)))[:, 0]
     return tuple(_moved(camera, turn) for camera, turn in zip(sightings.cameras, turns, strict=True))
 
 

@@ -47,7 +47,7 @@ class Sightings:
 
 
 class Samples(NamedTuple):
-    """Values of blurred images at sightings, C channels. moves: by how much one world unit moves the pixel (S, 2, 3)."""
+    """Values of blurred images at sightings, C channels. moves: of the pixel by one world unit, (S, 2, 3)."""
 
     values: np.ndarray  # (S, C)
     gradients: np.ndarray  # (S, C, 2), per px along x and y

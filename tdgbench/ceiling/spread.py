@@ -7,14 +7,12 @@ and positions are fitted; the squares of what remains are  c + |g|² σ²,  c in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.ceiling.sightings import Samples, Sightings, sample
-from tdgbench.scenes import View
+from tdgbench.ceiling.sightings import Samples, Sightings
 
 BLURS = (4.0, 2.0, 1.0)  # px
 TONES = 6  # steps of a tone curve
@@ -92,8 +90,12 @@ def tone_curves(sightings: Sightings, samples: Samples) -> ToneCurves:
         curves[total == 0] = 0
     number = np.bincount(cell, minlength=views * TONES)
     error = np.bincount(cell, weight**2, minlength=views * TONES) / np.maximum(total, 1e-9) ** 2
-    off = (rest - curves[cell])
-    noise = np.bincount(cell, weight * (np.minimum(off**2, np.median(off**2) / MEDIAN_OF_SQUARE * 9)).mean(axis=1), minlength=views * TONES) / np.maximum(total, 1e-9)
+    off = rest - curves[cell]
+    noise = np.bincount(
+        cell,
+        weight * (np.minimum(off**2, np.median(off**2) / MEDIAN_OF_SQUARE * 9)).mean(axis=1),
+        minlength=views * TONES,
+    ) / np.maximum(total, 1e-9)
     square = ((curves**2).mean(axis=1) - error * noise).reshape(views, TONES)
     number = number.reshape(views, TONES)
     drift = (square * number).sum(axis=1) / np.maximum(number.sum(axis=1), 1)
@@ -133,13 +135,15 @@ def refine(sightings: Sightings, samples: Samples, reach: float) -> tuple[Residu
     return Residuals((rest**2 / free).mean(axis=1), steep, others), shift
 
 
-def variances(residuals: Residuals, among: np.ndarray | None = None) -> tuple[Variances, np.ndarray]:
+def variances(residuals: Residuals) -> tuple[Variances, np.ndarray]:
     """Fit c + |g|² σ² to the squares; which sightings (S,) are no outliers."""
     squares, steep, other = residuals
     keep = np.ones(len(squares), bool)
     low = other <= np.median(other)
     flat = max(float(np.median(squares[low])) / MEDIAN_OF_SQUARE, 1e-10)
-    slope = max(float(np.median(squares[~low])) / MEDIAN_OF_SQUARE - flat, 0) / max(float(np.median(steep[~low])), 1e-12)
+    slope = max(float(np.median(squares[~low])) / MEDIAN_OF_SQUARE - flat, 0) / max(
+        float(np.median(steep[~low])), 1e-12
+    )
     for _ in range(12):
         keep = squares <= OUTLIER**2 * (flat + slope * np.maximum(steep, other))
         s, g, z = squares[keep], steep[keep], other[keep]

@@ -37,11 +37,11 @@ class SyntheticDataset:
         views: Annotated[int, Field(ge=2, le=1000)] = 40,
         points: NonNegativeInt = 4000,
         seed: NonNegativeInt = 0,
-        errors: CaptureErrors = CaptureErrors(),
+        errors: CaptureErrors | None = None,
     ) -> None:
         self.root = Path(root)
         self.options = options
-        self.shot = Shot(width, height, views, points, seed, errors)
+        self.shot = Shot(width, height, views, points, seed, errors or CaptureErrors())
 
     def names(self) -> list[str]:
         return list(WORLDS)

@@ -33,12 +33,14 @@ class Shot:
     views: int
     points: int
     seed: int
-    errors: CaptureErrors = CaptureErrors()
+    errors: CaptureErrors
 
     def cameras(self, world: World, rng: np.random.Generator) -> list[Camera]:
         """The true cameras."""
-        K = np.array([[world.focal * self.width, 0, self.width / 2], [0, world.focal * self.width, self.height / 2], [0, 0, 1]])
-        return [Camera(K, look_at(eye, target), self.width, self.height) for eye, target in world.cameras(self.views, rng)]
+        focal = world.focal * self.width
+        K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
+        poses = (look_at(eye, target) for eye, target in world.cameras(self.views, rng))
+        return [Camera(K, pose, self.width, self.height) for pose in poses]
 
 
 def write_scene(world: World, folder: Path, shot: Shot) -> None:
