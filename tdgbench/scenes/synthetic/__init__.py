@@ -1,5 +1,6 @@
 """Procedural RGB-thermal scenes with known depth and temperature, generated from a seed at first use."""
 
+from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset
 
-__all__ = ["SyntheticDataset"]
+__all__ = ["CaptureErrors", "SyntheticDataset"]

@@ -14,14 +14,15 @@ from tdgbench.scenes.names import scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
+from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.worlds import WORLDS
-from tdgbench.scenes.synthetic.write import write_scene
+from tdgbench.scenes.synthetic.write import Shot, write_scene
 
 
 class SyntheticDataset:
-    """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, and seed.
+    """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, seed, and errors.
 
-    width, height: of the images, px. views: cameras per scene. points: sparse points per scene.
+    width, height: of the images, px. views: cameras per scene. points: sparse points per scene. errors: of the capture.
 
     >>> SyntheticDataset("data", ReadOptions()).names()
     ['orbit', 'night', 'turntable', 'facade']
@@ -36,10 +37,11 @@ class SyntheticDataset:
         views: Annotated[int, Field(ge=2, le=1000)] = 40,
         points: NonNegativeInt = 4000,
         seed: NonNegativeInt = 0,
+        errors: CaptureErrors | None = None,
     ) -> None:
         self.root = Path(root)
         self.options = options
-        self.width, self.height, self.views, self.points, self.seed = width, height, views, points, seed
+        self.shot = Shot(width, height, views, points, seed, errors or CaptureErrors())
 
     def names(self) -> list[str]:
         return list(WORLDS)
@@ -54,25 +56,23 @@ class SyntheticDataset:
         name = scene_name(name) or next(iter(WORLDS))
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
-        return Description(name, "synthetic", WORLDS[name](self.seed).group)
+        return Description(name, "synthetic", WORLDS[name](self.shot.seed).group)
 
     def load(self, name: str | int | None) -> Scene:
         return self.outline(name).read()
 
     def outline(self, name: str | int | None) -> Outline:
         description = self.describe(name)
-        world = WORLDS[description.scene](self.seed)
+        world = WORLDS[description.scene](self.shot.seed)
         folder = self.folder(description.scene)
         if not folder.exists():
-            write_scene(world, folder, self.width, self.height, self.views, self.points, self.seed)
+            write_scene(world, folder, self.shot)
         return outline_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
 
     def folder(self, name: str) -> Path:
         """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
-        return (
-            self.root
-            / "synthetic"
-            / f"{name}-{self.width}x{self.height}-{self.views}v-{self.points}p-seed{self.seed}-{version}"
-        )
+        shot = self.shot
+        counts = f"{shot.width}x{shot.height}-{shot.views}v-{shot.points}p-seed{shot.seed}"
+        return self.root / "synthetic" / f"{name}-{counts}{shot.errors.title}-{version}"

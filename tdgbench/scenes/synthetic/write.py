@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -13,39 +14,63 @@ from PIL import Image
 
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.render import look_at, render
 from tdgbench.scenes.synthetic.worlds import World
 
 PALETTE = "inferno"
-NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
 POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
 
 
-def write_scene(world: World, folder: Path, width: int, height: int, views: int, points: int, seed: int) -> None:
-    """Render `views` images of width × height px and write the scene; the folder appears when it is complete."""
-    rng = np.random.default_rng(seed)
-    K = np.array([[world.focal * width, 0, width / 2], [0, world.focal * width, height / 2], [0, 0, 1]])
-    cameras = [Camera(K, look_at(eye, target), width, height) for eye, target in world.cameras(views, rng)]
+@dataclass(frozen=True)
+class Shot:
+    """What is drawn for a scene: its images' size in px, numbers of views and points, errors, seed."""
+
+    width: int
+    height: int
+    views: int
+    points: int
+    seed: int
+    errors: CaptureErrors
+
+    def cameras(self, world: World, rng: np.random.Generator) -> list[Camera]:
+        """The true cameras."""
+        focal = world.focal * self.width
+        K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
+        poses = (look_at(eye, target) for eye, target in world.cameras(self.views, rng))
+        return [Camera(K, pose, self.width, self.height) for pose in poses]
+
+
+def write_scene(world: World, folder: Path, shot: Shot) -> None:
+    """Render the images and write the scene; the folder appears when it is complete.
+
+    Images and true depth are those of the true cameras, the COLMAP model has the given ones; its points are where they
+    are. Errors have random numbers of their own.
+    """
+    rng = np.random.default_rng(shot.seed)
+    cameras = shot.cameras(world, rng)
+    drifts = shot.errors.drifts(len(cameras), shot.seed)
     folder.parent.mkdir(parents=True, exist_ok=True)
     private = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     part = private / folder.name  # its permissions follow the umask; those of `private` do not
     try:
         for sub in ("rgb", "thermal", "depth"):
             (part / sub).mkdir(parents=True)
-        named, images = [], []
+        names, images = [], []
         for index, camera in enumerate(cameras):
             name = f"view{index:03d}"
             rgb, degC, depth = render(world, camera)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
             Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
-            thermal = _thermal_image(degC + rng.normal(0, NOISE_DEGC, degC.shape), world)
-            Image.fromarray(thermal).save(part / "thermal" / f"{name}.png")
+            degC = degC + rng.normal(0, shot.errors.noise_degC, degC.shape) + drifts[index]
+            Image.fromarray(thermal_image(degC, world)).save(part / "thermal" / f"{name}.png")
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))
-            named.append((f"{name}.png", camera))
+            names.append(f"{name}.png")
             images.append((rgb, depth))
-        cloud = _sparse_points(cameras, images, round(points * world.point_share), rng)
+        cloud = _sparse_points(cameras, images, round(shot.points * world.point_share), rng)
+        named = list(zip(names, shot.errors.given(cameras, shot.seed), strict=True))
         write_model(part / "sparse" / "0", named, cloud)
         low, high = world.temperatures
         (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}), encoding="utf-8")
@@ -58,7 +83,7 @@ def write_scene(world: World, folder: Path, width: int, height: int, views: int,
         shutil.rmtree(private, ignore_errors=True)
 
 
-def _thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
+def thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
     """8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
     low, high = world.temperatures
     level = np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)

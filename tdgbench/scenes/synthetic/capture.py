@@ -1,0 +1,63 @@
+"""Errors of a capture: noise of the thermal sensor, its drift between views, wrong poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from tdgbench.scenes.scene import Camera
+
+NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
+STREAM = 16  # of random numbers, so that errors do not change a scene's other draws
+
+DegC = Annotated[float, Field(ge=0, le=100)]
+
+
+@dataclass(frozen=True)
+class CaptureErrors:
+    """Standard deviations of errors, each drawn anew for every view (noise: for every pixel) and normally distributed.
+
+    noise_degC: of the temperatures. drift_degC: of the offset of a view's temperatures. pose_degrees: of the turn of a
+    given camera from the true one, about each of its axes. pose_units: of its displacement along each axis, in world
+    units (m).
+    """
+
+    noise_degC: DegC = NOISE_DEGC
+    drift_degC: DegC = 0.0
+    pose_degrees: Annotated[float, Field(ge=0, le=45)] = 0.0
+    pose_units: Annotated[float, Field(ge=0, le=10)] = 0.0
+
+    @property
+    def title(self) -> str:
+        """The errors that are not the default, for the name of a folder.
+
+        >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
+        ('', '-drift_degC0.5')
+        """
+        return "".join(
+            f"-{field.name}{getattr(self, field.name):g}"
+            for field in fields(self)
+            if getattr(self, field.name) != field.default
+        )
+
+    def drifts(self, views: int, seed: int) -> np.ndarray:
+        """Offsets (views,) of the views' temperatures, °C."""
+        return self.drift_degC * np.random.default_rng([seed, STREAM, 0]).normal(size=views)
+
+    def given(self, cameras: list[Camera], seed: int) -> list[Camera]:
+        """The cameras as the scene's files give them; the true ones if there are no pose errors."""
+        if self.pose_degrees == 0 and self.pose_units == 0:
+            return cameras
+        rng = np.random.default_rng([seed, STREAM, 1])
+        return [self.misplaced(camera, rng) for camera in cameras]
+
+    def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
+        """The camera, turned and displaced by errors drawn from `rng`."""
+        error = np.eye(4)
+        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * rng.normal(size=3), degrees=True).as_matrix()
+        error[:3, 3] = self.pose_units * rng.normal(size=3)
+        return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)

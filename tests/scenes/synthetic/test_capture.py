@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from tdgbench.scenes import ReadOptions
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
+from tests.helpers.scenes import small_dataset
+
+SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
+DEFAULT = {"orbit": "e8f57fcbf50ecdaa", "turntable": "0226cd150bd92687"}  # fingerprints before errors were options
+
+
+def load(root, **errors):
+    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(**errors)).load("turntable")
+
+
+@pytest.mark.parametrize("name", DEFAULT)
+def test_scenes_without_further_errors_are_as_before(data_root, name):
+    assert small_dataset(data_root).load(name).fingerprint == DEFAULT[name]
+
+
+def test_noise_and_drift_are_those_asked_for(data_root, tmp_path):
+    clean = load(data_root)
+    noisy, drifting = load(tmp_path, noise_degC=1.0), load(tmp_path, drift_degC=2.0)
+    span = clean.temperature.max - clean.temperature.min
+    pairs = zip(clean.views, noisy.views, drifting.views, strict=True)
+    noise, drift = zip(*((b.thermal - a.thermal, c.thermal - a.thermal) for a, b, c in pairs), strict=True)
+    assert np.std(noise) * span == pytest.approx(1.0, rel=0.1)
+    expected = CaptureErrors(drift_degC=2.0).drifts(len(clean.views), 0)
+    assert np.abs(np.median(drift, axis=(1, 2, 3)) * span - expected).max() < 0.2
+
+
+def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
+    clean, wrong = load(data_root), load(tmp_path, pose_degrees=0.5, pose_units=0.02)
+    turns, shifts = [], []
+    for a, b in zip(clean.views, wrong.views, strict=True):
+        assert np.array_equal(a.thermal, b.thermal) and np.array_equal(a.true_depth, b.true_depth)
+        error = b.camera.world_to_camera @ np.linalg.inv(a.camera.world_to_camera)
+        turns.append(np.degrees(np.arccos((np.trace(error[:3, :3]) - 1) / 2)))
+        shifts.append(np.linalg.norm(error[:3, 3]))
+    assert np.sqrt(np.mean(np.square(turns)) / 3) == pytest.approx(0.5, rel=0.4)
+    assert np.sqrt(np.mean(np.square(shifts)) / 3) == pytest.approx(0.02, rel=0.4)
+    assert np.array_equal(clean.points.points, wrong.points.points)
+
+
+def test_folders_name_the_errors(tmp_path):
+    folders = {load(tmp_path, **errors).folder.name for errors in ({}, {"noise_degC": 0.5}, {"pose_units": 0.01})}
+    assert len(folders) == 3
