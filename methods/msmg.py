@@ -11,6 +11,7 @@ from pydantic import NonNegativeFloat
 
 from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
+from tdgbench.training.images import COLOUR
 from tdgbench.training.losses import photometric, thermal
 from tdgbench.training.method import Context, Share, SmoothnessReading, Step, rgb_tensor, thermal_tensor, valid_tensor
 from tdgbench.training.model import SplatModel
@@ -38,7 +39,7 @@ class MSMG:
         self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
 
     def setup(self, context: Context) -> None:
-        self.rgb = context.make_model(3)
+        self.rgb = context.make_model(3, COLOUR)
         self.thermal = context.make_model(context.scene.channels)
         self.rgb_views = context.view_order()
         self.thermal_views = context.view_order()

@@ -60,7 +60,7 @@ class TDg:
     def setup(self, context: Context) -> None:
         self.model = context.make_model(context.scene.channels)
         self.views = context.view_order()
-        self.targets = {name: DepthTarget.of(prior, context.device) for name, prior in context.priors.items()}
+        self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
         self.last_depth_iteration = int(self.decay_end * context.budget.iterations)  # t_end
         self.skips_depth = self._decide_skip(context)
@@ -93,7 +93,7 @@ class TDg:
         return decay_weight(iteration, 1, self.last_depth_iteration)
 
     def _depth_loss(self, view: View, render: Render) -> Tensor:
-        prior = self.targets[view.name]
+        prior = self.targets.of(view)
         if self.depth == "released":
             return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
         return depth_loss(comparable_depth(render, prior.kind), prior)
@@ -125,6 +125,25 @@ class DepthTarget:
             return cls(min_max(values), None, prior.kind)
         normalised = torch.where(valid, min_max(_fill_unknown(values, valid)), 0.0)
         return cls(normalised, valid, prior.kind)
+
+
+class DepthTargets:
+    """Depth priors by view, normalised at the resolution at which the view is trained on."""
+
+    def __init__(self, priors: dict[str, DepthPrior], device: torch.device) -> None:
+        self._priors, self._device = priors, device
+        self._targets: dict[str, DepthTarget] = {}
+
+    def __len__(self) -> int:
+        return len(self._priors)
+
+    def of(self, view: View) -> DepthTarget:
+        """The target of a view, in the size of its image."""
+        size = (view.camera.height, view.camera.width)
+        if view.name not in self._targets or self._targets[view.name].normalised.shape != size:
+            prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
+            self._targets[view.name] = DepthTarget.of(prior, self._device)
+        return self._targets[view.name]
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:

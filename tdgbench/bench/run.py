@@ -35,11 +35,10 @@ from tdgbench.scoring import Scorer, mean_scores, to_8bit
 from tdgbench.splats.ply import save_ply
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
-from tdgbench.training.loop import LogLine, TrainingLog, train
+from tdgbench.training.loop import LogLine, TrainingLog, stopping_of, train
 from tdgbench.training.method import Method, training_device
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
-from tdgbench.training.skips.plateau import Plateau
 
 
 class CellRun(SetupObserver):
@@ -137,8 +136,7 @@ class CellRun(SetupObserver):
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
         method, context = training
-        rule = context.budget.plateau
-        plateau = Plateau(rule, len(self.scene.train)) if rule is not None and self.skips.plateau.allowed else None
+        plateau = stopping_of(method, context)
         self.checkpoint = self._open_checkpoint()
         log = self.checkpoint.take_up(method, context, plateau)
         on_line = self._log_listener(log.iterations)

@@ -8,6 +8,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from tdgbench.scenes import Scene, View
+from tdgbench.scenes.images import resize
 from tdgbench.text import one_line
 
 Kind = Literal["depth", "disparity", "metric"]
@@ -66,6 +67,21 @@ class DepthPrior:
         if not np.isfinite(self.values).any():
             raise PriorError(f"the depth prior of view {view.name} has no finite value")
         return self
+
+    def resized(self, width: int, height: int) -> DepthPrior:
+        """The map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
+
+        >>> values = np.array([[1.0, 3.0, np.nan, np.nan, np.nan, 4.0]], np.float32)
+        >>> DepthPrior(values, "depth").resized(3, 1).values.tolist()
+        [[2.0, nan, 4.0]]
+        """
+        if self.values.shape == (height, width):
+            return self
+        known = np.isfinite(self.values)
+        share = resize(known[..., None].astype(np.float32), width, height)[..., 0]
+        sums = resize(np.where(known, self.values, np.float32(0))[..., None], width, height)[..., 0]
+        unknown = np.float32(np.nan)
+        return DepthPrior(np.divide(sums, share, out=np.full_like(sums, unknown), where=share > 0), self.kind)
 
 
 class DepthEstimator(Protocol):

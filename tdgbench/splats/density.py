@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import torch
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
@@ -85,6 +85,15 @@ class DensityChange:
     cloned: int = 0
     split: int = 0
     pruned: int = 0
+    withheld: int = 0  # that the gradients' threshold would have grown, and other evidence did not
+
+
+class Verdict(NamedTuple):
+    """Which of N Gaussians to grow and to remove, decided by other evidence than the gradients of 3DGS."""
+
+    strength: Tensor  # (N,): if not all can grow, the strongest do
+    grow: Tensor  # (N,) bool
+    useless: Tensor  # (N,) bool
 
 
 class DensityControl:
@@ -131,8 +140,13 @@ class DensityControl:
         return iteration < self.rules.stop
 
     @torch.no_grad()
-    def update(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> DensityChange:
-        """Clone, split, prune and reset opacities as due at an iteration; children's positions are random."""
+    def update(
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: Verdict | None = None
+    ) -> DensityChange:
+        """Clone, split, prune and reset opacities as due at an iteration; children's positions are random.
+
+        verdict: on the current Gaussians, in the place of the gradients' threshold.
+        """
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
             return change
@@ -141,26 +155,30 @@ class DensityControl:
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
-            self._densify_and_prune(change, iteration, generator)
+            self._densify_and_prune(change, iteration, generator, verdict)
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
             self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
             optimizer.reset_moments("opacity_logits")
         return change
 
-    def _densify_and_prune(self, change: DensityChange, iteration: int, generator: torch.Generator) -> None:
+    def _densify_and_prune(
+        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: Verdict | None
+    ) -> None:
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
-        grads = torch.nan_to_num(self.grad_sum / self.view_counts)
+        by_gradients = self._by_gradients()
+        verdict = verdict or by_gradients
+        change.withheld = int((by_gradients.grow & ~verdict.grow).sum())
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
-        hot = grads >= rules.grad_threshold
+        hot = verdict.grow
         if rules.max_gaussians is not None:
-            hot = _hottest(hot, grads, rules.max_gaussians - len(old))
+            hot = _strongest(hot, verdict.strength, rules.max_gaussians - len(old))
         clone, split = (hot & small).nonzero().squeeze(1), (hot & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        remove = old.opacities < rules.min_opacity
+        remove = (old.opacities < rules.min_opacity) | verdict.useless
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -176,6 +194,11 @@ class DensityControl:
         self.state.exchange(remove.nonzero().squeeze(1), added[~drop])
         self._clear()
 
+    def _by_gradients(self) -> Verdict:
+        """The verdict of 3DGS: Gaussians whose centre has a large gradient in the image grow."""
+        grads = torch.nan_to_num(self.grad_sum / self.view_counts)
+        return Verdict(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
+
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Children (split_into · n, columns) of parents (n, columns): smaller, at points drawn from their parent."""
         n = self.rules.split_into
@@ -190,11 +213,11 @@ class DensityControl:
         return children
 
 
-def _hottest(hot: Tensor, grads: Tensor, quota: int) -> Tensor:
-    """At most `quota` of the marked Gaussians (N,), those with the largest gradients."""
-    if int(hot.sum()) <= quota:
-        return hot
-    chosen = torch.zeros_like(hot)
+def _strongest(grow: Tensor, strength: Tensor, quota: int) -> Tensor:
+    """At most `quota` of the marked Gaussians (N,), the strongest ones."""
+    if int(grow.sum()) <= quota:
+        return grow
+    chosen = torch.zeros_like(grow)
     if quota > 0:
-        chosen[torch.where(hot, grads, -1.0).argsort(descending=True, stable=True)[:quota]] = True
+        chosen[torch.where(grow, strength, -1.0).argsort(descending=True, stable=True)[:quota]] = True
     return chosen

@@ -74,6 +74,7 @@ class Adam:
     def __init__(self, state: TrainingState, rates: LearningRates, extent: float) -> None:
         """extent: of the scene, world units."""
         self.state, self.rates, self.extent = state, rates, extent
+        self.slowdown = 1.0  # factor of all learning rates, at most 1
         self.steps = dict.fromkeys(Gaussians.names(), 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
@@ -193,7 +194,7 @@ class Adam:
             rates[columns], steps[columns] = rate, max(self.steps[name], 1)
         start = self.state.column_of("sh").start
         rates[start : start + self.state.channels] = self.rates.sh_dc
-        return rates, 1 - BETA1**steps, 1 - BETA2**steps
+        return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
 
     @torch.no_grad()
     def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:

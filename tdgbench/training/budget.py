@@ -9,6 +9,9 @@ from pydantic import Field, PositiveInt
 
 from tdgbench.splats.density import DensityRules
 from tdgbench.splats.optimizer import LearningRates
+from tdgbench.training.growth import GrowthRule
+from tdgbench.training.pixels import PixelRule
+from tdgbench.training.settling import SettlingRule
 from tdgbench.training.skips.plateau import PlateauRule
 
 
@@ -22,6 +25,9 @@ class Budget:
     sh_every: PositiveInt  # iterations after which the SH degree in use rises by one
     rates: LearningRates
     density: DensityRules
+    growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
+    pixels: PixelRule | None = None  # resolution of the images; None: full from the start
+    settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`
     plateau: PlateauRule | None = None  # rule for stopping early; None: never
 
     def active_degree(self, iteration: int) -> int:

@@ -16,9 +16,8 @@ import torch
 from torch import Tensor
 
 from tdgbench.files import whole_file
-from tdgbench.training.loop import LogLine, TrainingLog
+from tdgbench.training.loop import LogLine, Stopping, TrainingLog
 from tdgbench.training.method import Context, Method
-from tdgbench.training.skips.plateau import Plateau
 
 MAX_SHARE = 0.02  # of the time that writing takes
 DIGEST = "sha256"  # of the file of torch, behind which it is written
@@ -44,7 +43,7 @@ class Checkpoint:
         if self.seconds is not None and self.seconds < 0:
             raise ValueError(f"checkpoint is {self.seconds}; it must be 0 or more seconds of training, or null")
 
-    def take_up(self, method: Method, context: Context, plateau: Plateau | None) -> TrainingLog:
+    def take_up(self, method: Method, context: Context, plateau: Stopping | None) -> TrainingLog:
         """Load the stored state into a method that was just set up; returns the log so far, or an empty one.
 
         A file that is not whole, or that holds another state than this method has, is not used; nothing is loaded then.

@@ -6,15 +6,40 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import torch
 
 from tdgbench.training.errors import EmptyModelError, NonFiniteError
-from tdgbench.training.method import Method, Step
+from tdgbench.training.method import Context, Method, Step
 from tdgbench.training.model import SplatModel
+from tdgbench.training.settling import Settling
 from tdgbench.training.skips.plateau import Plateau
 
 LOG_LINES = 200
+
+
+class Stopping(Protocol):
+    """Decides when a training ends before its last iteration."""
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        """Note an iteration's loss; True from the iteration on at which training may end."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Its state, as `torch.save` takes it."""
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+
+
+def stopping_of(method: Method, context: Context) -> Stopping | None:
+    """What stops a training early, by the rules of its budget and the skips; None: nothing."""
+    budget, skips = context.budget, context.skips
+    if budget.settling is not None and skips.settling.allowed:
+        return Settling(budget.settling, method, context)
+    if budget.plateau is not None and skips.plateau.allowed:
+        return Plateau(budget.plateau, len(context.scene.train))
+    return None
 
 
 @dataclass
@@ -44,7 +69,7 @@ def train(
     method: Method,
     iterations: int,
     on_line: Callable[[LogLine], None] | None = None,
-    plateau: Plateau | None = None,
+    plateau: Stopping | None = None,
     on_step: Callable[[TrainingLog], None] | None = None,
     log: TrainingLog | None = None,
     on_model: Callable[[TrainingLog], None] | None = None,

@@ -16,7 +16,11 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.growth import Significance
+from tdgbench.training.images import THERMAL, Modality
 from tdgbench.training.model import SplatModel
+from tdgbench.training.pixels import schedule
 from tdgbench.training.skips import Skips
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -26,16 +30,21 @@ SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.loss
 class ViewOrder:
     """Views in random order without replacement, reshuffled after each round (3DGS)."""
 
-    def __init__(self, views: list[View], generator: torch.Generator) -> None:
+    def __init__(self, views: list[View], generator: torch.Generator, curriculum: Curriculum | None = None) -> None:
+        """curriculum: which of the views, and at which resolution; None: all as they are."""
         self._views = views
         self._generator = generator
+        self._curriculum = curriculum
         self._order: list[int] = []
 
     def next(self) -> View:
         """The next view."""
         if not self._order:
             self._order = torch.randperm(len(self._views), generator=self._generator).tolist()
-        return self._views[self._order.pop()]
+            if self._curriculum is not None:
+                self._order = [i for i in self._order if self._curriculum.shows(self._views[i])]
+        view = self._views[self._order.pop()]
+        return view if self._curriculum is None else self._curriculum.at_resolution(view)
 
     def state_dict(self) -> dict[str, Any]:
         """The rest of this round; the random stream is the context's."""
@@ -61,8 +70,18 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
+    curriculum: Curriculum = field(init=False)
     _generators: list[torch.Generator] = field(default_factory=list, repr=False)
     _orders: list[ViewOrder] = field(default_factory=list, repr=False)
+
+    def __post_init__(self) -> None:
+        budget, views, skips = self.budget, self.scene.train, self.skips
+        steps, held = [], []
+        if budget is not None and budget.pixels is not None and skips.pixels.allowed:
+            steps = schedule(budget.pixels, views, budget.iterations)
+        if budget is not None and budget.settling is not None and skips.settling.allowed:
+            held = budget.settling.hold_out(views)
+        self.curriculum = Curriculum(steps, held)
 
     def generator(self) -> torch.Generator:
         """A new random stream; equal seeds give equal streams in the order of the calls."""
@@ -76,15 +95,21 @@ class Context:
         """Device on which the backend trains."""
         return training_device(self.backend)
 
-    def make_model(self, channels: int) -> SplatModel:
+    def make_model(self, channels: int, modality: Modality = THERMAL) -> SplatModel:
         """Model at the initial points, to train on images with this many channels."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
-        return SplatModel(start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips)
+        significance = None
+        if self.budget.growth is not None and self.skips.growth.allowed:
+            significance = Significance(self.budget.growth, self.scene.train, modality, self.curriculum, self.backend)
+        return SplatModel(
+            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, significance,
+            self.curriculum,
+        )  # fmt: skip
 
     def view_order(self, views: list[View] | None = None) -> ViewOrder:
         """A new random order of the training views, or of some of them."""
-        self._orders.append(ViewOrder(self.scene.train if views is None else views, self.generator()))
+        self._orders.append(ViewOrder(self.scene.train if views is None else views, self.generator(), self.curriculum))
         return self._orders[-1]
 
     def state_dict(self) -> dict[str, Any]:

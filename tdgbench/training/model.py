@@ -12,13 +12,15 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.density import DensityChange, DensityControl
+from tdgbench.splats.density import DensityChange, DensityControl, Verdict
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.growth import Significance
 from tdgbench.training.skips import Skips
 
 
@@ -33,6 +35,7 @@ class Work:
     cloned: int = 0  # Gaussians
     split: int = 0
     pruned: int = 0
+    withheld: int = 0
 
     def add(self, gradients: Gradients, count: int) -> None:
         """Add the backward pass of a view of `count` Gaussians."""
@@ -46,6 +49,7 @@ class Work:
         self.cloned += change.cloned
         self.split += change.split
         self.pruned += change.pruned
+        self.withheld += change.withheld
 
     def density(self) -> dict[str, int]:
         """Numbers of Gaussians that density control cloned, split and pruned."""
@@ -63,8 +67,13 @@ class SplatModel:
         backend: str,
         generator: torch.Generator,
         skips: Skips | None = None,
+        significance: Significance | None = None,
+        curriculum: Curriculum | None = None,
     ) -> None:
-        """extent: of the scene, world units. generator: draws the children of split Gaussians."""
+        """extent: of the scene, world units. generator: draws the children of split Gaussians.
+
+        significance: what decides which Gaussians grow; None: 3DGS's rule.
+        """
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -73,6 +82,8 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
+        self.significance = significance
+        self.curriculum = curriculum or Curriculum()
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -127,6 +138,7 @@ class SplatModel:
     def begin(self, iteration: int) -> None:
         """Start an iteration (1-based): raise the SH degree if it is due."""
         self._iteration = iteration
+        self.curriculum.begin(iteration)
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
             self.degree += 1
 
@@ -138,6 +150,13 @@ class SplatModel:
         """Whether the model at an iteration has recovered from density control, and is worth saving."""
         return self.budget.density.has_recovered(iteration, self.budget.iterations)
 
+    def _judge(self, iteration: int) -> Verdict | None:
+        """Verdict of the budget's growth rule, where it has one and a round of density control is due."""
+        rules = self.budget.density
+        if self.significance is None or not rules.is_round(iteration, self.budget.iterations):
+            return None
+        return self.significance.judge(self.gaussians, self.degree, iteration // rules.every)
+
     def finish(self, iteration: int) -> str | None:
         """End an iteration, after the backward pass: density control, then an Adam step.
 
@@ -145,7 +164,8 @@ class SplatModel:
         a parameter whose gradient is not finite, or None; Adam has then used it.
         """
         parts, self._gradients = self._gradients, []
-        change = self.density.update(self.optimizer, iteration, self._generator)
+        verdict = self._judge(iteration)
+        change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
         if parts and not change.densified:
             gradients = Gradients.total(parts, len(self.state))

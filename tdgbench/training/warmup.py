@@ -9,6 +9,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
+from tdgbench.training.evidence import look_at
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
 from tdgbench.training.method import training_device
 from tdgbench.training.model import SplatModel
@@ -45,4 +46,6 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
                 loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
             loss.backward()
             model.finish(iteration)
+        if budget.growth is not None:
+            look_at(model.gaussians, camera, torch.zeros(SIZE, SIZE, device=model.state.values.device), None, backend)
         model.optimizer.flush()

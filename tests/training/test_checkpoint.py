@@ -8,12 +8,16 @@ import pytest
 import torch
 
 from tdgbench.training.checkpoint import Checkpoint
-from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.loop import TrainingLog, stopping_of, train
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
 RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)
+LEAN = (  # every rule of the lean budget: images are small at first; it settles in iteration 48
+    "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
+    "budget.settling.fewest=1",
+)  # fmt: skip
 
 
 class KilledError(Exception):
@@ -21,7 +25,13 @@ class KilledError(Exception):
 
 
 def set_up(scene, name: str):
-    """A method that is ready to train, its context and a plateau that is watched but never reached."""
+    """A method that is ready to train, its context and a plateau that is watched but never reached.
+
+    name: of the method; `lean` is 3DGS with the lean budget, and what stops it.
+    """
+    if name == "lean":
+        method, context = ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
+        return method, context, stopping_of(method, context)
     often = (
         "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
         "budget.density.reset_recovery=1",
@@ -46,7 +56,7 @@ def timeless(log: TrainingLog):
     return log.iterations, [(n.iteration, n.loss, n.psnr, n.gaussians, n.terms) for n in log.lines]
 
 
-@pytest.mark.parametrize("name", ["tdg", "msmg", "splat"])
+@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean"])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
     method, _, plateau = set_up(small_gray_scene, name)
     calm = train(method, ITERATIONS, plateau=plateau)

@@ -18,7 +18,7 @@ from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.training.budget import Budget
-from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.loop import TrainingLog, stopping_of, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 
@@ -75,7 +75,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )  # fmt: skip
 
-    train(method, context.budget.iterations, on_model=sample)
+    train(method, context.budget.iterations, plateau=stopping_of(method, context), on_model=sample)
     return pd.DataFrame(rows)
 
 

@@ -1,9 +1,10 @@
 from hydra.utils import instantiate
 
+from tdgbench.training.loop import stopping_of, train
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 from tests.helpers.configs import config
-from tests.helpers.training import trained
+from tests.helpers.training import ready_to_train, trained
 
 
 def account(scene, name="splat", **options):
@@ -42,3 +43,46 @@ def test_a_backend_that_does_not_count_pairs_is_not_spoken_for(small_gray_scene)
     work.pairs = work.blended = 0
     note_training(skips, small_gray_scene, method, instantiate(config("budget=demo").budget), log)
     assert skips.saturated.reason == "the backend does not tell" and not skips.saturated.taken
+
+
+RULES = (
+    "budget=lean", "budget.iterations=60", "budget.density.start=5", "budget.density.every=5", "budget.density.stop=20",
+    "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=5",
+    "budget.settling.after=20", "budget.settling.patience=1", "budget.settling.gain=50", "budget.settling.fewest=1",
+)  # fmt: skip
+
+
+def account_lean(scene, *overrides, **options):
+    skips = Skips(**options)
+    method, context = ready_to_train(scene, "splat", 60, *RULES, *overrides, skips=skips)
+    log = train(method, 60, plateau=stopping_of(method, context))
+    note_training(skips, scene, method, context.budget, log)
+    return {skip.name: skip for skip in skips.all()}, method
+
+
+def test_the_rules_of_the_lean_budget(small_gray_scene):
+    found, method = account_lean(small_gray_scene)
+    work = method.models()["thermal"].work
+    assert work.withheld > 0 and found["growth"].saved == f"growth of {work.withheld} Gaussians with large gradients"
+    assert "evidence from 10 views a round" in found["growth"].reason
+    assert found["pixels"].reason.startswith("1/4 until iteration") and "% of the pixels" in found["pixels"].saved
+    assert found["settling"].saved == "22 of 60 iterations"  # settled at 30, a quarter more
+    assert found["settling"].reason == "1 held-out views gained less than 50 dB in 5 iterations"
+
+
+def test_each_rule_can_be_switched_off_alone(small_gray_scene):
+    everything = {"growth", "pixels", "settling"}
+    for name in everything:
+        found, method = account_lean(small_gray_scene, **{name: False})
+        assert found[name].reason == "switched off" and not found[name].taken
+        assert all(found[other].taken for other in everything - {name})
+        model = method.models()["thermal"]
+        assert (model.significance is None) == (name == "growth")
+        assert (model.curriculum.steps == []) == (name == "pixels")
+        assert (model.curriculum.held == []) == (name == "settling")
+
+
+def test_budgets_without_the_rules_take_none_of_them(small_gray_scene):
+    found = account(small_gray_scene)
+    for name in ("growth", "pixels", "settling"):
+        assert found[name].reason.startswith("the budget has no") and not found[name].taken

@@ -9,7 +9,7 @@ from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 from tests.helpers.configs import config
 
-NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated", "plateau"]
+NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated", "growth", "pixels", "settling", "plateau"]
 MADE_UP = """
 from tdgbench.training.skips.skip import Skip
 

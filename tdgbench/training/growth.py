@@ -1,0 +1,89 @@
+"""Growth of what is significant: what several views show in one half of a footprint and not in the other.
+
+A Gaussian that is split or cloned can give its two halves different values. What that would explain is the difference
+of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
+±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
+A Gaussian grows where |D| exceeds `z` times that. Errors of single views have different signs and cancel in D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from pydantic import NonNegativeFloat, PositiveInt
+from torch import Tensor
+
+from tdgbench.scenes import View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.density import Verdict
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import Pinhole
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.evidence import Evidence, Footprints, look_at
+from tdgbench.training.images import Modality
+from tdgbench.training.noise import typical_noise
+
+PRIOR_FREEDOM = 4.0  # views that the disagreement of all Gaussians counts as
+FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
+
+
+@dataclass(frozen=True)
+class GrowthRule:
+    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold."""
+
+    views: PositiveInt  # training views that a round looks at
+    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
+    min_weight: NonNegativeFloat  # px a view; what has less weight in the views that show it is pruned
+
+
+class Significance:
+    """Decides by a rule which Gaussians of a model grow."""
+
+    def __init__(
+        self, rule: GrowthRule, views: list[View], modality: Modality, curriculum: Curriculum, backend: str
+    ) -> None:
+        """views: of the training; a round looks at some of them, at the curriculum's resolution."""
+        self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of the noise in the views' images, at full resolution."""
+        return typical_noise((self.modality.array(view), self.modality.valid(view)) for view in self.views)
+
+    @torch.no_grad()
+    def judge(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
+        """Verdict on the Gaussians, rendered at an SH degree. turn: number of the round; it chooses the views."""
+        evidence = Evidence.none(gaussians.means)
+        for view in self.chosen(turn):
+            evidence.add(self._look(self.curriculum.at_resolution(view), gaussians, degree))
+        is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
+        strength = torch.where(is_known, evidence.difference.abs() / self._variance(evidence, is_known).sqrt(), 0.0)
+        useless = evidence.weight < self.rule.min_weight * evidence.views
+        return Verdict(strength, strength > self.rule.z, (evidence.views >= FEWEST_VIEWS) & useless)
+
+    def _variance(self, evidence: Evidence, is_known: Tensor) -> Tensor:
+        """Variance (N,) of the evidence's differences by noise and by what differs between views.
+
+        The latter is estimated from each Gaussian's own views and, as they are few, from those of all Gaussians: the
+        moderated variance of Smyth (2004), whose prior is the median here.
+        """
+        own, weight = evidence.disagreement(), evidence.weight
+        usual = (own / weight)[is_known].median() if is_known.any() else own.new_zeros(())
+        freedom = evidence.views - 1
+        moderated = (PRIOR_FREEDOM * usual * weight + freedom * own) / (PRIOR_FREEDOM + freedom)
+        return torch.maximum(moderated, self.noise**2 * weight)
+
+    def chosen(self, turn: int) -> list[View]:
+        """The views of a round: evenly spread, one further in every round."""
+        count = len(self.views)
+        looks = min(self.rule.views, count)
+        return [self.views[(turn + i * count // looks) % count] for i in range(looks)]
+
+    def _look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
+        """Footprints in what a view shows and the Gaussians do not, as a mean over the channels."""
+        camera = Pinhole.of(view.camera).to(gaussians.means)
+        image = render_view(gaussians.activated(degree), camera, backend=self.backend).image
+        residual = (self.modality.tensor(view, image.device) - image).mean(dim=-1)
+        return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)

@@ -1,0 +1,61 @@
+"""Resolution of the training images over a training: low at first, as far as their spectrum allows (DashGaussian)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, PositiveInt
+
+from tdgbench.scenes import View
+from tdgbench.scenes.images import resize
+from tdgbench.training.noise import noise_of
+from tdgbench.training.spectrum import significant_amplitudes
+
+SCALES = (8, 6, 4, 3, 2, 1)
+MOSTLY = 0.5
+
+
+@dataclass(frozen=True)
+class PixelRule:
+    """Images have 1/scale of their width until the share of the schedule that their spectrum has below that scale.
+
+    DashGaussian (Chen et al. 2025) gives a resolution the iterations that its frequencies add to the spectrum. Noise
+    has no part in the spectrum here.
+    """
+
+    largest_scale: Annotated[int, Field(ge=1, le=SCALES[0])]
+    until: Annotated[float, Field(gt=0, le=1)]  # share of all iterations, after which images have all their pixels
+    smallest_side: PositiveInt  # px, of an image at any scale
+
+
+def schedule(rule: PixelRule, views: list[View], iterations: int) -> list[tuple[int, int]]:
+    """Steps (last iteration, scale) of `Curriculum`, for the thermal images of the views."""
+    side = min(min(view.camera.width, view.camera.height) for view in views)
+    scales = tuple(s for s in SCALES if s <= rule.largest_scale and (s == 1 or side // s >= rule.smallest_side))
+    shares = np.mean(
+        [significant_amplitudes(view.thermal, noise_of(view.thermal, view.valid), scales) for view in views], axis=0
+    )
+    ends = [int(share * rule.until * iterations) for share in shares]
+    return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
+
+
+def shrunk(view: View, scale: int) -> View:
+    """A view with 1/scale of the width and height, rounded; each pixel is the mean of the valid pixels in its area.
+
+    A pixel is valid if half of its area is; if there is no such pixel, the most valid ones are.
+    """
+    width, height = (max(1, round(side / scale)) for side in (view.camera.width, view.camera.height))
+    images = {"load_thermal": _later(resize(view.thermal, width, height)), "load_valid": None}
+    if view.valid is not None:
+        share = resize(view.valid[..., None].astype(np.float32), width, height)
+        valid = share[..., 0] >= min(MOSTLY, float(share.max()))
+        means = resize(view.thermal, width, height) / np.maximum(share, 1e-6)  # masked pixels are 0
+        images = {"load_thermal": _later(np.where(valid[..., None], means, np.float32(0))), "load_valid": _later(valid)}
+    load_rgb = None if view.load_rgb is None else lambda: resize(view.rgb, width, height)
+    return replace(view, camera=view.camera.resized(width, height), load_rgb=load_rgb, **images)  # type: ignore[arg-type]
+
+
+def _later(array: np.ndarray):
+    return lambda: array

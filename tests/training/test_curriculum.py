@@ -1,0 +1,38 @@
+import torch
+
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.method import ViewOrder
+
+
+def test_views_have_the_resolution_of_the_iteration(small_scene):
+    view = small_scene.train[0]
+    curriculum = Curriculum(steps=[(10, 4), (20, 2)])
+    widths = []
+    for iteration in (1, 10, 11, 20, 21):
+        curriculum.begin(iteration)
+        widths.append(curriculum.at_resolution(view).thermal.shape[1])
+    assert widths == [12, 12, 24, 24, 48] and curriculum.at_resolution(view) is view
+
+
+def test_a_shrunk_view_is_made_once(small_scene):
+    curriculum = Curriculum(steps=[(10, 2)])
+    curriculum.begin(1)
+    first = curriculum.at_resolution(small_scene.train[0])
+    curriculum.begin(2)
+    assert curriculum.at_resolution(small_scene.train[0]) is first
+
+
+def test_held_out_views_are_not_trained_on_until_they_are_folded_back(small_scene):
+    views = small_scene.train
+    curriculum = Curriculum(held=views[1:3])
+    order = ViewOrder(views, torch.Generator().manual_seed(0), curriculum)
+    shown = sorted(order.next().name for _ in range(len(views) - 2))
+    assert shown == sorted(view.name for view in views if view not in views[1:3])
+    curriculum.fold_back()
+    assert sorted(order.next().name for _ in views) == sorted(view.name for view in views)
+
+
+def test_without_rules_the_order_is_that_of_3dgs(small_scene):
+    orders = [ViewOrder(small_scene.train, torch.Generator().manual_seed(3), c) for c in (None, Curriculum())]
+    names = [[order.next().name for _ in range(20)] for order in orders]
+    assert names[0] == names[1]

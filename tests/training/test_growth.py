@@ -1,0 +1,121 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from tdgbench.scenes import Camera, View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.render import render_view
+from tdgbench.splats.view import Pinhole
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.growth import GrowthRule, Significance
+from tdgbench.training.images import COLOUR, THERMAL
+
+RULE = GrowthRule(views=10, z=2.5, min_weight=0.0)
+SIZE = 48
+
+
+def two() -> Gaussians:
+    """Two broad, nearly opaque Gaussians side by side, long in y."""
+    return Gaussians(
+        means=torch.tensor([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+        log_scales=torch.tensor([[0.3, 0.5, 0.05]]).repeat(2, 1).log(),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), opacity_logits=torch.full((2,), 4.0),
+        sh=torch.zeros(2, 1, 1),
+    )  # fmt: skip
+
+
+def view_of(name: str, camera: Camera, image: np.ndarray, valid: np.ndarray | None) -> View:
+    load_valid = None if valid is None else lambda: valid
+    return View(name, camera, lambda: image, lambda: np.repeat(image, 3, axis=2), load_valid=load_valid)
+
+
+def views(residual, noise: float = 0.0, count: int = 12, masked=None) -> list[View]:
+    """Views from a little beside each other. residual(x, y, number): added to a render of the Gaussians."""
+    random = np.random.default_rng(0)
+    made = []
+    for number in range(count):
+        pose = np.eye(4)
+        pose[:3, 3] = (0.1 * (number % 4 - 1.5), 0.1 * (number // 4 - 1), 4.0)
+        camera = Camera(np.array([[40.0, 0, 24], [0, 40.0, 24], [0, 0, 1]]), pose, SIZE, SIZE)
+        y, x = ((np.mgrid[:SIZE, :SIZE] + 0.5 - 24) / 10) - pose[[1, 0], 3][:, None, None]
+        image = render_view(two().activated(0), Pinhole.of(camera)).image.numpy()
+        image = image + (residual(x, y, number) + random.normal(0, noise, x.shape))[..., None].astype(np.float32)
+        valid = None if masked is None else ~masked(x, y)
+        made.append(view_of(str(number), camera, image, valid))
+    return made
+
+
+def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
+    significance = Significance(rule, views, modality, curriculum or Curriculum(), "cpu")
+    return significance.judge(two() if gaussians is None else gaussians, 0, turn=1)
+
+
+def edge(x, y, number):
+    """A step across the first Gaussian, the same in every view."""
+    return 0.2 * np.sign(y) * (x < 0)
+
+
+def drift(x, y, number):
+    """Every second view is brighter above, the others below: what they have in common is below z errors."""
+    return 0.2 * np.sign(y) * (-1) ** number
+
+
+def test_what_all_views_show_grows():
+    assert judge(views(edge)).grow.tolist() == [True, False]
+    assert judge(views(edge, noise=0.05)).grow.tolist() == [True, False]
+
+
+def test_what_differs_between_views_does_not_grow():
+    assert judge(views(drift)).grow.tolist() == [False, False]
+
+
+def test_noise_does_not_grow():
+    assert judge(views(lambda x, y, n: 0.0, noise=0.2)).grow.tolist() == [False, False]
+
+
+def test_an_edge_below_the_noise_of_the_images_does_not_grow():
+    faint = views(lambda x, y, n: 0.02 * edge(x, y, n), noise=0.2)
+    assert judge(faint).grow.tolist() == [False, False]
+
+
+def test_what_only_masked_pixels_show_does_not_grow():
+    assert judge(views(edge, masked=lambda x, y: x < 0.2)).grow.tolist() == [False, False]
+
+
+def test_a_colour_model_is_judged_by_colour_images():
+    colour = two()
+    colour.sh = torch.zeros(2, 1, 3)
+    dark = [dataclasses.replace(view, load_thermal=lambda: 1 / 0) for view in views(edge)]
+    assert judge(dark, colour, modality=COLOUR).grow.tolist() == [True, False]
+
+
+def test_views_are_judged_at_the_resolution_of_the_iteration():
+    curriculum = Curriculum(steps=[(10, 2)])
+    curriculum.begin(1)
+    assert judge(views(edge), curriculum=curriculum).grow[0]
+    seen = []
+    curriculum.at_resolution = lambda view: seen.append(view.name) or view  # type: ignore[method-assign,func-returns-value]
+    assert judge(views(edge), curriculum=curriculum).grow[0] and len(seen) == RULE.views
+
+
+def test_one_view_decides_nothing():
+    assert not judge(views(edge, count=1)).grow.any()
+
+
+def test_what_has_no_weight_is_pruned():
+    rule = dataclasses.replace(RULE, min_weight=1.0)
+    assert judge(views(edge), rule=rule).useless.tolist() == [False, False]
+    hidden = two()
+    hidden.log_scales[1] -= 5.0
+    hidden.opacity_logits[1] = -3.5
+    assert judge(views(edge), hidden, rule).useless.tolist() == [False, True]
+    assert not judge(views(edge, count=1), hidden, rule).useless.any()
+
+
+@pytest.mark.parametrize("turn", [0, 1, 7])
+def test_rounds_look_at_different_views_that_are_evenly_spread(turn):
+    significance = Significance(dataclasses.replace(RULE, views=4), list(range(12)), THERMAL, Curriculum(), "cpu")  # type: ignore[arg-type]
+    chosen = significance.chosen(turn)
+    assert sorted((view - turn) % 12 for view in chosen) == [0, 3, 6, 9]
