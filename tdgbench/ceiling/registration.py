@@ -1,58 +1,129 @@
 """Register the views with one another by their thermal values at the sparse points: by how much are their poses wrong?
 
-One step solves, for every view, for the turn and displacement of its camera that brings the view's values nearest to
-the points' means over views. Errors of single points average out, since a view sees hundreds of them.
+For every view, turn and displace its camera until the view shows at the points what the other views show there on
+average, as they are given. Errors of single points average out, since a view sees hundreds of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tdgbench.ceiling.sightings import Samples, Sightings, pixel_moves
-from tdgbench.ceiling.spread import MEDIAN_OF_SQUARE, means_by_point, sums_by_point
+from tdgbench.ceiling.images import SmallImage, between, blurred, shows
+from tdgbench.ceiling.sightings import Sightings
 from tdgbench.scenes import Camera
 
-ROUNDS = 8  # of the alternation between views and points' means
-HUBER = 1.5  # standard deviations
-LEAST_SCALE = 1e-6  # of image values
+BLURS = (2.0, 2.0, 2.0, 1.0, 1.0)  # px of the small images, of the steps
+REACH = 4.0  # times the blur, how far a step may go where the images say nothing
+STEEPER = 1.5  # times steeper than in the point's other views: an outline that the other views do not show
+OUTLIER = 4.0  # standard deviations, from which on a difference has no weight (Tukey's biweight)
+MEDIAN_OF_SQUARE = 0.455  # of a standard normal number
+LEAST = 1e-9  # variance of image values
 
 
-def step(sightings: Sightings, samples: Samples, blur: float) -> tuple[Camera, ...]:
-    """The views' cameras after one step. Cameras move by few times `blur` px, where the images say little.
+class Samples(NamedTuple):
+    """What small images show at sightings: values (S,), NaN outside; gradients (S, 2), per px along x and y."""
 
-    Sightings are in the order of their views.
+    values: np.ndarray
+    gradients: np.ndarray
+
+
+def steepness_at(images: Sequence[SmallImage], sightings: Sightings) -> tuple[np.ndarray, np.ndarray]:
+    """Steepness (S,) of the images at the sightings' points, medians over views; which sightings are no outlines.
+
+    Where a view is much steeper than others at the same point, an outline of something nearer runs through it.
     """
-    point, count, views = sightings.point, len(sightings.points), len(sightings.cameras)
-    ends = np.searchsorted(sightings.view, np.arange(views + 1))
-    parts = [slice(first, last) for first, last in pairwise(ends)]
-    slopes = np.zeros((*samples.values.shape, 6))
-    ridges = np.zeros((views, 6))
-    for view, (camera, rows) in enumerate(zip(sightings.cameras, parts, strict=True)):
-        effect = _effect(camera, sightings.points[point[rows]])
-        slopes[rows] = np.matmul(samples.gradients[rows], effect)
-        ridges[view] = (effect**2).sum(axis=1).mean(axis=0) / blur**2 if len(effect) else 1.0
-    turns = np.zeros((views, 6))
-    rest = samples.values - means_by_point(samples.values, point, count)[point]
-    scale = np.sqrt(np.median(rest**2) / MEDIAN_OF_SQUARE) + LEAST_SCALE
-    for _ in range(ROUNDS):
-        moved = samples.values + (slopes @ turns[sightings.view][:, :, None])[:, :, 0]
-        rest = moved - means_by_point(moved, point, count)[point]
-        weight = 1 / np.maximum(np.abs(rest) / (HUBER * scale), 1)
-        for view, rows in enumerate(parts):
-            slope, w = slopes[rows].reshape(-1, 6), weight[rows].reshape(-1, 1)
-            gram = (slope * w).T @ slope + np.diag(scale**2 * ridges[view] + 1e-30)
-            turns[view] -= np.linalg.solve(gram, slope.T @ (w * rest[rows].reshape(-1, 1)))[:, 0]
-    return tuple(_moved(camera, turn) for camera, turn in zip(sightings.cameras, turns, strict=True))
+    layers = [_layers(image, BLURS[0]) for image in images]
+    samples = _sample(images, layers, sightings, sightings.cameras)
+    steepness = np.where(np.isnan(samples.values), np.inf, np.hypot(*samples.gradients.T))
+    median = sightings.median(steepness)
+    return median, steepness <= STEEPER * median + 0.2 * np.median(median)
+
+
+def register(
+    images: Sequence[SmallImage], sightings: Sightings, drift: np.ndarray, steepness: np.ndarray
+) -> tuple[Camera, ...]:
+    """The views' cameras after Gauss-Newton steps, each with an offset and gain of the view's values.
+
+    images: of the views, of the size of the sightings' cameras. drift: (S,) is subtracted from their values. Views are
+    compared with the other views as these are given, since views that move towards each other move to flat areas.
+    """
+    cameras, tones, previous = sightings.cameras, np.zeros((len(sightings.cameras), 2)), 0.0
+    for blur in BLURS:
+        if blur != previous:
+            layers = [_layers(image, blur) for image in images]
+            given, previous = _sample(images, layers, sightings, sightings.cameras).values - drift, blur
+        now = _sample(images, layers, sightings, cameras)
+        offset, gain = tones[sightings.view].T
+        rest = (1 + gain) * (now.values - drift) + offset
+        rest = rest - sightings.mean_of_others((1 + gain) * given + offset)
+        changes = _changes(replace(sightings, cameras=cameras), now, rest, _weights(rest, steepness), REACH * blur)
+        cameras = tuple(_moved(camera, one[:6]) for camera, one in zip(cameras, changes, strict=True))
+        tones += changes[:, 6:] - changes[:, 6:].mean(axis=0)
+    return cameras
+
+
+def _changes(sightings: Sightings, now: Samples, rest: np.ndarray, weight: np.ndarray, reach: float) -> np.ndarray:
+    """Turn, displacement, offset and gain (V, 8) of the views that make the differences `rest` (S,) smallest.
+
+    reach: px, how far a camera moves the points where the images say nothing.
+    """
+    changes = []
+    for camera, rows in zip(sightings.cameras, sightings.rows(), strict=True):
+        effect = _effect(camera, sightings.points[sightings.point[rows]])
+        slopes = (now.gradients[rows][:, :, None] * effect).sum(axis=1)
+        slopes = np.nan_to_num(np.column_stack([slopes, np.ones(len(slopes)), now.values[rows]]))
+        ridge = (effect**2).sum(axis=1).mean(axis=0) / reach**2 if len(effect) else np.ones(6)
+        weighted = slopes * weight[rows, None]
+        normal = weighted.T @ slopes + np.diag(np.append(ridge, [1.0, 1.0]) + 1e-9)
+        changes.append(-np.linalg.solve(normal, weighted.T @ np.nan_to_num(rest[rows])))
+    return np.array(changes)
+
+
+def _layers(image: SmallImage, blur: float) -> np.ndarray:
+    """The blurred image and its slopes along x and y: (3, h, w)."""
+    smooth = blurred(image.image, image.valid, blur)
+    return np.stack([smooth, *np.gradient(smooth)[::-1]])
+
+
+def _sample(
+    images: Sequence[SmallImage], layers: Sequence[np.ndarray], sightings: Sightings, cameras: Sequence[Camera]
+) -> Samples:
+    pixels = sightings.pixels(cameras)
+    found = np.zeros((len(pixels), 3))
+    for view, rows in enumerate(sightings.rows()):
+        found[rows] = np.stack([between(layer, pixels[rows]) for layer in layers[view]], axis=1)
+        found[rows, 0][~shows(cameras[view], images[view].valid, pixels[rows])] = np.nan
+    return Samples(found[:, 0], found[:, 1:])
+
+
+def _weights(rest: np.ndarray, steepness: np.ndarray) -> np.ndarray:
+    """Weights (S,) of differences whose variance is c + s · steepness²; s is due to errors of the points."""
+    squares, steep, known = rest**2, steepness**2, ~np.isnan(rest)
+    low = steep <= np.median(steep)
+    flat = _robust_mean(squares[known & low]) + LEAST
+    slope = (_robust_mean(squares[known & ~low]) - flat) / max(_median(steep[known & ~low]), 1e-12)
+    variance = flat + max(slope, 0.0) * steep
+    return np.nan_to_num(np.maximum(1 - squares / (OUTLIER**2 * variance), 0) ** 2 / variance)
+
+
+def _robust_mean(squares: np.ndarray) -> float:
+    """Mean of squares of normal numbers, from their median."""
+    return _median(squares) / MEDIAN_OF_SQUARE
+
+
+def _median(values: np.ndarray) -> float:
+    """0 if there are none."""
+    return float(np.median(values)) if len(values) else 0.0
 
 
 def _effect(camera: Camera, positions: np.ndarray) -> np.ndarray:
     """Derivative (N, 2, 6) of the pixels of positions (N, 3) by the camera's turn (radians) and displacement."""
-    local = positions @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    x, y, z = local.T
+    x, y, z = (positions @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
     u, v, zero = x / z, y / z, np.zeros_like(z)
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     horizontal = fx * np.stack([-u * v, 1 + u * u, -v, 1 / z, zero, -u / z], axis=1)
@@ -60,40 +131,9 @@ def _effect(camera: Camera, positions: np.ndarray) -> np.ndarray:
     return np.stack([horizontal, vertical], axis=1)
 
 
-def _moved(camera: Camera, turn: np.ndarray) -> Camera:
-    """The camera after a turn (radians) and displacement, in its own axes."""
-    change = np.eye(4)
-    change[:3, :3] = Rotation.from_rotvec(turn[:3]).as_matrix()
-    change[:3, 3] = turn[3:]
-    return Camera(camera.K, change @ camera.world_to_camera, camera.width, camera.height)
-
-
-def disagreement(given: Sightings, registered: Sequence[tuple[Camera, ...]]) -> np.ndarray:
-    """Variance (V,) along each axis, px², of the displacements of the given cameras from the right ones.
-
-    registered: two independent registrations. Their errors are independent as well, so that the mean product of their
-    displacements has no part of them. Of these, moves of the points are taken out: cameras that are all displaced
-    together see the same at points that are displaced with them.
-    """
-    point, view, count = given.point, given.view, len(given.points)
-    number = np.bincount(point, minlength=count)[point]
-    rests = [_unexplained(given, cameras) for cameras in registered]
-    product = (rests[0] * rests[-1]).sum(axis=1) / (2 - 3 / number)
-    sums = np.bincount(view, product, minlength=len(given.cameras))
-    return sums / np.maximum(np.bincount(view, minlength=len(given.cameras)), 1)
-
-
-def _unexplained(given: Sightings, cameras: tuple[Camera, ...]) -> np.ndarray:
-    """Displacements (S, 2), px, of the given cameras from others, less those that moves of the points explain."""
-    change, moves = np.zeros((len(given.point), 2)), np.zeros((len(given.point), 2, 3))
-    for v, camera in enumerate(cameras):
-        rows = given.view == v
-        positions = given.points[given.point[rows]]
-        change[rows] = camera.project(positions)[0] - given.cameras[v].project(positions)[0]
-        moves[rows] = pixel_moves(given.cameras[v], positions)
-    count = len(given.points)
-    normal = sums_by_point(np.matmul(moves.transpose(0, 2, 1), moves), given.point, count)
-    right = sums_by_point((moves * change[:, :, None]).sum(axis=1), given.point, count)
-    normal += np.eye(3) * (1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-30)
-    shift = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return change - (moves @ shift[given.point][:, :, None])[:, :, 0]
+def _moved(camera: Camera, change: np.ndarray) -> Camera:
+    """The camera after a turn (radians) and displacement (6,), in its own axes."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(change[:3]).as_matrix()
+    matrix[:3, 3] = change[3:]
+    return Camera(camera.K, matrix @ camera.world_to_camera, camera.width, camera.height)

@@ -1,16 +1,13 @@
-"""Sightings: what training views show at the scene's sparse points.
-
-A sighting is one (point, view) pair in which no other point hides the point. Arrays of sightings have shape (S, …).
-"""
+"""Sightings: (point, view) pairs in which no other point hides the point. Their arrays have shape (S, …)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
 
 from tdgbench.priors.visible import WINDOW, VisiblePoints, visible_points
 from tdgbench.scenes import Camera, View
@@ -18,75 +15,118 @@ from tdgbench.scenes import Camera, View
 OCCLUSION = 0.1  # a point this share behind its neighbours is hidden
 POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
 GRID = (24, 160)  # columns of the grid that hides points
-MOST_POINTS = 8_000  # whose values are compared
-CHANGE = 0.08  # share of the depth; more is another surface
-REACH = 6  # cells within which depths are compared
+MOST_POINTS = 6_000  # whose values are compared
 FEWEST_VIEWS = 4  # that must see a point
-SUBPIXEL = 1.0  # px, σ of the blur of gradients inside a pixel
-INSIDE = 0.99  # share of a blurred pixel's weight that must be valid
+CLEARANCE = 1 / 32  # share of the width to where the depth changes; nearer, a blurred pixel shows two surfaces
+CHANGE = 0.08  # share of the depth; more is another surface
+BLOCK = 1 / 5  # of the image's width, side of the blocks of points that belong to one half
+BORDER = 0.05  # of a block's side
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """point, view: (S,) indices. clearance: (S,) px to where the depth changes. points: (P, 3), world units.
-
-    cameras: of the views.
-    """
+    """point, view: (S,) indices, by view. points: (P, 3), world units. cameras: of the views, given or registered."""
 
     point: np.ndarray
     view: np.ndarray
-    clearance: np.ndarray
     points: np.ndarray
     cameras: tuple[Camera, ...]
 
     def kept(self, keep: np.ndarray) -> Sightings:
-        """The sightings where `keep` (S,) is true, without those of points that too few views see."""
-        counts = np.bincount(self.point[keep], minlength=len(self.points))
-        keep = keep & (counts >= FEWEST_VIEWS)[self.point]
-        return replace(self, point=self.point[keep], view=self.view[keep], clearance=self.clearance[keep])
+        """The sightings where `keep` (S,) is true."""
+        return replace(self, point=self.point[keep], view=self.view[keep])
 
+    def usable(self, keep: np.ndarray) -> np.ndarray:
+        """Those (S,) of the sightings to keep (S,) whose point enough views see among them."""
+        return keep & (np.bincount(self.point[keep], minlength=len(self.points)) >= FEWEST_VIEWS)[self.point]
 
-class Samples(NamedTuple):
-    """Values of blurred images at sightings, C channels. moves: of the pixel by one world unit, (S, 2, 3)."""
+    def resized(self, side: int) -> Sightings:
+        """The sightings in images of blocks of `side` px."""
+        cameras = (camera.resized(camera.width // side, camera.height // side) for camera in self.cameras)
+        return replace(self, cameras=tuple(cameras))
 
-    values: np.ndarray  # (S, C)
-    gradients: np.ndarray  # (S, C, 2), per px along x and y
-    moves: np.ndarray
-    inside: np.ndarray  # (S,) bool: the point lies in the image, at valid pixels
+    def rows(self) -> list[slice]:
+        """The sightings of each view."""
+        ends = np.searchsorted(self.view, np.arange(len(self.cameras) + 1))
+        return [slice(first, last) for first, last in pairwise(ends)]
+
+    def pixels(self, cameras: Sequence[Camera]) -> np.ndarray:
+        """Where (S, 2) the cameras show the points: x and y, px."""
+        parts = (
+            camera.project(self.points[self.point[rows]])[0] for camera, rows in zip(cameras, self.rows(), strict=True)
+        )
+        return np.concatenate(list(parts))
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """For each sighting, the sum (S,) of `values` (S,) over all of its point's."""
+        return np.bincount(self.point, values, minlength=len(self.points))[self.point]
+
+    def mean_of_others(self, values: np.ndarray) -> np.ndarray:
+        """For each sighting, the mean (S, …) of `values` (S, …) over its point's others that are not NaN; 0 if none."""
+        if values.ndim > 1:
+            return np.stack([self.mean_of_others(one) for one in values.T], axis=1)
+        counts = ~np.isnan(values)
+        known = np.where(counts, values, 0.0)
+        return (self.sums(known) - known) / np.maximum(self.sums(counts.astype(float)) - counts, 1)
+
+    def median(self, values: np.ndarray) -> np.ndarray:
+        """For each sighting, the median (S,) of `values` (S,) over all of its point's."""
+        order = np.lexsort((values, self.point))
+        number = np.bincount(self.point, minlength=len(self.points))
+        middle = np.cumsum(number) - number + (number - 1) // 2
+        return np.asarray(values[order][np.minimum(middle, len(values) - 1)][self.point])
+
+    def contrast(self) -> np.ndarray:
+        """What views differ by from the others that see the same points: a matrix C (V, V).
+
+        If each view adds t_v to the values of all points, its mean difference from the means of the points' other views
+        is Σ_j C_vj t_j: C_vv is 1, C_vj the mean of −1 / (n − 1) over v's points that j sees too, n views see a point.
+        """
+        shape = (len(self.cameras), len(self.points))
+        seen = sparse.csr_array((np.ones(len(self.point)), (self.view, self.point)), shape=shape)
+        others = sparse.diags_array(1 / np.maximum(seen.sum(axis=0) - 1, 1))
+        matrix = -(seen @ others @ seen.T).toarray() / np.maximum(seen.sum(axis=1), 1)[:, None]
+        np.fill_diagonal(matrix, 1.0)
+        return np.asarray(matrix)
+
+    def halves(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which sightings (S,) belong to the one and the other half of the points, in blocks like a chessboard's.
+
+        Points near a block's border belong to neither, so that the halves share no noise of pixels.
+        """
+        camera = self.cameras[0]
+        z = np.median(np.abs(camera.project(self.points)[1]))
+        blocks, place = np.divmod(self.points / (BLOCK * camera.width * z / camera.K[0, 0]), 1.0)
+        inner = (np.abs(place - 0.5) <= 0.5 - BORDER).all(axis=1)
+        odd = blocks.sum(axis=1) % 2 == 1
+        return (inner & ~odd)[self.point], (inner & odd)[self.point]
 
 
 def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
-    """The sightings of points (N, 3) in views, of MOST_POINTS points at most."""
+    """The sightings of points (N, 3) in views, of MOST_POINTS points at most, that lie clear of depth edges."""
     chosen = np.zeros(len(points), bool)
     chosen[:: max(1, -(-len(points) // MOST_POINTS))] = True
     cameras = tuple(view.camera for view in views)
     width = _grid_width(cameras, points)
-    seen, clear = [], []
+    seen = []
     for camera in cameras:
         height = max(1, round(camera.height * width / camera.width))
         visible = visible_points(camera.resized(width, height), points, OCCLUSION)
-        among = chosen[visible.number]
-        seen.append(visible.number[among])
-        clear.append(_clearance(visible, (height, width), camera.width / width)[among])
-    point = np.concatenate(seen)
+        seen.append(visible.number[chosen[visible.number] & _is_clear(visible, (height, width))])
     view = np.repeat(np.arange(len(views)), [len(one) for one in seen])
-    everything = Sightings(np.cumsum(chosen)[point] - 1, view, np.concatenate(clear), points[chosen], cameras)
-    return everything.kept(np.ones(len(point), bool))
+    everything = Sightings(np.cumsum(chosen)[np.concatenate(seen)] - 1, view, points[chosen], cameras)
+    return everything.kept(everything.usable(np.ones(len(view), bool)))
 
 
-def _clearance(visible: VisiblePoints, shape: tuple[int, int], cell: float) -> np.ndarray:
-    """Distance (N,) in px within which no visible point's depth differs by more than CHANGE, in whole cells."""
+def _is_clear(visible: VisiblePoints, shape: tuple[int, int]) -> np.ndarray:
+    """Which visible points (N,) lie farther than CLEARANCE from others whose depth differs by more than CHANGE."""
     nearest, farthest = np.full(shape, np.inf), np.zeros(shape)
     np.minimum.at(nearest, (visible.rows, visible.columns), visible.z)
     np.maximum.at(farthest, (visible.rows, visible.columns), visible.z)
-    clear = np.zeros(len(visible.z))
-    for radius in range(REACH + 1):
-        size = 2 * radius + 1
-        near = ndimage.minimum_filter(nearest, size)[visible.rows, visible.columns]
-        far = ndimage.maximum_filter(farthest, size)[visible.rows, visible.columns]
-        same = (near * (1 + CHANGE) >= visible.z) & (visible.z * (1 + CHANGE) >= far)
-        clear[same & (clear == radius * cell)] = (radius + 1) * cell
-    return clear
+    size = 2 * int(np.ceil(CLEARANCE * shape[1])) - 1
+    near = ndimage.minimum_filter(nearest, size)[visible.rows, visible.columns]
+    far = ndimage.maximum_filter(farthest, size)[visible.rows, visible.columns]
+    return np.asarray((near * (1 + CHANGE) >= visible.z) & (visible.z * (1 + CHANGE) >= far))
 
 
 def _grid_width(cameras: Sequence[Camera], points: np.ndarray) -> int:
@@ -98,76 +138,3 @@ def _grid_width(cameras: Sequence[Camera], points: np.ndarray) -> int:
         inside += int(np.count_nonzero((z > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)))
     cells = WINDOW**2 * inside / len(cameras) / POINTS_IN_WINDOW
     return int(np.clip(np.sqrt(cells * cameras[0].width / cameras[0].height), *GRID))
-
-
-def sample(views: Sequence[View], sightings: Sightings, blur: float) -> Samples:
-    """What the views show at the sightings, blurred by a Gaussian of σ = `blur` px."""
-    total, channels = len(sightings.point), views[0].thermal.shape[2]
-    values, gradients = np.zeros((total, channels)), np.zeros((total, channels, 2))
-    moves, inside = np.zeros((total, 2, 3)), np.zeros(total, bool)
-    for index, view in enumerate(views):
-        rows = np.flatnonzero(sightings.view == index)
-        positions, camera = sightings.points[sightings.point[rows]], sightings.cameras[index]
-        pixels, z = camera.project(positions)
-        moves[rows] = pixel_moves(camera, positions)
-        at = pixels[:, ::-1].T - 0.5  # rows, columns; pixel centres at integers
-        inside[rows] = (z > 0) & _inside(view, at, blur)
-        for channel in range(channels):
-            smooth = blurred(view.thermal[..., channel], view.valid, blur)
-            values[rows, channel] = _between(smooth, at)
-            gradients[rows, channel] = np.stack([_between(slope, at) for slope in np.gradient(smooth)[::-1]], axis=1)
-    return Samples(values, gradients, moves, inside)
-
-
-def sample_pixels(
-    views: Sequence[View], sightings: Sightings, change: Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-) -> np.ndarray:
-    """Values (S, C) of the pixels in which the points lie, in images that `change` makes of an image and its mask.
-
-    They are moved from the pixel's centre to the point by a gradient that has little of the pixel's noise.
-    """
-    values = np.zeros((len(sightings.point), views[0].thermal.shape[2]))
-    for index, view in enumerate(views):
-        rows = np.flatnonzero(sightings.view == index)
-        pixels, _ = sightings.cameras[index].project(sightings.points[sightings.point[rows]])
-        at = pixels[:, ::-1].T - 0.5
-        pixel = np.clip(np.rint(at), 0, [[view.camera.height - 1], [view.camera.width - 1]]).astype(int)
-        for channel in range(values.shape[1]):
-            image = view.thermal[..., channel]
-            slopes = np.stack([_between(one, at) for one in np.gradient(blurred(image, view.valid, SUBPIXEL))])
-            values[rows, channel] = change(image, view.valid)[tuple(pixel)] + (slopes * (at - pixel)).sum(axis=0)
-    return values
-
-
-def _between(image: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values (N,) of an image (H, W) at rows and columns (2, N)."""
-    return ndimage.map_coordinates(image, at, order=1, mode="nearest")
-
-
-def blurred(image: np.ndarray, valid: np.ndarray | None, blur: float) -> np.ndarray:
-    """An image (H, W) blurred by a Gaussian of σ = `blur` px, over its valid pixels."""
-    if valid is None:
-        return ndimage.gaussian_filter(image, blur, mode="nearest")
-    weight = ndimage.gaussian_filter(valid.astype(np.float32), blur, mode="nearest")
-    total = ndimage.gaussian_filter(np.where(valid, image, np.float32(0)), blur, mode="nearest")
-    return total / np.maximum(weight, 1e-6)
-
-
-def _inside(view: View, at: np.ndarray, blur: float) -> np.ndarray:
-    """Which of the rows and columns (2, N) lie in the image, and on valid pixels only within the blur."""
-    size = np.array([view.camera.height, view.camera.width])[:, None]
-    inside = ((at >= 0) & (at <= size - 1)).all(axis=0)
-    if view.valid is not None:
-        weight = ndimage.gaussian_filter(view.valid.astype(np.float32), blur, mode="nearest")
-        inside &= ndimage.map_coordinates(weight, at, order=1, mode="nearest") >= INSIDE
-    return np.asarray(inside)
-
-
-def pixel_moves(camera: Camera, positions: np.ndarray) -> np.ndarray:
-    """Derivative (N, 2, 3) of the pixel with respect to the position (N, 3) in world units."""
-    rotation = camera.world_to_camera[:3, :3]
-    local = positions @ rotation.T + camera.world_to_camera[:3, 3]
-    depth = np.where(local[:, 2] > 0, local[:, 2], 1.0)
-    focal = camera.K[[0, 1], [0, 1]]
-    rows = rotation[None, :2] - (local[:, :2] / depth[:, None])[:, :, None] * rotation[None, 2:3]
-    return rows * focal[None, :, None] / depth[:, None, None]

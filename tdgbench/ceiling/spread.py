@@ -1,158 +1,105 @@
-"""Spread of points' values over the views that see them: drift of the views, flat noise, misregistration.
-
-A view's value at a point is  I = m + t(m) + g · (J x + d) + n:  m is the point's own value, t the view's tone curve, g
-the image's gradient, J x the error of the point's position, d the misregistration of the view and n noise. Tone curves
-and positions are fitted; the squares of what remains are  c + |g|² σ²,  c in flat areas.
-"""
+"""What the values of points spread: by the views' drift, and in flat areas besides."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.ceiling.sightings import Samples, Sightings
+from tdgbench.ceiling.images import SmallImage, between, blurred, shows
+from tdgbench.ceiling.registration import MEDIAN_OF_SQUARE
+from tdgbench.ceiling.sightings import Sightings
+from tdgbench.scenes import View
 
-BLURS = (4.0, 2.0, 1.0)  # px
-TONES = 6  # steps of a tone curve
-TONE_ROUNDS = 6
+TONES = 6  # steps of brightness, in each of which a view has one drift
+FEWEST = 20  # sightings that a step needs
+ROUNDS = 3  # of the fit and of leaving out outliers
+WEAKEST = 1e-2  # share of the strongest singular value; weaker contrasts of views do not count
+SUBPIXEL = 1.0  # px, σ of the blurred image that a pixel's value is moved to the point by
 OUTLIER = 4.0  # standard deviations
-MEDIAN_OF_SQUARE = 0.455  # of a standard normal number
 
 
-class Residuals(NamedTuple):
-    """What fits leave of sightings. squares: (S,) mean over channels, corrected for the fitted parameters.
+class Drift(NamedTuple):
+    """at_sightings: (S, C), image values. errors: (V,), mean squares over the views' pixels and channels."""
 
-    steepness: (S,) |g|², mean over channels. instrument: (S,) mean of `steepness` over the point's other views.
+    at_sightings: np.ndarray
+    errors: np.ndarray
+
+
+def find_drift(
+    images: Sequence[SmallImage], sightings: Sightings, values: np.ndarray, steepness: np.ndarray, tones: int = TONES
+) -> Drift:
+    """Fit the views' drifts, one in each step of brightness, to values (S, C) of points that they share."""
+    views = len(sightings.cameras)
+    level = sightings.median(values.mean(axis=1))
+    edges = np.quantile(level, np.linspace(0, 1, tones + 1)[1:-1])
+    steps, drift, errors = np.digitize(level, edges), np.zeros(values.shape), np.zeros(views)
+    for step in np.unique(steps):
+        here = steps == step
+        part = sightings.kept(here)
+        one = _fit(part, values[here], steepness[here])
+        drift[here] = one[part.view]
+        errors += [np.mean(np.digitize(image.values, edges) == step) for image in images] * (one**2).mean(axis=1)
+    return Drift(drift, errors)
+
+
+def _fit(sightings: Sightings, values: np.ndarray, steepness: np.ndarray) -> np.ndarray:
+    """Drifts (V, C) that explain by how much views differ from the mean of a point's other views."""
+    views = len(sightings.cameras)
+    weight = 1 / (1 + (steepness / max(float(np.median(steepness)), 1e-9)) ** 2)
+    contrast, number = sightings.contrast(), np.bincount(sightings.view, minlength=views)
+    contrast[number < FEWEST] = np.eye(views)[number < FEWEST]
+    drift = np.zeros((views, values.shape[1]))
+    inverse = np.linalg.pinv(contrast, rcond=WEAKEST)
+    for _ in range(ROUNDS):
+        left = values - drift[sightings.view]
+        rest = left - sightings.mean_of_others(left)
+        limit = OUTLIER * np.sqrt(np.median(rest**2, axis=0) / MEDIAN_OF_SQUARE)
+        rest = np.clip(rest, -limit, limit) * weight[:, None]
+        mean = np.stack([np.bincount(sightings.view, one, views) for one in rest.T], axis=1)
+        mean /= np.maximum(np.bincount(sightings.view, weight, views), 1e-12)[:, None]
+        drift += inverse @ (mean * (number >= FEWEST)[:, None])
+    return drift
+
+
+def flat_error(sightings: Sightings, values: np.ndarray, steepness: np.ndarray) -> float:
+    """Mean squared error of values (S, C) against the mean of a point's other views in flat areas.
+
+    Intercept of the squares on steepness² in the flatter half of sightings; outliers do not count.
     """
-
-    squares: np.ndarray
-    steepness: np.ndarray
-    instrument: np.ndarray
-
-
-class Variances(NamedTuple):
-    """flat: variance in flat areas. displacement: variance along each axis, px²."""
-
-    flat: float
-    displacement: float
-
-
-class ToneCurves(NamedTuple):
-    """Steps of the views' tone curves: edges (T - 1,) of brightness; curves (V, T, C). drift: (V,) mean squares."""
-
-    edges: np.ndarray
-    curves: np.ndarray
-    drift: np.ndarray
+    if len(values) < FEWEST:
+        return 0.0
+    rest = values - sightings.mean_of_others(values)
+    share = 1 - 1 / sightings.sums(np.ones(len(rest)))
+    flat = steepness <= np.median(steepness)
+    squares, steep = ((rest**2).mean(axis=1) * share)[flat], steepness[flat] ** 2
+    for _ in range(ROUNDS):
+        keep = squares <= OUTLIER**2 * squares.mean()
+        squares, steep = squares[keep], steep[keep]
+    slope, intercept = np.polyfit(steep, squares, 1)
+    return float(intercept if slope > 0 else squares.mean())
 
 
-def sums_by_point(values: np.ndarray, point: np.ndarray, count: int) -> np.ndarray:
-    """Sums (count, …) of values (S, …) by point."""
-    columns = values.reshape(len(values), -1).T
-    sums = np.stack([np.bincount(point, column, minlength=count) for column in columns], axis=1)
-    return sums.reshape(count, *values.shape[1:])
+class Values(NamedTuple):
+    """Of pixels at sightings: values (S, C); inside (S,) bool, whether they are in the image and valid."""
+
+    values: np.ndarray
+    inside: np.ndarray
 
 
-def means_by_point(values: np.ndarray, point: np.ndarray, count: int) -> np.ndarray:
-    """Means (count, …) of values (S, …) by point; 0 where a point has none."""
-    number = np.maximum(np.bincount(point, minlength=count), 1)
-    return sums_by_point(values, point, count) / number.reshape(-1, *[1] * (values.ndim - 1))
+def pixel_values(views: Sequence[View], sightings: Sightings, moves: np.ndarray | float = 0.0) -> Values:
+    """Values of the pixels in which the points lie, displaced by `moves` (S, 2) px.
 
-
-def only(sightings: Sightings, samples: Samples, keep: np.ndarray) -> tuple[Sightings, Samples]:
-    """The sightings to keep (S,) and their samples, of points that enough views still see."""
-    marked = replace(sightings, view=np.arange(len(keep))).kept(keep)
-    rows = marked.view
-    return replace(marked, view=sightings.view[rows]), Samples(*(array[rows] for array in samples))
-
-
-def tone_curves(sightings: Sightings, samples: Samples) -> ToneCurves:
-    """Fit the tone curves of all views; at every brightness their mean over views is 0."""
-    point, view, count, views = sightings.point, sightings.view, len(sightings.points), len(sightings.cameras)
-    channels = samples.values.shape[1]
-    level = means_by_point(samples.values, point, count).mean(axis=1)[point]
-    edges = np.quantile(level, np.linspace(0, 1, TONES + 1)[1:-1])
-    cell = view * TONES + np.digitize(level, edges)
-    steep = (samples.gradients**2).sum(axis=(1, 2))
-    weight = 1 / (1 + steep / max(np.median(steep), 1e-12))
-    total = np.bincount(cell, weight, minlength=views * TONES)
-    curves = np.zeros((views * TONES, channels))
-    for _ in range(TONE_ROUNDS):
-        rest = samples.values - means_by_point(samples.values - curves[cell], point, count)[point]
-        for channel in range(channels):
-            off = rest[:, channel] - curves[cell, channel]
-            limit = OUTLIER * max(np.sqrt(np.median(off**2) / MEDIAN_OF_SQUARE), 1e-6)
-            near = np.clip(off, -limit, limit) + curves[cell, channel]
-            curves[:, channel] = np.bincount(cell, weight * near, minlength=views * TONES) / np.maximum(total, 1e-9)
-        table, share = curves.reshape(views, TONES, channels), total.reshape(views, TONES, 1)
-        curves = (table - (share * table).sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9)).reshape(curves.shape)
-        curves[total == 0] = 0
-    number = np.bincount(cell, minlength=views * TONES)
-    error = np.bincount(cell, weight**2, minlength=views * TONES) / np.maximum(total, 1e-9) ** 2
-    off = rest - curves[cell]
-    noise = np.bincount(
-        cell,
-        weight * (np.minimum(off**2, np.median(off**2) / MEDIAN_OF_SQUARE * 9)).mean(axis=1),
-        minlength=views * TONES,
-    ) / np.maximum(total, 1e-9)
-    square = ((curves**2).mean(axis=1) - error * noise).reshape(views, TONES)
-    number = number.reshape(views, TONES)
-    drift = (square * number).sum(axis=1) / np.maximum(number.sum(axis=1), 1)
-    return ToneCurves(edges, curves.reshape(views, TONES, channels), np.maximum(drift, 0))
-
-
-def without_drift(sightings: Sightings, samples: Samples, tones: ToneCurves) -> Samples:
-    level = means_by_point(samples.values, sightings.point, len(sightings.points)).mean(axis=1)[sightings.point]
-    return samples._replace(values=samples.values - tones.curves[sightings.view, np.digitize(level, tones.edges)])
-
-
-def refine(sightings: Sightings, samples: Samples, reach: float) -> tuple[Residuals, np.ndarray]:
-    """Residuals after the best move of each point, and these moves (P, 3) in world units.
-
-    reach: how far points may lie from their place, px; 0: they stay.
+    They are moved from the pixel's centre to the point by a blurred image, which has little of the pixel's noise.
     """
-    point, count = sightings.point, len(sightings.points)
-    number = np.maximum(np.bincount(point, minlength=count), 2)[point]
-    rest = samples.values - means_by_point(samples.values, point, count)[point]
-    leverage = np.zeros(rest.shape)
-    shift = np.zeros((count, 3))
-    if reach:
-        slopes = np.matmul(samples.gradients, samples.moves)  # (S, C, 3) per world unit
-        slopes = slopes - means_by_point(slopes, point, count)[point]
-        noise = float(np.median(rest**2)) / MEDIAN_OF_SQUARE
-        unit = np.sqrt((means_by_point(samples.moves, point, count) ** 2).sum(axis=(1, 2)) / 2 + 1e-30)  # px
-        normal = sums_by_point(np.matmul(slopes.transpose(0, 2, 1), slopes), point, count)
-        right = sums_by_point((slopes * rest[:, :, None]).sum(axis=1), point, count)
-        inverse = np.linalg.inv(normal + np.eye(3) * ((noise + 1e-12) * (unit / reach) ** 2)[:, None, None])
-        shift = -(inverse @ right[:, :, None])[:, :, 0]
-        shift /= np.maximum(np.linalg.norm(shift, axis=1) * unit / reach, 1)[:, None]
-        rest = rest + (slopes @ shift[point][:, :, None])[:, :, 0]
-        leverage = (np.matmul(slopes, inverse[point]) * slopes).sum(axis=2)
-    free = np.maximum(1 - 1 / number[:, None] - leverage, 0.1)
-    steep = (samples.gradients**2).sum(axis=2).mean(axis=1)
-    others = (means_by_point(steep, point, count)[point] * number - steep) / (number - 1)
-    return Residuals((rest**2 / free).mean(axis=1), steep, others), shift
-
-
-def variances(residuals: Residuals) -> tuple[Variances, np.ndarray]:
-    """Fit c + |g|² σ² to the squares; which sightings (S,) are no outliers."""
-    squares, steep, other = residuals
-    keep = np.ones(len(squares), bool)
-    low = other <= np.median(other)
-    flat = max(float(np.median(squares[low])) / MEDIAN_OF_SQUARE, 1e-10)
-    slope = max(float(np.median(squares[~low])) / MEDIAN_OF_SQUARE - flat, 0) / max(
-        float(np.median(steep[~low])), 1e-12
-    )
-    for _ in range(12):
-        keep = squares <= OUTLIER**2 * (flat + slope * np.maximum(steep, other))
-        s, g, z = squares[keep], steep[keep], other[keep]
-        w = 1 / (flat + slope * z) ** 2
-        a, b, c, d, e, f = w.sum(), (w * g).sum(), (w * z).sum(), (w * z * g).sum(), (w * s).sum(), (w * z * s).sum()
-        det = a * d - b * c
-        flat, slope = ((e * d - b * f) / det, (a * f - c * e) / det) if det > 1e-6 * a * d else (e / a, 0.0)
-        if slope < 0:
-            flat, slope = e / a, 0.0
-        elif flat < 1e-10:
-            flat, slope = 1e-10, f / d
-    return Variances(float(flat), float(slope)), keep
+    values, inside = np.zeros((len(sightings.point), views[0].thermal.shape[2])), np.zeros(len(sightings.point), bool)
+    positions = sightings.pixels(sightings.cameras) + moves
+    for view, rows in zip(views, sightings.rows(), strict=True):
+        inside[rows] = shows(view.camera, view.valid, positions[rows])
+        limits = (view.camera.width - 1, view.camera.height - 1)
+        column, row = np.clip(np.floor(positions[rows]), 0, limits).astype(int).T
+        for channel, image in enumerate(np.moveaxis(view.thermal, 2, 0)):
+            smooth = blurred(image, view.valid, SUBPIXEL)
+            values[rows, channel] = image[row, column] + between(smooth, positions[rows]) - smooth[row, column]
+    return Values(values, inside)
