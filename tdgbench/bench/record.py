@@ -22,6 +22,7 @@ from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
 from tdgbench.bench.reading import read_text
+from tdgbench.ceiling import HIGHEST
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
@@ -184,13 +185,15 @@ class Record:
 
     @property
     def at_most(self) -> str:
-        """The scene's ceiling, to be written behind a PSNR; empty where it is n/a.
+        """The scene's ceiling, to be written behind a PSNR; empty where it is n/a, or so high that it limits nothing.
 
         >>> limits = {"psnr": 24.41, "noise": 0.05, "drift": 0.02, "other": 0.0, "misregistration": 0.0}
         >>> Record("tdg", "", "arco", "", 0, "", "", ceiling=limits).at_most
         'of at most 24.4 dB'
         """
-        return "" if self.ceiling is None else f"of at most {self.ceiling['psnr']:.1f} dB"
+        if self.ceiling is None or self.ceiling["psnr"] >= HIGHEST:
+            return ""
+        return f"of at most {self.ceiling['psnr']:.1f} dB"
 
     def setting(self, name: str) -> Any:
         """Value of a setting by its dotted name; None if the record has none.

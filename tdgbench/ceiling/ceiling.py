@@ -1,11 +1,11 @@
 """Ceiling of a scene: the PSNR that no model exceeds that shows the same surface from all sides.
 
 It is the PSNR of a captured image against its expectation, given the scene and the view's camera as the scene's files
-have it: what a model cannot know is the view's noise, its drift and its pose error. The mean squared error of a view has
-four parts: noise of its pixels; the drift of its tones; what its displacement against the other views changes, which the
-mean of the other views blurs; and what else points' values differ by between views in flat areas. Reflections of single
-points, and distortions that no pose explains, are not among them; with these, a model stays farther below. No test view
-is looked at.
+have it: what a model cannot know is the view's noise, its drift and its pose error. The mean squared error of a view
+has four parts: noise of its pixels; the drift of its tones; what its displacement against the other views changes, which
+the mean of the other views blurs; and what else points' values differ by between views in flat areas. Reflections of
+single points, and distortions that no pose explains, are not among them; with these, a model stays farther below. No
+test view is looked at.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ SMALL_WIDTH = 160  # px, about, of the images in which views are registered
 class Ceiling(NamedTuple):
     """What limits the PSNR of a scene's views.
 
-    psnr: dB, at most; the mean over the training views; HIGHEST if it lies there or above. noise, drift, other: standard
-    deviations, of image values in [0, 1], of the pixels' noise, of the views' tones, and of what else changes in flat
-    areas between views. misregistration: of the views' displacements along each axis, px; 0 if there may be none.
+    psnr: dB, at most; the mean over the training views; HIGHEST if it lies there or above. noise, drift, other:
+    standard deviations, of image values in [0, 1], of the pixels' noise, of the views' tones, and of what else changes
+    in flat areas between views. misregistration: of the views' displacements along each axis, px; 0 if there may be none.
     """
 
     psnr: float
@@ -89,9 +89,8 @@ def _ceiling(
     """From sightings in the views, and the steepness (S,) of the images there."""
     side = views[0].camera.width // images[0].image.shape[1]
     values = pixel_values(views, sightings).values
-    offsets = find_drift(images, sightings, values, steepness, tones=1).at_sightings.mean(axis=1)
-    found = find_displacements(images, sightings.resized(side), offsets, steepness)
-    displacements = Displacements(side * found.by_view, side**2 * found.variance)
+    offsets = find_drift(images, sightings, values, steepness, tones=(1,)).at_sightings.mean(axis=1)
+    displacements = find_displacements(images, sightings.resized(side), offsets, steepness).scaled(side)
     values, inside = pixel_values(views, sightings, displacements.by_view)
     keep = sightings.usable(inside)
     registered, values, steepness = sightings.kept(keep), values[keep], steepness[keep]
@@ -104,7 +103,7 @@ def _ceiling(
         noise=float(noise.mean()) ** 0.5,
         drift=float(drift.errors.mean()) ** 0.5,
         other=other**0.5,
-        misregistration=displacements.variance**0.5,
+        misregistration=displacements.rms,
     )
 
 
@@ -116,10 +115,10 @@ def _by_displacement(
     views: Sequence[View], sightings: Sightings, displacements: Displacements, noise: np.ndarray
 ) -> np.ndarray:
     """Mean squared error (V,) that the displacements of the views cause."""
-    errors, pixels = np.zeros(len(views)), sightings.pixels(sightings.cameras)
-    if displacements.variance > 0:
+    errors, pixels, depths = np.zeros(len(views)), sightings.pixels(sightings.cameras), sightings.depths()
+    if displacements.rms > 0:
         for index, (view, rows) in enumerate(zip(views, sightings.rows(), strict=True)):
             if rows.stop > rows.start:
-                of_view = displacements._replace(by_view=displacements.by_view[rows])
-                errors[index] = error_by_displacement(view, pixels[rows], of_view, noise[index])
+                of_view = Displacements(displacements.by_view[rows], displacements.variance[rows])
+                errors[index] = error_by_displacement(view, pixels[rows], depths[rows], of_view, noise[index])
     return errors

@@ -52,10 +52,17 @@ class Sightings:
 
     def pixels(self, cameras: Sequence[Camera]) -> np.ndarray:
         """Where (S, 2) the cameras show the points: x and y, px."""
-        parts = (
-            camera.project(self.points[self.point[rows]])[0] for camera, rows in zip(cameras, self.rows(), strict=True)
+        return np.concatenate([camera.project(points)[0] for camera, points in zip(cameras, self._seen(), strict=True)])
+
+    def depths(self) -> np.ndarray:
+        """Depths (S,) of the points in the views, world units."""
+        return np.concatenate(
+            [camera.project(points)[1] for camera, points in zip(self.cameras, self._seen(), strict=True)]
         )
-        return np.concatenate(list(parts))
+
+    def _seen(self) -> list[np.ndarray]:
+        """Points (N, 3) of each view."""
+        return [self.points[self.point[rows]] for rows in self.rows()]
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """For each sighting, the sum (S,) of `values` (S,) over all of its point's."""

@@ -12,10 +12,10 @@ from tdgbench.ceiling.registration import MEDIAN_OF_SQUARE
 from tdgbench.ceiling.sightings import Sightings
 from tdgbench.scenes import View
 
-TONES = 6  # steps of brightness, in each of which a view has one drift
+TONES = (1, 3, 12)  # steps of brightness in which a view has one drift, each finer than the last
 FEWEST = 20  # sightings that a step needs
 ROUNDS = 3  # of the fit and of leaving out outliers
-WEAKEST = 1e-2  # share of the strongest singular value; weaker contrasts of views do not count
+WEAKEST = 0.1  # share of the strongest singular value; weaker contrasts of views do not count
 SUBPIXEL = 1.0  # px, σ of the blurred image that a pixel's value is moved to the point by
 OUTLIER = 4.0  # standard deviations
 
@@ -28,19 +28,28 @@ class Drift(NamedTuple):
 
 
 def find_drift(
-    images: Sequence[SmallImage], sightings: Sightings, values: np.ndarray, steepness: np.ndarray, tones: int = TONES
+    images: Sequence[SmallImage],
+    sightings: Sightings,
+    values: np.ndarray,
+    steepness: np.ndarray,
+    tones: Sequence[int] = TONES,
 ) -> Drift:
-    """Fit the views' drifts, one in each step of brightness, to values (S, C) of points that they share."""
-    views = len(sightings.cameras)
+    """Fit the views' drifts to values (S, C) of points that they share, from coarse to fine steps of brightness.
+
+    Fine steps may have too few points that connect all views; then the coarse ones decide.
+    """
     level = sightings.median(values.mean(axis=1))
-    edges = np.quantile(level, np.linspace(0, 1, tones + 1)[1:-1])
-    steps, drift, errors = np.digitize(level, edges), np.zeros(values.shape), np.zeros(views)
-    for step in np.unique(steps):
-        here = steps == step
-        part = sightings.kept(here)
-        one = _fit(part, values[here], steepness[here])
-        drift[here] = one[part.view]
-        errors += [np.mean(np.digitize(image.values, edges) == step) for image in images] * (one**2).mean(axis=1)
+    drift = np.zeros(values.shape)
+    for count in tones:
+        edges = np.quantile(level, np.linspace(0, 1, count + 1)[1:-1])
+        steps, errors = np.digitize(level, edges), np.zeros(len(images))
+        for step in np.unique(steps):
+            here = steps == step
+            part = sightings.kept(here)
+            drift[here] += _fit(part, values[here] - drift[here], steepness[here])[part.view]
+            squares = np.bincount(part.view, (drift[here] ** 2).mean(axis=1), len(images))
+            squares = squares / np.maximum(np.bincount(part.view, minlength=len(images)), 1)
+            errors += squares * [np.mean(np.digitize(image.values, edges) == step) for image in images]
     return Drift(drift, errors)
 
 
@@ -58,7 +67,7 @@ def _fit(sightings: Sightings, values: np.ndarray, steepness: np.ndarray) -> np.
         limit = OUTLIER * np.sqrt(np.median(rest**2, axis=0) / MEDIAN_OF_SQUARE)
         rest = np.clip(rest, -limit, limit) * weight[:, None]
         mean = np.stack([np.bincount(sightings.view, one, views) for one in rest.T], axis=1)
-        mean /= np.maximum(np.bincount(sightings.view, weight, views), 1e-12)[:, None]
+        mean = mean / np.maximum(np.bincount(sightings.view, weight, views), 1e-12)[:, None]
         drift += inverse @ (mean * (number >= FEWEST)[:, None])
     return drift
 
