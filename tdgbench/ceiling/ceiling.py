@@ -2,10 +2,10 @@
 
 It is the PSNR of a captured image against its expectation, given the scene and the view's camera as the scene's files
 have it: what a model cannot know is the view's noise, its drift and its pose error. The mean squared error of a view
-has four parts: noise of its pixels; the drift of its tones; what its displacement against the other views changes, which
-the mean of the other views blurs; and what else points' values differ by between views in flat areas. Reflections of
-single points, and distortions that no pose explains, are not among them; with these, a model stays farther below. No
-test view is looked at.
+has four parts: noise of its pixels; the drift of its tones; what its displacement against the other views changes, the
+mean of which is blurred; and what else points' values differ by between views in flat areas. Reflections of single
+points, and distortions that no pose explains, are not among them; with these, a model stays farther below. No test
+view is looked at.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Ceiling(NamedTuple):
 
     psnr: dB, at most; the mean over the training views; HIGHEST if it lies there or above. noise, drift, other:
     standard deviations, of image values in [0, 1], of the pixels' noise, of the views' tones, and of what else changes
-    in flat areas between views. misregistration: of the views' displacements along each axis, px; 0 if there may be none.
+    in flat areas between views. misregistration: of the views' displacements along each axis, px; 0 if uncertain.
     """
 
     psnr: float
