@@ -47,8 +47,8 @@ def find_drift(
             here = steps == step
             part = sightings.kept(here)
             drift[here] += _fit(part, values[here] - drift[here], steepness[here])[part.view]
-            squares = np.bincount(part.view, (drift[here] ** 2).mean(axis=1), len(images))
-            squares = squares / np.maximum(np.bincount(part.view, minlength=len(images)), 1)
+            total = np.bincount(part.view, (drift[here] ** 2).mean(axis=1), len(images))
+            squares = total / np.maximum(np.bincount(part.view, minlength=len(images)), 1)
             errors += squares * [np.mean(np.digitize(image.values, edges) == step) for image in images]
     return Drift(drift, errors)
 
@@ -66,8 +66,8 @@ def _fit(sightings: Sightings, values: np.ndarray, steepness: np.ndarray) -> np.
         rest = left - sightings.mean_of_others(left)
         limit = OUTLIER * np.sqrt(np.median(rest**2, axis=0) / MEDIAN_OF_SQUARE)
         rest = np.clip(rest, -limit, limit) * weight[:, None]
-        mean = np.stack([np.bincount(sightings.view, one, views) for one in rest.T], axis=1)
-        mean = mean / np.maximum(np.bincount(sightings.view, weight, views), 1e-12)[:, None]
+        total = np.stack([np.bincount(sightings.view, one, views) for one in rest.T], axis=1)
+        mean = total / np.maximum(np.bincount(sightings.view, weight, views), 1e-12)[:, None]
         drift += inverse @ (mean * (number >= FEWEST)[:, None])
     return drift
 
