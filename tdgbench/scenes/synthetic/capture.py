@@ -65,7 +65,11 @@ class CaptureErrors:
 
     def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
         """The camera, turned and displaced by errors drawn from `rng`."""
+        return self.moved(camera, np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
+
+    def moved(self, camera: Camera, error_sizes: np.ndarray) -> Camera:
+        """The camera, turned and displaced by errors (6,) in standard deviations: of the turn, of the displacement."""
         error = np.eye(4)
-        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * rng.normal(size=3), degrees=True).as_matrix()
-        error[:3, 3] = self.pose_units * rng.normal(size=3)
+        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * error_sizes[:3], degrees=True).as_matrix()
+        error[:3, 3] = self.pose_units * error_sizes[3:]
         return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)
