@@ -17,8 +17,9 @@ from tdgbench.ceiling import HIGHEST, Unknown, ceiling
 from tdgbench.scenes import Camera, Scene
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
 from tdgbench.scenes.synthetic.render import cast
+from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
+from tdgbench.scenes.synthetic.thermal_files import thermal_image
 from tdgbench.scenes.synthetic.worlds import WORLDS, World
-from tdgbench.scenes.synthetic.write import thermal_image
 
 STEPS = 4096  # of the temperature range in which expected values are tabulated
 SMALLEST = 1e-10  # mean squared error
@@ -70,8 +71,13 @@ def true_ceiling(dataset: SyntheticDataset, scene: Scene) -> float:
     """Mean over the training views of the PSNR, dB, of the expected image against the captured one.
 
     The drifts' mean cannot be told from the scene's temperature and belongs to it. The expectation over poses is a mean
-    over draws; what so few of them add to the squared error is subtracted.
+    over draws; what so few of them add to the squared error is subtracted. Raises ValueError for errors of the thermal
+    camera, which are not calculated here.
     """
+    if dataset.shot.errors.camera != ThermalErrors():
+        raise ValueError(
+            "the ceiling is calculated for noise, drift and pose errors, not for dataset.loader.errors.camera"
+        )
     shot, world = dataset.shot, WORLDS[scene.name](dataset.shot.seed)
     errors, rng, found = shot.errors, np.random.default_rng(shot.seed), []
     names = [view.name for view in scene.views]

@@ -4,8 +4,8 @@ import pytest
 from tdgbench.experiments.measure.ceiling import Comparison, ExpectedValues, true_ceiling
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
+from tdgbench.scenes.synthetic.thermal_files import thermal_image
 from tdgbench.scenes.synthetic.worlds import WORLDS
-from tdgbench.scenes.synthetic.write import thermal_image
 
 
 @pytest.mark.parametrize("name", ["facade", "night"])
