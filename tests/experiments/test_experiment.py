@@ -95,7 +95,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("+iterations=3000", "iterations=3000: is no option; did you mean budget.iterations?"),
     ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are msmg, splat,"),
-    ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets, demo,"),
+    ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
     ("job._target_=nosuch.Class", "job._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
