@@ -9,12 +9,10 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage, sparse
 
-from tdgbench.priors.visible import WINDOW, VisiblePoints, visible_points
+from tdgbench.priors.visible import VisiblePoints, grid_width, visible_points
 from tdgbench.scenes import Camera, View
 
 OCCLUSION = 0.1  # a point this share behind its neighbours is hidden
-POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
-GRID = (24, 160)  # columns of the grid that hides points
 MOST_POINTS = 6_000  # whose values are compared
 FEWEST_VIEWS = 4  # that must see a point
 CLEARANCE = 1 / 32  # share of the width to where the depth changes; nearer, a blurred pixel shows two surfaces
@@ -114,7 +112,7 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
     chosen = np.zeros(len(points), bool)
     chosen[:: max(1, -(-len(points) // MOST_POINTS))] = True
     cameras = tuple(view.camera for view in views)
-    width = _grid_width(cameras, points)
+    width = grid_width(cameras, points)
     seen = []
     for camera in cameras:
         height = max(1, round(camera.height * width / camera.width))
@@ -134,14 +132,3 @@ def _is_clear(visible: VisiblePoints, shape: tuple[int, int]) -> np.ndarray:
     near = ndimage.minimum_filter(nearest, size)[visible.rows, visible.columns]
     far = ndimage.maximum_filter(farthest, size)[visible.rows, visible.columns]
     return np.asarray((near * (1 + CHANGE) >= visible.z) & (visible.z * (1 + CHANGE) >= far))
-
-
-def _grid_width(cameras: Sequence[Camera], points: np.ndarray) -> int:
-    """Columns of a grid in which about POINTS_IN_WINDOW points of those in the image share a window."""
-    inside = 0
-    for camera in cameras:
-        pixels, z = camera.project(points)
-        size = (camera.width, camera.height)
-        inside += int(np.count_nonzero((z > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)))
-    cells = WINDOW**2 * inside / len(cameras) / POINTS_IN_WINDOW
-    return int(np.clip(np.sqrt(cells * cameras[0].width / cameras[0].height), *GRID))

@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from tdgbench.priors.visible import WINDOW, visible_points
+from tdgbench.priors.visible import grid_width, visible_points
 from tdgbench.scenes import Camera, View
 
 MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
-POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
-GRID = (24, 160)  # columns of the grid in which points hide others
 BLUR = 1.0  # px, σ; values are those of the blurred image, which has less noise
 MARGIN = 2  # px; pixels up to this far must be valid
 SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
@@ -63,20 +61,12 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
 
 def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers and positions x and y in px of the `used` points that a camera sees; all points hide others."""
-    width = _grid_width(camera, points)
+    width = min(grid_width([camera], points), camera.width)
     grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     number = visible_points(grid, points, OCCLUSION).number
     number = number[used[number]]
     pixels, _ = camera.project(points[number])
     return number, pixels[:, 0], pixels[:, 1]
-
-
-def _grid_width(camera: Camera, points: np.ndarray) -> int:
-    """Columns of a grid in which about POINTS_IN_WINDOW points of the image share a window."""
-    pixels, z = camera.project(points)
-    inside = (z > 0) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
-    cells = WINDOW**2 * np.count_nonzero(inside) / POINTS_IN_WINDOW
-    return min(int(np.clip(np.sqrt(cells * camera.width / camera.height), *GRID)), camera.width)
 
 
 def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -35,9 +35,7 @@ class GrowthRule:
 
     views: PositiveInt  # training views that a round looks at
     z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
-    min_weight: (
-        NonNegativeFloat  # px at full resolution, a view; what has less weight in the views that show it is pruned
-    )
+    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
 
 
 class Significance:

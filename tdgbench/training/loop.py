@@ -74,10 +74,10 @@ def train(
     log: TrainingLog | None = None,
     on_model: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
-    """Train a method that is set up, for so many iterations or until its thermal loss is on a plateau.
+    """Train a method that is set up, for so many iterations or until `plateau` lets it end.
 
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
-    density control and optimiser step. A plateau ends training once the models have recovered from density control.
+    density control and optimiser step. Training ends early once the models have recovered from density control.
 
     on_line is called with each log line. on_step is called after each iteration; on_model before its changes of the
     models, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to

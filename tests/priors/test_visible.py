@@ -1,6 +1,6 @@
 import numpy as np
 
-from tdgbench.priors.visible import visible_points
+from tdgbench.priors.visible import GRID, POINTS_IN_WINDOW, WINDOW, grid_width, visible_points
 from tdgbench.scenes import Camera
 
 
@@ -12,3 +12,13 @@ def test_near_points_hide_far_ones_beside_them():
     assert (seen.rows.tolist(), seen.columns.tolist(), seen.z.tolist()) == ([5, 15], [5, 15], [1.0, 2.0])
     assert visible_points(camera, np.array([near, beside]), 1.0).number.tolist() == [0, 1]
     assert len(visible_points(camera, np.array([behind]), 0.1).z) == 0
+
+
+def test_a_grid_has_a_few_points_in_each_window():
+    camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(4), width=100, height=100)
+    points = np.concatenate([np.random.default_rng(0).random((576, 2)), np.ones((576, 1))], axis=1)
+    behind = points * [1, 1, -1]
+    width = grid_width([camera], np.concatenate([points, behind]))
+    assert abs(WINDOW**2 * 576 / width**2 - POINTS_IN_WINDOW) < 0.2
+    assert grid_width([camera, camera], points) == width
+    assert (grid_width([camera], points[:1]), grid_width([camera], np.tile(points, (100, 1)))) == GRID
