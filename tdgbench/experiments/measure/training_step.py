@@ -126,7 +126,7 @@ def _steps_and_renders(method: Method, scene: Scene, steps: int) -> tuple[float,
                 render = model.render(view.camera, depth=with_depth)
                 outputs = [render.image, *([render.depth] if render.depth is not None else [])]
                 torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
-                model.forget_views()
+                model.take_gradients()
             end = time.perf_counter()
             if turn > 0 or steps < 2 * len(scene.train):
                 seconds["step"] += middle - start
