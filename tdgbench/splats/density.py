@@ -17,6 +17,7 @@ from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.scratch import release
 from tdgbench.splats.cpu.statistics import Watch, observe_visible
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
@@ -180,7 +181,9 @@ class DensityControl:
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
+            release()  # the renders' memory makes room for the new Gaussians, and the memory of these for the renders
             self._densify_and_prune(change, iteration, generator, verdict)
+            release()
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
             self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
@@ -216,7 +219,7 @@ class DensityControl:
         if iteration > rules.opacity_reset_every:
             drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
         change.pruned += int(drop.sum())
-        self.state.exchange(remove.nonzero().squeeze(1), added[~drop])
+        self.state.exchange(remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added)
         self._clear()
 
     def _by_gradients(self) -> Verdict:

@@ -101,12 +101,12 @@ def bytes_of(model: SplatModel) -> dict[str, bytes]:
     return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
-@pytest.mark.parametrize(("channels", "unseen"), [(1, True), (3, True), (1, False)])
+@pytest.mark.parametrize(("channels", "unseen"), [(1, True), (3, False)])
 def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatch, channels, unseen):
-    """The same bytes after 260 iterations with density control."""
+    """The same bytes after 200 iterations with density control."""
     taken, take = [], PendingGradients.take_step
     monkeypatch.setattr(PendingGradients, "take_step", lambda *args: taken.append(1) or take(*args))
-    together = one_pass(small_scene, channels, 260, unseen)
+    together = one_pass(small_scene, channels, 200, unseen)
     render_state = model_module.render_state
 
     def computed_first(state, optimizer, camera, options, collect, backend):
@@ -114,29 +114,23 @@ def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatc
 
     monkeypatch.setattr(model_module, "render_state", computed_first)
     count = len(taken)
-    apart = one_pass(small_scene, channels, 260, unseen)
-    assert count > 240 and len(taken) == count
+    apart = one_pass(small_scene, channels, 200, unseen)
+    assert count > 180 and len(taken) == count
     assert together.degree == 2 and together.work == apart.work and together.work.cloned + together.work.split > 0
     assert bytes_of(together) == bytes_of(apart)
 
 
-@pytest.mark.parametrize("column", [2, 4, 8, 10, 11])
-def test_a_gradient_that_is_not_finite_is_named(small_scene, monkeypatch, column):
-    """As for gradients that are rows."""
-    names, fused = [], []
+def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
+    """Whether the gradients are rows or pending."""
+    found = []
     for computed in (False, True):
         model = one_pass(small_scene, 1, 3)
-        model.optimizer.flush()
-        model.state.values[:, column] = 3e38 if column != 10 else torch.nan
-        render_state = model_module.render_state
-
-        def collected(state, optimizer, camera, options, collect, backend, computed=computed, render=render_state):
-            return render(
-                state, optimizer, camera, options, lambda g: collect(g.computed() if computed else g), backend
-            )
-
-        with monkeypatch.context() as patch:
-            patch.setattr(model_module, "render_state", collected)
-            names.append(take_step(model, small_scene.train[0], 1, 4))
-        fused.append(names[-1])
-    assert names[0] == names[1]
+        model.begin(4)
+        render = model.render(small_scene.train[0].camera)
+        render.image.sum().backward()
+        (view,) = model._views
+        view.gradients._blended.slots.values.fill(3e38)  # overflows where two are added
+        if computed:
+            view.gradients = view.gradients.computed()
+        found.append(model.finish(4))
+    assert found[0] == found[1] is not None

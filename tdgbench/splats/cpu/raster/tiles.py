@@ -131,11 +131,8 @@ def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) 
     first, cursors = cursors_of(counts)
     starts = np.append(first, cursors[-1, -1] + counts[-1, -1])
     total = int(starts[-1])
-    lists = Lists(
-        scratch.take("keys of pairs", total, np.uint32),
-        scratch.take("unsorted splat ids", total, np.int32),
-        scratch.take("unsorted slots", total, np.int32),
-    )
+    keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
+    lists = Lists(keys.view(np.uint32), splat_ids, slots)
     pool.run(
         fill_lists,
         [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
