@@ -178,9 +178,7 @@ class SplatModel:
         self.work.touched += sum(view.gradients.touched for view in views)
         return bad
 
-    def _gradients_of(
-        self, views: list[_View], iteration: int
-    ) -> tuple[Gradients | PendingGradients | None, Watch]:
+    def _gradients_of(self, views: list[_View], iteration: int) -> tuple[Gradients | PendingGradients | None, Watch]:
         """Sum of the views' gradients, and the statistics that they are still to be added to.
 
         Those of one view stay pending where nothing but a step needs them.

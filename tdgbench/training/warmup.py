@@ -47,6 +47,7 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
             loss.backward()
             if depth:  # as after a round of density control, and of several views
                 gradients = model.take_gradients()
+                assert gradients is not None
                 model.density.observe_gradients(gradients, SIZE, SIZE)
                 model.optimizer.step(gradients, iteration)
             else:

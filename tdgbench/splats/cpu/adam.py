@@ -82,7 +82,9 @@ def _nothing() -> tuple[Stale, Step]:
     floats = np.zeros(0, np.float32)
     rows = Rows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
     deferred = Deferred(0, floats, floats, F(0))
-    return Stale(rows, deferred, 0), Step(rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0)))
+    return Stale(rows, deferred, 0), Step(
+        rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
+    )
 
 
 NO_STALE, NO_STEP = _nothing()

@@ -30,7 +30,7 @@ from tdgbench.splats.cpu.raster.group import (
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect
 from tdgbench.splats.cpu.raster.source import Source, Span
 from tdgbench.splats.cpu.raster.splat import FLOATS, RADIUS
-from tdgbench.splats.cpu.raster.tiles import TILE, list_tiles
+from tdgbench.splats.cpu.raster.tiles import TILE, list_box, list_tiles
 from tdgbench.splats.cpu.raster.types import Projected, Settings, Splats
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.memory import aligned_floats, float_bits, load, prefetch_columns, store_whole
@@ -166,11 +166,7 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
             before = n_pairs
             box = box_of(boxes, i)
             if limits.loose or (box.right >> 4) == (box.left >> 4) or (box.bottom >> 4) == (box.top >> 4):
-                for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
-                    for tile_x in range(box.left >> 4, (box.right >> 4) + 1):
-                        if n_pairs < tiles.shape[0]:
-                            tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
-                        n_pairs += 1
+                n_pairs = list_box(box, tiles_x, n_pairs, tiles)
             else:
                 n_pairs = list_tiles(ellipse_of(group, i), box, tiles_x, n_pairs, tiles)
                 if n_pairs == before:

@@ -49,6 +49,17 @@ class Box(NamedTuple):
     bottom: int
 
 
+@kernel(inline=True)
+def list_box(box, tiles_x, n_pairs, tiles):
+    """As `list_tiles`, every tile of a box."""
+    for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
+        for tile_x in range(box.left >> 4, (box.right >> 4) + 1):
+            if n_pairs < tiles.shape[0]:
+                tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
+            n_pairs += 1
+    return n_pairs
+
+
 @kernel()
 def list_tiles(ellipse, box, tiles_x, n_pairs, tiles):
     """Write the tiles (int64 scalars) that an ellipse covers behind the first n_pairs of `tiles` (capacity,) int32.

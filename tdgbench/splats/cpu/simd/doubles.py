@@ -14,6 +14,7 @@ DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
 
 doubles = VectorType("doubles", DOUBLES)
 
+
 def _operand(builder, value, value_type):
     """The value as a register; a float64 scalar is repeated."""
     if value_type == doubles:

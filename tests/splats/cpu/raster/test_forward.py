@@ -38,7 +38,7 @@ def test_only_candidates_are_updated():
         updated = set((state.clocks[:, 1] == 3).nonzero().squeeze(1).tolist())
         behind = set((state.values[:, 2] < -1).nonzero().squeeze(1).tolist())
         drawn = np.concatenate([done.splats.gaussian_ids[a : a + n] for a, n in done.splat_spans])
-        assert flushed or (0 < len(drawn) and set(drawn.tolist()) <= updated and not updated & behind)
+        assert flushed or (len(drawn) > 0 and set(drawn.tolist()) <= updated and not updated & behind)
     assert np.array_equal(*images)
 
 

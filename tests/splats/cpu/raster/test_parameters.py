@@ -1,7 +1,7 @@
 import numpy as np
 
-from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.columns import COLORS_AT, OPACITY_AT, SCALES_AT
+from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect, deviations, opacity_and_log2
 from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, put_column
