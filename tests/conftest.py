@@ -15,6 +15,7 @@ from tdgbench.bench.backend_check.choose import Choice
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import Scene
+from tdgbench.scenes.read import Outline
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.splats.backends import load_backend
 from tdgbench.splats.backends.cuda import CudaBackend
@@ -111,16 +112,21 @@ def masked_results(tmp_path_factory, data_root) -> Path:
     results = tmp_path_factory.mktemp("masked")
     common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
               f"results={results}")  # fmt: skip
-    progress, load = CellProgress(Console(quiet=True), 30), SyntheticDataset.load
+    progress, outline = CellProgress(Console(quiet=True), 30), SyntheticDataset.outline
 
-    def masked(dataset: SyntheticDataset, name: str) -> Scene:
-        scene = masked_scene(load(dataset, name))
-        if name == "facade":
-            scene.test[0] = with_garbage(scene.test[0], np.zeros((36, 48), bool), np.nan)
-        return scene
+    def masked(dataset: SyntheticDataset, name: str) -> Outline:
+        whole = outline(dataset, name)
+
+        def read() -> Scene:
+            scene = masked_scene(whole.read())
+            if name == "facade":
+                scene.test[0] = with_garbage(scene.test[0], np.zeros((36, 48), bool), np.nan)
+            return scene
+
+        return Outline(whole.scene, read)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SyntheticDataset, "load", masked)
+        patch.setattr(SyntheticDataset, "outline", masked)
         for overrides in (["scene=turntable", "method=msmg"], ["scene=facade", "method=splat"]):
             assert run_cell(config(*common, *overrides), "", progress).status == "ok"
     return results / "single"

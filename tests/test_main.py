@@ -21,6 +21,13 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
     "stress": ("job.cases=opacity 0",),
     "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
     "priors": ("job.scenes=[turntable]", "budget.iterations=12"),
+    "budgets": (
+        "job.scenes=[turntable]",
+        "job.samples=2",
+        "job.runs=[{label: a, method: tdg, budget: short},{label: b, method: tdg, budget: lean}]",
+        "job.budgets.short.iterations=12",
+        "job.budgets.lean.iterations=12",
+    ),
     "error_time": ("job.parts=[growth]", "job.largest=1600", "job.width=48", "job.height=36", "job.repetitions=1"),
 }
 

@@ -20,6 +20,7 @@ PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pyc
 HASHED_PACKAGES = (
     "tdgbench/scenes",
     "tdgbench/priors",
+    "tdgbench/ceiling",
     "tdgbench/splats",
     "tdgbench/training",
     "tdgbench/scoring",

@@ -1,4 +1,4 @@
-"""The work of a cell, stage by stage: load, images, prior, init, compile, train, render, score, write."""
+"""The work of a cell, stage by stage: load, images, prior, init, compile, ceiling, train, render, score, write."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record, SkipRecord
+from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
+from tdgbench.ceiling import Ceiling, cached_ceiling
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
@@ -115,12 +116,23 @@ class CellRun(SetupObserver):
         self.record.backend = training_backend(self.cfg.backend.name)
         self.scorer.device = training_device(self.record.backend)
         self._describe_scene()
+        priors = self._cache("priors", "depth priors were")
         training = set_up(
-            self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=self._prior_cache(), observer=self
+            self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
         )  # fmt: skip
+        if self.cfg.ceiling:
+            with self.stage("ceiling"):
+                self._estimate_ceiling()
         with self.stage("train"):
             self._train(training)
         self._describe_training(training)
+
+    def _estimate_ceiling(self) -> None:
+        found = cached_ceiling(self.scene, self._cache("ceilings", "the ceiling was"))
+        if isinstance(found, Ceiling):
+            self.record.ceiling = cast(CeilingRecord, found.rounded()._asdict())
+        else:
+            self.record.ceiling_unknown = found.reason
 
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
@@ -182,15 +194,15 @@ class CellRun(SetupObserver):
         except Exception as error:
             self.remarks.append(f"{what}: {error}")
 
-    def _prior_cache(self) -> Path | None:
-        """Folder of estimated priors; None, with a remark, if it cannot be written."""
-        folder = Path(self.cfg.results) / "cache" / "priors"
+    def _cache(self, name: str, what: str) -> Path | None:
+        """Folder of what cells of a scene share; None, with a remark, if it cannot be written."""
+        folder = Path(self.cfg.results) / "cache" / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with TemporaryFile(dir=folder):
                 return folder
         except OSError as error:
-            self.remarks.append(f"depth priors were not cached: {error}")
+            self.remarks.append(f"{what} not cached: {error}")
             return None
 
     def _fingerprint(self) -> str:

@@ -22,7 +22,7 @@ class TensorBoardLog:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
-            raise RuntimeError("log=tensorboard needs TensorBoard: pip install 'tdgbench[tensorboard]'") from error
+            raise RuntimeError("log=tensorboard needs TensorBoard: pip install -e '.[tensorboard]'") from error
         if after == 0:
             shutil.rmtree(folder, ignore_errors=True)
         self._writer = SummaryWriter(str(folder), purge_step=after + 1 if after else None)

@@ -22,7 +22,7 @@ def importing(prior: str) -> Iterator[None]:
         raise
     except Exception as error:  # a broken package raises many kinds
         reason = f"a package is missing or broken ({shortened(str(error), LONGEST_REASON)})"
-        raise PriorUnavailableError(prior, reason, "pip install 'tdgbench[depth]'") from error
+        raise PriorUnavailableError(prior, reason, "pip install -e '.[depth]'") from error
 
 
 @contextmanager

@@ -124,7 +124,7 @@ class OnnxPrior:
             import onnxruntime
         except ImportError as error:
             raise PriorUnavailableError(
-                "onnx", f"onnxruntime cannot be imported ({error})", "pip install 'tdgbench[onnx]'"
+                "onnx", f"onnxruntime cannot be imported ({error})", "pip install -e '.[onnx]'"
             ) from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads, options.inter_op_num_threads = pool.get_threads(), 1

@@ -22,10 +22,10 @@ from tdgbench.tables.results import metric_value, planned_iterations
 from tdgbench.tables.statistics import half_width
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables
-_OMITTED = "mae_degC"  # scales with a scene's temperature range
+_OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,
-    *sorted(name for name in set(METRICS) - set(PUBLISHED) - {_OMITTED} if not METRICS[name].part),
+    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].part),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95

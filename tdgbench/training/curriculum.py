@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from tdgbench.scenes import View
 from tdgbench.training.pixels import shrunk
 
 
 class Curriculum:
-    """The training views at the current iteration. Without steps and held-out views: all of them, as they are."""
+    """The training views at the current iteration. Without steps and held-out views: all of them, as they are.
+
+    The resolution is that of the schedule, or a higher one that `advance` asked for before.
+    """
 
     def __init__(self, steps: list[tuple[int, int]] | None = None, held: list[View] | None = None) -> None:
         """steps: (last iteration, scale) of each resolution below the full one. held: views to leave out at first."""
@@ -15,18 +20,50 @@ class Curriculum:
         self.held = held or []
         self.is_holding = bool(self.held)
         self._names = {view.name for view in self.held}
-        self._scale = 1
+        self._step = 0  # in use; len(steps): the full resolution
+        self._is_final = False
         self._shrunk: dict[str, View] = {}
+        self._iteration = 0
+        self._trained = [0] * (len(self.steps) + 1)  # iterations at each step
 
     def begin(self, iteration: int) -> None:
-        """Set the resolution of an iteration (1-based)."""
-        scale = next((scale for last, scale in self.steps if iteration <= last), 1)
-        if scale != self._scale:
-            self._scale, self._shrunk = scale, {}
+        """Set the resolution of an iteration (1-based); each model of a method says when it begins one."""
+        if iteration == self._iteration:
+            return
+        self._iteration = iteration
+        step = self._step
+        while not self._is_final and step < len(self.steps) and iteration > self.steps[step][0]:
+            step += 1
+        self._use(step)
+        self._trained[self._step] += 1
 
-    def fold_back(self) -> None:
-        """Train on the views that were held out, too."""
-        self.is_holding = False
+    def advance(self) -> None:
+        """Go on to the next resolution, before the schedule does."""
+        self._use(min(self._step + 1, len(self.steps)))
+
+    def settle(self, scale: int) -> None:
+        """Train on the views that were held out, too, and at this scale from now on."""
+        self.is_holding, self._is_final = False, True
+        self._use([*(one for _, one in self.steps), 1].index(scale))
+
+    def _use(self, step: int) -> None:
+        if step != self._step:
+            self._step, self._shrunk = step, {}
+
+    @property
+    def scale(self) -> int:
+        """Images have 1/scale of their width and height now."""
+        return self.steps[self._step][1] if self._step < len(self.steps) else 1
+
+    @property
+    def is_at_full_resolution(self) -> bool:
+        """Whether images have all their pixels now."""
+        return self._step == len(self.steps)
+
+    @property
+    def iterations(self) -> dict[int, int]:
+        """Iterations trained so far by scale, the largest scale first."""
+        return dict(zip((*(scale for _, scale in self.steps), 1), self._trained, strict=True))
 
     def shows(self, view: View) -> bool:
         """Whether a view is trained on."""
@@ -34,13 +71,21 @@ class Curriculum:
 
     def at_resolution(self, view: View) -> View:
         """The view at the current resolution."""
-        if self._scale == 1:
+        if self.is_at_full_resolution:
             return view
         if view.name not in self._shrunk:
-            self._shrunk[view.name] = shrunk(view, self._scale)
+            self._shrunk[view.name] = shrunk(view, self.scale)
         return self._shrunk[view.name]
 
-    @property
-    def last_reduced(self) -> int:
-        """The last iteration with less than the full resolution; 0 if there is none."""
-        return self.steps[-1][0] if self.steps else 0
+    def state_dict(self) -> dict[str, Any]:
+        """What has changed so far."""
+        return {
+            "step": self._step, "is_final": self._is_final, "is_holding": self.is_holding,
+            "iteration": self._iteration, "trained": list(self._trained),
+        }  # fmt: skip
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore a state from `state_dict`."""
+        self._is_final, self.is_holding = saved["is_final"], saved["is_holding"]
+        self._iteration, self._trained = saved["iteration"], list(saved["trained"])
+        self._use(saved["step"])

@@ -73,7 +73,6 @@ class Evidence(NamedTuple):
     views: Tensor  # (N,) number of views in which it is visible
     weight: Tensor  # (N,) px
     difference: Tensor  # (N,) image values × px
-    squares: Tensor  # (N,) sums over views of the squares of their differences
 
     @classmethod
     def none(cls, means: Tensor) -> Evidence:
@@ -85,14 +84,3 @@ class Evidence(NamedTuple):
         self.views.add_(view.visible.to(self.views))
         self.weight.add_(view.weight)
         self.difference.add_(view.difference)
-        self.squares.add_(view.difference.square())
-
-    def disagreement(self) -> Tensor:
-        """(N,) variance of `difference`, from how much the views differ; NaN for less than two views.
-
-        >>> evidence = Evidence(*torch.tensor([[2.0], [4.0], [3.0], [5.0]]))  # views that say 1 and 2
-        >>> evidence.disagreement().tolist()
-        [1.0]
-        """
-        several = self.views.where(self.views > 1, torch.nan)
-        return (several * self.squares - self.difference.square()).clamp_min(0) / (several - 1)

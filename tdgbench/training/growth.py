@@ -4,6 +4,8 @@ A Gaussian that is split or cloned can give its two halves different values. Wha
 of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
 ±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
 A Gaussian grows where |D| exceeds `z` times that. Errors of single views have different signs and cancel in D.
+
+How much D differs between views says nothing more: where a model still lacks Gaussians it differs as it does for noise.
 """
 
 from __future__ import annotations
@@ -13,7 +15,6 @@ from functools import cached_property
 
 import torch
 from pydantic import NonNegativeFloat, PositiveInt
-from torch import Tensor
 
 from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
@@ -25,7 +26,6 @@ from tdgbench.training.evidence import Evidence, Footprints, look_at
 from tdgbench.training.images import Modality
 from tdgbench.training.noise import typical_noise
 
-PRIOR_FREEDOM = 4.0  # views that the disagreement of all Gaussians counts as
 FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
 
 
@@ -35,7 +35,9 @@ class GrowthRule:
 
     views: PositiveInt  # training views that a round looks at
     z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
-    min_weight: NonNegativeFloat  # px a view; what has less weight in the views that show it is pruned
+    min_weight: (
+        NonNegativeFloat  # px at full resolution, a view; what has less weight in the views that show it is pruned
+    )
 
 
 class Significance:
@@ -59,21 +61,9 @@ class Significance:
         for view in self.chosen(turn):
             evidence.add(self._look(self.curriculum.at_resolution(view), gaussians, degree))
         is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
-        strength = torch.where(is_known, evidence.difference.abs() / self._variance(evidence, is_known).sqrt(), 0.0)
-        useless = evidence.weight < self.rule.min_weight * evidence.views
+        strength = torch.where(is_known, evidence.difference.abs() / (self.noise * evidence.weight.sqrt()), 0.0)
+        useless = self.curriculum.scale**2 * evidence.weight < self.rule.min_weight * evidence.views
         return Verdict(strength, strength > self.rule.z, (evidence.views >= FEWEST_VIEWS) & useless)
-
-    def _variance(self, evidence: Evidence, is_known: Tensor) -> Tensor:
-        """Variance (N,) of the evidence's differences by noise and by what differs between views.
-
-        The latter is estimated from each Gaussian's own views and, as they are few, from those of all Gaussians: the
-        moderated variance of Smyth (2004), whose prior is the median here.
-        """
-        own, weight = evidence.disagreement(), evidence.weight
-        usual = (own / weight)[is_known].median() if is_known.any() else own.new_zeros(())
-        freedom = evidence.views - 1
-        moderated = (PRIOR_FREEDOM * usual * weight + freedom * own) / (PRIOR_FREEDOM + freedom)
-        return torch.maximum(moderated, self.noise**2 * weight)
 
     def chosen(self, turn: int) -> list[View]:
         """The views of a round: evenly spread, one further in every round."""

@@ -100,7 +100,7 @@ def train(
         on_plateau = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
         ends = iteration == iterations or (on_plateau and all(m.has_recovered(iteration) for m in models.values()))
         if on_model is not None:
-            log.iterations, log.seconds = iteration, clock.seconds()
+            log.iterations, log.seconds, log.ended = iteration, clock.seconds(), ends
             on_model(log)
             clock = Clock(log.seconds)
         if not ends:

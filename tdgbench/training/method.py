@@ -80,7 +80,7 @@ class Context:
         budget, views, skips = self.budget, self.scene.train, self.skips
         steps, held = [], []
         if budget is not None and budget.pixels is not None and skips.pixels.allowed:
-            steps = schedule(budget.pixels, views, budget.iterations)
+            steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
         if budget is not None and budget.settling is not None and skips.settling.allowed:
             held = budget.settling.hold_out(views)
         self.curriculum = Curriculum(steps, held)
@@ -119,6 +119,7 @@ class Context:
         return {
             "generators": [generator.get_state() for generator in self._generators],
             "orders": [order.state_dict() for order in self._orders],
+            "curriculum": self.curriculum.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -127,6 +128,7 @@ class Context:
             generator.set_state(state)
         for order, state in zip(self._orders, saved["orders"], strict=True):
             order.load_state_dict(state)
+        self.curriculum.load_state_dict(saved["curriculum"])
 
 
 @dataclass

@@ -150,11 +150,16 @@ class SplatModel:
 
     def has_recovered(self, iteration: int) -> bool:
         """Whether the model at an iteration has recovered from density control, and is worth saving."""
-        return self.budget.density.has_recovered(iteration, self.budget.iterations)
+        return self.density.rules.has_recovered(iteration, self.budget.iterations)
+
+    def stop_growth(self, iteration: int) -> None:
+        """End density control before an iteration."""
+        rules = self.density.rules
+        self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
     def _judge(self, iteration: int) -> Verdict | None:
         """Verdict of the budget's growth rule, where it has one and a round of density control is due."""
-        rules = self.budget.density
+        rules = self.density.rules
         if self.significance is None or not rules.is_round(iteration, self.budget.iterations):
             return None
         return self.significance.judge(self.gaussians, self.degree, iteration // rules.every)

@@ -22,7 +22,7 @@ class PixelRule:
     """Images have 1/scale of their width until the share of the schedule that their spectrum has below that scale.
 
     DashGaussian (Chen et al. 2025) gives a resolution the iterations that its frequencies add to the spectrum. Noise
-    has no part in the spectrum here.
+    has no part in the spectrum here. Held-out views may end a resolution earlier (`tdgbench.training.settling`).
     """
 
     largest_scale: Annotated[int, Field(ge=1, le=SCALES[0])]
@@ -30,10 +30,17 @@ class PixelRule:
     smallest_side: PositiveInt  # px, of an image at any scale
 
 
-def schedule(rule: PixelRule, views: list[View], iterations: int) -> list[tuple[int, int]]:
-    """Steps (last iteration, scale) of `Curriculum`, for the thermal images of the views."""
+def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:
+    """Steps (last iteration, scale) of `Curriculum`, for the thermal images of the views.
+
+    gaussians: at the start. Smaller images than one pixel for each of them save little, as they are projected anyway.
+    """
     side = min(min(view.camera.width, view.camera.height) for view in views)
-    scales = tuple(s for s in SCALES if s <= rule.largest_scale and (s == 1 or side // s >= rule.smallest_side))
+    pixels = min(view.camera.width * view.camera.height for view in views)
+    scales = tuple(
+        s for s in SCALES
+        if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
+    )  # fmt: skip
     shares = np.mean(
         [significant_amplitudes(view.thermal, noise_of(view.thermal, view.valid), scales) for view in views], axis=0
     )

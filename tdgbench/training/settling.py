@@ -1,13 +1,14 @@
-"""The end of a training by held-out views: they stop getting better, are trained on as well, and rates fall."""
+"""What held-out training views say about a training: when it needs more pixels, and when it settles and ends."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import View
 
@@ -19,24 +20,27 @@ MIN_MSE = 1e-10
 
 @dataclass(frozen=True)
 class SettlingRule:
-    """Training settles once the mean PSNR of held-out training views has not risen by `gain` for `patience` checks.
+    """A training stalls once its held-out training views gain less than `gain` from one window of checks to the next.
 
-    From then on the held-out views are trained on as well, and all learning rates fall log-linearly, for a while.
-    A training that never settles does the same at its end.
+    A window is a share of the checks at the current resolution. A training that stalls below the full resolution goes
+    on to the next one. At the full one, or at one that is no better than the one before, it settles: the held-out views
+    are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a while. A training
+    that never settles does the same at its end.
     """
 
     share: Annotated[float, Field(gt=0, lt=0.5)]  # of the training views that is held out
     fewest: PositiveInt  # views held out; with less than four times as many training views none is
+    most: PositiveInt  # views held out
     every: PositiveInt  # iterations between checks
-    patience: PositiveInt  # checks
-    gain: NonNegativeFloat  # dB
-    after: NonNegativeInt  # earliest check
+    checks: PositiveInt  # in a window, at least
+    window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
+    gain: PositiveFloat  # dB, the median over held-out views
     tail: PositiveFloat  # iterations after settling, as a share of those before
     slowdown: Annotated[float, Field(gt=0, le=1)]  # of all learning rates at the end
 
     def hold_out(self, views: list[View]) -> list[View]:
         """The views to hold out, evenly spread."""
-        count = max(self.fewest, round(self.share * len(views)))
+        count = min(max(self.fewest, round(self.share * len(views))), self.most)
         if len(views) < 4 * count:
             return []
         return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
@@ -45,56 +49,90 @@ class SettlingRule:
         """The last iteration at which a training of so many iterations settles."""
         return max(1, int(iterations / (1 + self.tail)))
 
+    def windows(self, psnrs: list[list[float]]) -> tuple[np.ndarray, np.ndarray] | None:
+        """PSNR (V,) of V views in the last window and in that before; None while there are too few checks (C, V)."""
+        size = max(self.checks, math.ceil(self.window * len(psnrs)))
+        if len(psnrs) < 2 * size:
+            return None
+        values = np.array(psnrs)
+        return values[-size:].mean(axis=0), values[-2 * size : -size].mean(axis=0)
+
 
 class Settling:
-    """Decides by a rule when a training settles and ends; slows the optimisers down in between."""
+    """Decides by a rule when a training goes on to more pixels, settles and ends; slows the optimisers down at last."""
 
     def __init__(self, rule: SettlingRule, method: Method, context: Context) -> None:
         self.rule, self.method, self.context = rule, method, context
-        self._best = float("-inf")
-        self._without = 0
+        self._scale = context.curriculum.scale
+        self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
+        self._scale_before, self._psnrs_before = 0, list[float]()  # before this resolution, at its end; 0: none
         self._settled = 0  # iteration; 0: not yet
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the decision."""
-        return {"best": self._best, "without": self._without, "settled": self._settled}
+        names = ("_scale", "_psnrs", "_scale_before", "_psnrs_before", "_settled")
+        return {name.strip("_"): getattr(self, name) for name in names}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore a state from `state_dict`."""
-        self._best, self._without, self._settled = saved["best"], saved["without"], saved["settled"]
+        """Restore a state from `state_dict`; the curriculum's is the context's."""
+        for name, value in saved.items():
+            setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
         if self._settled:
-            self.context.curriculum.fold_back()
+            self._stop_growth()
 
     def reached(self, iteration: int, loss: float) -> bool:
         """Note the end of an iteration's forward pass; True from the iteration on at which training may end."""
-        if not self._settled and self._settles(iteration):
-            self._settled = iteration
-            self.context.curriculum.fold_back()
         if not self._settled:
-            return False
+            scale = self._settles(iteration)
+            if scale is None:
+                return False
+            self._settled = iteration
+            self.context.curriculum.settle(scale)
+            self._stop_growth()
         length = max(1, round(self.rule.tail * self._settled))
         progress = min(1.0, (iteration - self._settled) / length)
         for model in self.method.models().values():
             model.optimizer.slowdown = self.rule.slowdown**progress
         return progress == 1.0
 
-    def _settles(self, iteration: int) -> bool:
-        rule = self.rule
+    def _stop_growth(self) -> None:
+        for model in self.method.models().values():
+            model.stop_growth(self._settled)
+
+    def _settles(self, iteration: int) -> int | None:
+        """The scale at which the training settles now; None if it does not."""
+        rule, curriculum = self.rule, self.context.curriculum
         if iteration >= rule.latest(self.context.budget.iterations):
-            return True
-        if iteration <= rule.after or iteration % rule.every or not self.context.curriculum.held:
-            return False
-        psnr = self._held_out_psnr()
-        self._without = 0 if psnr > self._best + rule.gain else self._without + 1
-        self._best = max(self._best, psnr)
-        return self._without >= rule.patience
+            return curriculum.scale
+        if iteration % rule.every or not curriculum.held:
+            return None
+        if curriculum.scale != self._scale:  # by the schedule
+            self._go_on()
+        self._psnrs.append(self._held_out_psnrs())
+        windows = rule.windows(self._psnrs)
+        if windows is None or float(np.median(windows[0] - windows[1])) >= rule.gain:
+            return None
+        if self._scale_before and float(np.median(windows[0] - self._psnrs_before)) < rule.gain:
+            return self._scale_before
+        if curriculum.is_at_full_resolution:
+            return curriculum.scale
+        curriculum.advance()
+        self._go_on()
+        return None
+
+    def _go_on(self) -> None:
+        """Begin another resolution."""
+        if self._psnrs:
+            size = min(len(self._psnrs), self.rule.checks)
+            self._scale_before, self._psnrs_before = self._scale, np.mean(self._psnrs[-size:], axis=0).tolist()
+        self._scale, self._psnrs = self.context.curriculum.scale, []
 
     @torch.no_grad()
-    def _held_out_psnr(self) -> float:
-        """Mean PSNR of the held-out views over their valid pixels, dB."""
+    def _held_out_psnrs(self) -> list[float]:
+        """PSNR of the held-out views over their valid pixels, at full resolution, dB."""
         values = []
-        for view in map(self.context.curriculum.at_resolution, self.context.curriculum.held):
+        for view in self.context.curriculum.held:
             squares = np.square(self.method.render(view.camera).image.cpu().numpy() - view.thermal)
             mse = float((squares if view.valid is None else squares[view.valid]).mean(dtype=np.float64))
             values.append(-10 * np.log10(max(mse, MIN_MSE)))
-        return float(np.mean(values))
+        return values

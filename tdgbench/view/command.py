@@ -42,7 +42,7 @@ def _show(options: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name != "viser":
             raise
-        raise ValueError("it needs viser: pip install 'tdgbench[view]'") from error
+        raise ValueError("it needs viser: pip install -e '.[view]'") from error
     cells = _with_training_views(open_cells(options.cell), options.data)
     with serving(options.host, options.port) as server:
         viewer = Viewer(server, cells, options.width)

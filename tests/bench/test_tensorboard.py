@@ -56,5 +56,5 @@ def test_events_after_the_checkpoint_of_a_killed_training_are_dropped(tmp_path):
 
 def test_the_error_without_tensorboard_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(RuntimeError, match=r"pip install 'tdgbench\[tensorboard\]'"):
+    with pytest.raises(RuntimeError, match=r"pip install -e '.\[tensorboard\]'"):
         TensorBoardLog(tmp_path, 0)

@@ -44,7 +44,7 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     assert run.returncode == 1 and "Traceback" not in run.stderr
     assert run.stderr.count("prior=marigold is not available") == 1
     start = run.stderr.split("splat on", 1)[0]  # before the first cell
-    assert "error: prior=marigold is not available" in start and "pip install 'tdgbench[depth]'" in start
+    assert "error: prior=marigold is not available" in start and "pip install -e '.[depth]'" in start
     for other in ("prior=depth_anything", "prior=onnx", "prior=files", "prior=sfm_points"):
         assert other in start
     assert "2 cells run, 0 already there, 2 failed, 0 without data" in run.stdout

@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, small_scene, monkeypatch)
         make("onnx", model=tmp_path / "no.onnx").identity(small_scene)
     (tmp_path / "good.onnx").write_bytes(channel_mean([1, 3, 8, 8]))
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    refused(r"onnxruntime cannot be imported .*\n  pip install 'tdgbench\[onnx\]'", model=tmp_path / "good.onnx")
+    refused(r"onnxruntime cannot be imported .*\n  pip install -e '.\[onnx\]'", model=tmp_path / "good.onnx")
 
 
 def test_an_output_that_is_no_map_is_named(network, small_scene):

@@ -90,6 +90,8 @@ def test_scores_by_hand(scene_of, request):
         assert found["channel_psnr"] == pytest.approx(np.mean(-10 * np.log10(mse)), abs=1e-5)
         if scene.channels == 1:
             assert found["mae_degC"] == pytest.approx(20 * np.abs(a - b).mean(), rel=1e-5)
+            around = np.abs(a - b - np.median(a - b)).mean()
+            assert found["mae_degC_without_offset"] == pytest.approx(20 * around, rel=1e-5)
         assert found["depth_abs_rel"] == pytest.approx(0.2, rel=1e-5) and found["floaters"] == 0
         assert scorer.score_train(view, renders[view.name]) == {m: found[m] for m in ("psnr", "ssim")}
 

@@ -34,6 +34,7 @@ def test_gray_scene(small_gray_scene):
     values = score(scoring, small_gray_scene, wrong, view.true_depth * 1.1)
     assert values["psnr"] == pytest.approx(-20 * np.log10(10 / 255))
     assert values["mae_degC"] == pytest.approx(10 / 255 * (50 - 14), rel=1e-5)
+    assert values["mae_degC_without_offset"] <= values["mae_degC"]
     assert values["depth_abs_rel"] == pytest.approx(0.1, rel=1e-5)
     assert values["lpips"] is None and "download is false" in scoring.missing["lpips"]
 

@@ -22,7 +22,7 @@ def wave(period: float) -> np.ndarray:
 
 
 def test_fine_images_get_their_pixels_early_and_coarse_ones_late():
-    coarse, fine = (schedule(RULE, [view(wave(period))], 1000) for period in (40, 3))
+    coarse, fine = (schedule(RULE, [view(wave(period))], 100, 1000) for period in (40, 3))
     assert [scale for _, scale in coarse] == [8, 6, 4, 3, 2] and coarse[0][0] > 300
     assert [last for last, _ in coarse] == sorted(last for last, _ in coarse) and coarse[-1][0] <= 500
     assert all(last < 60 for last, _ in fine)
@@ -30,8 +30,14 @@ def test_fine_images_get_their_pixels_early_and_coarse_ones_late():
 
 def test_images_do_not_get_smaller_than_the_rule_says():
     rule = dataclasses.replace(RULE, smallest_side=40)
-    assert [scale for _, scale in schedule(rule, [view(wave(40))], 1000)] == [2]
-    assert schedule(dataclasses.replace(RULE, largest_scale=1), [view(wave(40))], 1000) == []
+    assert [scale for _, scale in schedule(rule, [view(wave(40))], 100, 1000)] == [2]
+    assert schedule(dataclasses.replace(RULE, largest_scale=1), [view(wave(40))], 100, 1000) == []
+
+
+def test_images_have_no_fewer_pixels_than_there_are_gaussians():
+    pixels = 128 * 96
+    assert [scale for _, scale in schedule(RULE, [view(wave(40))], pixels // 9, 1000)] == [3, 2]
+    assert schedule(RULE, [view(wave(40))], pixels, 1000) == []
 
 
 def test_a_smaller_view_has_means_and_the_camera_of_them():

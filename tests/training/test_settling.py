@@ -9,83 +9,127 @@ from tdgbench.training.settling import Settling, SettlingRule
 from tdgbench.training.skips import Skips
 from tests.helpers.training import digest, ready_to_train
 
-RULE = SettlingRule(share=0.1, fewest=1, every=10, patience=2, gain=0.1, after=20, tail=0.5, slowdown=0.1)
+RULE = SettlingRule(
+    share=0.1, fewest=1, most=8, every=10, checks=2, window=0.2, gain=0.1, tail=0.5, slowdown=0.1
+)  # fmt: skip
 CONF = (
-    "+budget.settling={_target_:tdgbench.training.settling.SettlingRule,share:0.1,fewest:1,every:5,patience:1,"
-    "gain:50,after:10,tail:0.5,slowdown:0.1}"
+    "+budget.settling={_target_:tdgbench.training.settling.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
+    "window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
 
 
 class Scripted(Settling):
-    """Settling whose held-out PSNR follows a script."""
+    """Settling whose held-out PSNR follows a script: psnr(iteration, scale), a number or one for each view."""
 
-    def __init__(self, psnr, iterations=1000, held=(1,)):
-        curriculum = Curriculum()
-        curriculum.held, curriculum.is_holding = list(held), bool(held)
-        models = {"thermal": SimpleNamespace(optimizer=SimpleNamespace(slowdown=1.0))}
-        method = SimpleNamespace(models=lambda: models)
-        context = SimpleNamespace(curriculum=curriculum, budget=SimpleNamespace(iterations=iterations))
+    def __init__(self, psnr, iterations=1000, held=(1,), steps=()):
+        self.curriculum = Curriculum(list(steps))
+        self.curriculum.held, self.curriculum.is_holding = list(held), bool(held)
+        self.stopped = []
+        self.model = SimpleNamespace(optimizer=SimpleNamespace(slowdown=1.0), stop_growth=self.stopped.append)
+        method = SimpleNamespace(models=lambda: {"thermal": self.model})
+        context = SimpleNamespace(curriculum=self.curriculum, budget=SimpleNamespace(iterations=iterations))
         super().__init__(RULE, method, context)
         self.psnr, self.asked, self.iteration = psnr, [], 0
 
     def reached(self, iteration, loss=0.0):
         self.iteration = iteration
+        self.curriculum.begin(iteration)
         return super().reached(iteration, loss)
 
-    def _held_out_psnr(self):
+    def _held_out_psnrs(self):
         self.asked.append(self.iteration)
-        return self.psnr(self.iteration)
+        return list(np.atleast_1d(self.psnr(self.iteration, self.curriculum.scale)))
 
     @property
     def rate(self):
-        return self.method.models()["thermal"].optimizer.slowdown
+        return self.model.optimizer.slowdown
 
 
 def end_of(settling, limit=1000):
     return next((i for i in range(1, limit + 1) if settling.reached(i)), None)
 
 
-def test_it_settles_after_its_patience_and_ends_after_the_tail():
-    settling = Scripted(lambda i: min(i, 50) * 1.0)
-    assert end_of(settling) == 70 + 35  # best at 50; 60 and 70 are no better; half of 70 on top
-    assert settling.asked == [30, 40, 50, 60, 70]
-    assert settling.rate == pytest.approx(0.1) and not settling.context.curriculum.is_holding
+def test_it_settles_when_a_window_is_no_better_than_the_one_before_and_ends_after_the_tail():
+    settling = Scripted(lambda i, scale: min(i, 50) * 1.0)
+    assert end_of(settling) == 80 + 40  # the checks at 70 and 80 are no better than those at 50 and 60
+    assert settling.asked == list(range(10, 90, 10)) and settling.stopped == [80]
+    assert settling.rate == pytest.approx(0.1) and not settling.curriculum.is_holding
+
+
+def test_windows_grow_with_the_checks():
+    def stairs(i, scale):
+        return 0.2 * (i // 100)
+
+    assert end_of(Scripted(stairs)) == 40 + 20  # no step within the first four checks
+    long = Scripted(lambda i, scale: i / 50 if i <= 400 else 8.0)
+    end_of(long)
+    assert long.stopped[0] > 400 + 2 * 10 * RULE.checks  # windows of a fifth of 40 checks see the rise for longer
+
+
+def test_one_view_that_gets_worse_does_not_settle_it():
+    def psnr(i, scale):
+        return [i / 10, i / 10, 30.0 - i]
+
+    assert end_of(Scripted(psnr, held=(1, 2, 3), iterations=300)) == 300
+
+
+def test_a_stall_below_the_full_resolution_raises_it():
+    steps = [(400, 4), (800, 2)]
+    settling = Scripted(lambda i, scale: 10.0 / scale, steps=steps)
+    assert end_of(settling) == 120 + 60
+    assert settling.curriculum.iterations == {4: 40, 2: 40, 1: 100} and settling.curriculum.scale == 1
+
+
+def test_a_resolution_that_is_no_better_is_left_again():
+    settling = Scripted(lambda i, scale: {4: 5.0, 2: 8.0, 1: 7.5}[scale], steps=[(400, 4), (800, 2)])
+    assert end_of(settling) == 180
+    assert settling.curriculum.iterations == {4: 40, 2: 40 + 60, 1: 40} and settling.curriculum.scale == 2
+
+
+def test_the_schedule_raises_the_resolution_at_the_latest():
+    settling = Scripted(lambda i, scale: i / 10, steps=[(95, 4), (205, 2)], iterations=600)
+    assert end_of(settling, 600) == 600
+    assert settling.curriculum.iterations == {4: 95, 2: 110, 1: 395} and settling.stopped == [400]
 
 
 def test_rates_fall_log_linearly_after_settling():
-    settling = Scripted(lambda i: 1.0)
+    settling = Scripted(lambda i, scale: 1.0)
     rates = []
-    for i in range(1, 76):
+    for i in range(1, 61):
         settling.reached(i)
         rates.append(settling.rate)
-    assert rates[:50] == [1.0] * 50 and rates[74] == pytest.approx(0.1) and rates[62] == pytest.approx(0.1 ** (13 / 25))
+    assert rates[:40] == [1.0] * 40 and rates[59] == pytest.approx(0.1) and rates[49] == pytest.approx(0.1**0.5)
 
 
 def test_what_never_settles_has_its_tail_at_the_end():
-    settling = Scripted(lambda i: float(i), iterations=300)
+    settling = Scripted(lambda i, scale: float(i), iterations=300)
     assert end_of(settling, 300) == 300 and settling.asked[-1] == 190
     assert settling.rate == pytest.approx(0.1)
 
 
 def test_without_held_out_views_only_the_rates_fall():
-    settling = Scripted(lambda i: 1.0, iterations=300, held=())
+    settling = Scripted(lambda i, scale: 1.0, iterations=300, held=())
     assert end_of(settling, 300) == 300 and settling.asked == [] and settling.rate == pytest.approx(0.1)
 
 
-def test_a_restored_state_goes_on_alike():
-    settling, again = Scripted(lambda i: 1.0), Scripted(lambda i: 1.0)
-    for i in range(1, 60):
+@pytest.mark.parametrize("stop", [25, 45, 130])
+def test_a_restored_state_goes_on_alike(stop):
+    steps = [(400, 4), (800, 2)]
+    settling, again = (Scripted(lambda i, scale: {4: 5.0, 2: 8.0, 1: 7.5}[scale], steps=steps) for _ in range(2))
+    for i in range(1, stop):
         settling.reached(i)
+    again.curriculum.load_state_dict(settling.curriculum.state_dict())
     again.load_state_dict(settling.state_dict())
-    assert not again.context.curriculum.is_holding
-    assert [settling.reached(i) for i in range(60, 90)] == [again.reached(i) for i in range(60, 90)]
-    assert settling.rate == again.rate
+    assert again.stopped == settling.stopped and again.curriculum.is_holding == settling.curriculum.is_holding
+    assert [settling.reached(i) for i in range(stop, 190)] == [again.reached(i) for i in range(stop, 190)]
+    assert settling.rate == again.rate and settling.curriculum.iterations == again.curriculum.iterations
 
 
 def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene):
     views = list(range(40))
     assert RULE.hold_out(views) == [5, 15, 25, 35]  # type: ignore[arg-type]
     assert RULE.hold_out(views[:3]) == []  # type: ignore[arg-type]
+    assert len(RULE.hold_out(list(range(400)))) == RULE.most  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["splat", "tdg", "msmg"])
@@ -94,7 +138,7 @@ def test_methods_stop_by_it(small_gray_scene, name):
     stopping = stopping_of(method, context)
     assert isinstance(stopping, Settling) and len(context.curriculum.held) == 1
     log = train(method, 60, plateau=stopping)
-    assert log.iterations == 30 and log.ended  # checks at 15 and 20; the tail has 10
+    assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in method.models().values())
 
 

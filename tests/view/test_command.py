@@ -36,7 +36,7 @@ def test_without_viser_the_error_says_how_to_install_it(tdg_folder, monkeypatch,
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main([str(tdg_folder)]) == 1
-    assert capsys.readouterr().err == "tdgbench view: it needs viser: pip install 'tdgbench[view]'\n"
+    assert capsys.readouterr().err == "tdgbench view: it needs viser: pip install -e '.[view]'\n"
 
 
 def test_an_address_that_cannot_be_served(tdg_folder, capsys):

@@ -27,7 +27,7 @@ class SceneWriter:
     def __init__(self, folder: Path, is_celsius: bool) -> None:
         self.folder, self.is_celsius = folder, is_celsius
         self.names: list[str] = []  # of the views
-        self._samples: list[np.ndarray] = []
+        self._samples: dict[str, np.ndarray] = {}
         for name in ("rgb", "thermal"):
             (folder / name).mkdir()
 
@@ -38,19 +38,23 @@ class SceneWriter:
         """
         self.names.append(name)
         Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)).save(self.folder / "rgb" / f"{name}.png")
+        self.thermal(name, thermal, valid)
+        if not valid.all():
+            (self.folder / "masks").mkdir(exist_ok=True)
+            Image.fromarray(valid.astype(np.uint8) * 255).save(self.folder / "masks" / f"{name}.png")
+
+    def thermal(self, name: str, thermal: np.ndarray, valid: np.ndarray) -> None:
+        """Write, or replace, the thermal image of a view."""
         if self.is_celsius:
             tiff = self.folder / "thermal" / f"{name}.tiff"
             Image.fromarray(thermal.astype(np.float32)).save(tiff, compression="tiff_deflate")
             measured = thermal[valid]
-            self._samples.append(measured[:: max(1, len(measured) // SAMPLES)])
+            self._samples[name] = measured[:: max(1, len(measured) // SAMPLES)]
         else:
             is_gray = thermal.shape[2] == 1
             levels = np.round(np.clip(thermal, 0, 1) * (65535 if is_gray else 255))
             image = levels[..., 0].astype(np.uint16) if is_gray else levels.astype(np.uint8)
             Image.fromarray(image).save(self.folder / "thermal" / f"{name}.png")
-        if not valid.all():
-            (self.folder / "masks").mkdir(exist_ok=True)
-            Image.fromarray(valid.astype(np.uint8) * 255).save(self.folder / "masks" / f"{name}.png")
 
     def temperature(self, given: tuple[float, float] | None, report: Report) -> None:
         """Write temperature.json: the given range, else one from the views, if one is known; report it."""
@@ -58,7 +62,7 @@ class SceneWriter:
             return
         share = None
         if self.is_celsius:
-            samples = np.concatenate(self._samples)
+            samples = np.concatenate(list(self._samples.values()))
             if given is None:
                 given = _range_of(samples)
             share = float(np.mean((samples < given[0]) | (samples > given[1])))

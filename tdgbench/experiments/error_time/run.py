@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -36,6 +36,7 @@ class RunOptions(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
     method: str
     share: PositiveFloat = 1.0
     options: dict[str, Any] = {}
+    budget: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class ErrorTimeOptions:
     samples: Annotated[int, Field(ge=2)]
     runs: list[RunOptions]
     largest: PositiveInt
+    budgets: dict[str, Any] = field(default_factory=dict)
+    chain: bool = True
 
 
 class ErrorTime(Experiment):
@@ -122,20 +125,27 @@ def _measure_training(cfg: DictConfig, folder: Path, console: Console) -> int:
     curves, failed = training.sample_all(cfg, report)
     _write(curves, folder / "curves.csv")
     if not curves.empty:
-        _compare_trainings(curves, [one.label for one in training.runs_of(cfg)], folder, console)
+        labels = [one.label for one in training.runs_of(cfg)]
+        _compare_trainings(curves, labels, folder, console)
+        if cfg.job.get("chain", True):
+            _attribute(curves, labels, folder, console)
         draw_curves(curves, folder / "curves.png")
     return failed
 
 
 def _compare_trainings(curves: pd.DataFrame, labels: list[str], folder: Path, console: Console) -> None:
-    """Write milestones; write and print what each step contributes, and the time saved."""
-    contributions = training.attribution(curves, labels)
+    """Write milestones; write and print the time saved against the first training."""
     savings = training.faster_by(curves, labels[0], labels[1:])
     _write(training.milestones(curves), folder / "milestones.csv")
-    _write(contributions, folder / "attribution.csv")
     _write(savings, folder / "faster.csv")
-    show(contributions, console, f"contribution of each step after {labels[0]} to the speed-up")
     show(savings, console, f"time saved against {labels[0]}")
+
+
+def _attribute(curves: pd.DataFrame, labels: list[str], folder: Path, console: Console) -> None:
+    """Write and print what each step of a chain contributes."""
+    contributions = training.attribution(curves, labels)
+    _write(contributions, folder / "attribution.csv")
+    show(contributions, console, f"contribution of each step after {labels[0]} to the speed-up")
 
 
 def _measure_growth(cfg: DictConfig, folder: Path, console: Console) -> None:

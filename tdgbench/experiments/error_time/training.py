@@ -27,32 +27,42 @@ METRICS = ("psnr", "ssim", "lpips", "depth_abs_rel")
 
 @dataclass(frozen=True)
 class Run:
-    """A link of the chain: a method, overrides of its options, and its share of the budget's iterations."""
+    """A link of the chain: a method, overrides of its options, and its share of the budget's iterations.
+
+    budget: its name in `job.budgets`; None: that of the configuration.
+    """
 
     label: str
     method: str
     share: float
     options: Mapping[str, Any]
+    budget: str | None = None
 
 
 def runs_of(cfg: DictConfig) -> list[Run]:
-    """The chain in `cfg.job.runs`. Raises ValueError for a method that is not in `cfg.job.methods`."""
+    """The chain in `cfg.job.runs`. Raises ValueError for a method or budget that is not in `cfg.job`."""
     runs = []
     for one in cfg.job.runs:
+        budget = one.get("budget")
         if one.method not in cfg.job.methods:
             raise ValueError(f"run {one.label!r}: no method {one.method!r} among {', '.join(cfg.job.methods)}")
-        runs.append(Run(one.label, one.method, float(one.get("share", 1.0)), dict(one.get("options", {}))))
+        if budget is not None and budget not in cfg.job.get("budgets", {}):
+            raise ValueError(f"run {one.label!r}: no budget {budget!r} among {', '.join(cfg.job.get('budgets', {}))}")
+        runs.append(Run(one.label, one.method, float(one.get("share", 1.0)), dict(one.get("options", {})), budget))
     return runs
 
 
 def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
-    """Train one link and score the test views at `samples` iterations, evenly spaced on a logarithmic scale.
+    """Train one link and score the test views at `samples` iterations, evenly spaced on a logarithmic scale, and at the
+    end, which may come before the budget's.
 
     A sample right after density control waits until the models have recovered, so that each point of the curve is a
     model as it would be saved. The clock stops while views are scored.
     """
     cfg = cfg.copy()
-    cfg.scene = scene_name
+    cfg.scene, cfg.method = scene_name, cfg.job.methods[run.method]
+    if run.budget is not None:
+        cfg.budget = cfg.job.budgets[run.budget]
     skips: Skips = instantiate(cfg.skip)
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
@@ -63,7 +73,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     rows: list[dict[str, Any]] = []
 
     def sample(log: TrainingLog) -> None:
-        if log.iterations not in sampled:
+        if log.iterations not in sampled and not log.ended:
             return
         scores = mean_scores(score_views(method, scene, scorer))
         gaussians = sum(len(model) for model in method.models().values())

@@ -63,7 +63,7 @@ def counted(cells: Sequence[PlannedCell]) -> str:
     """
     states: tuple[State, ...] = ("to run", "with a result", "without data")
     parts = [f"{sum(cell.state == state for cell in cells)} {state}" for state in states]
-    return f"{len(cells)} cells: {', '.join(parts)}"
+    return f"{len(cells)} {'cell' if len(cells) == 1 else 'cells'}: {', '.join(parts)}"
 
 
 def pending(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome]) -> list[PlannedCell]:

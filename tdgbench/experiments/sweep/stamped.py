@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
-
-from rich.console import Console
 
 from tdgbench.bench.outcome import COMPLETE, Outcome
 from tdgbench.bench.plan import FILE as PLAN
@@ -18,7 +15,7 @@ from tdgbench.experiments.sweep.job import inputs_of_jobs
 from tdgbench.filestate import States, merged, states_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.show import show
-from tdgbench.terminal import UNLIMITED
+from tdgbench.terminal import as_printed
 
 
 class Written(NamedTuple):
@@ -63,9 +60,7 @@ def files_in_words(written: Written) -> list[str]:
 
 def _shown(tables: Tables) -> str:
     """The tables as a run without a terminal prints them."""
-    buffer = io.StringIO()
-    show(tables, Console(file=buffer, width=UNLIMITED, force_interactive=False, force_terminal=False))
-    return buffer.getvalue().removesuffix("\n")
+    return as_printed(lambda console: show(tables, console)).removesuffix("\n")
 
 
 def _files(folder: Path) -> Iterable[Path]:

@@ -2,5 +2,6 @@
 
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset
+from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
 
-__all__ = ["CaptureErrors", "SyntheticDataset"]
+__all__ = ["CaptureErrors", "SyntheticDataset", "ThermalErrors"]

@@ -1,8 +1,8 @@
-"""Errors of a capture: noise of the thermal sensor, its drift between views, wrong poses."""
+"""Errors of a capture: noise of the thermal sensor, its drift between views, wrong poses, errors of the camera."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Annotated
 
 import numpy as np
@@ -10,6 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, TrueCamera
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
 STREAM = 16  # of random numbers, so that errors do not change a scene's other draws
@@ -23,13 +24,14 @@ class CaptureErrors:
 
     noise_degC: of the temperatures. drift_degC: of the offset of a view's temperatures. pose_degrees: of the turn of a
     given camera from the true one, about each of its axes. pose_units: of its displacement along each axis, in world
-    units (m).
+    units (m). camera: what the thermal camera adds.
     """
 
     noise_degC: DegC = NOISE_DEGC
     drift_degC: DegC = 0.0
     pose_degrees: Annotated[float, Field(ge=0, le=45)] = 0.0
     pose_units: Annotated[float, Field(ge=0, le=10)] = 0.0
+    camera: ThermalErrors = field(default_factory=ThermalErrors)
 
     @property
     def title(self) -> str:
@@ -38,15 +40,21 @@ class CaptureErrors:
         >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
         ('', '-drift_degC0.5')
         """
-        return "".join(
-            f"-{field.name}{getattr(self, field.name):g}"
-            for field in fields(self)
-            if getattr(self, field.name) != field.default
-        )
+        changed = (one.name for one in fields(self) if getattr(self, one.name) != one.default)
+        return "".join(f"-{name}{getattr(self, name):g}" for name in changed if name != "camera") + self.camera.title
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the thermal camera has errors that are the same in all pixels of a view, or in all views."""
+        return self.drift_degC > 0 or self.camera != ThermalErrors()
 
     def drifts(self, views: int, seed: int) -> np.ndarray:
         """Offsets (views,) of the views' temperatures, °C."""
         return self.drift_degC * np.random.default_rng([seed, STREAM, 0]).normal(size=views)
+
+    def thermal_camera(self, size: tuple[int, int], span: tuple[float, float], views: int, seed: int) -> TrueCamera:
+        """The thermal camera of a capture. size: width, height in px. span: °C of the world."""
+        return self.camera.drawn(size, span, self.drifts(views, seed), [seed, STREAM, 2])
 
     def given(self, cameras: list[Camera], seed: int) -> list[Camera]:
         """The cameras as the scene's files give them; the true ones if there are no pose errors."""
@@ -57,7 +65,11 @@ class CaptureErrors:
 
     def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
         """The camera, turned and displaced by errors drawn from `rng`."""
+        return self.moved(camera, np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
+
+    def moved(self, camera: Camera, error_sizes: np.ndarray) -> Camera:
+        """The camera, turned and displaced by errors (6,) in standard deviations: of the turn, of the displacement."""
         error = np.eye(4)
-        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * rng.normal(size=3), degrees=True).as_matrix()
-        error[:3, 3] = self.pose_units * rng.normal(size=3)
+        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * error_sizes[:3], degrees=True).as_matrix()
+        error[:3, 3] = self.pose_units * error_sizes[3:]
         return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from PIL import Image
 
@@ -16,9 +14,10 @@ from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.render import look_at, render
+from tdgbench.scenes.synthetic.thermal_files import ThermalFiles
+from tdgbench.scenes.synthetic.truth import CameraTruth, write_truth
 from tdgbench.scenes.synthetic.worlds import World
 
-PALETTE = "inferno"
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
 POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
@@ -47,33 +46,36 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
     """Render the images and write the scene; the folder appears when it is complete.
 
     Images and true depth are those of the true cameras, the COLMAP model has the given ones; its points are where they
-    are. Errors have random numbers of their own.
+    are. Errors have random numbers of their own. The errors of the thermal camera are written beside the scene.
     """
     rng = np.random.default_rng(shot.seed)
     cameras = shot.cameras(world, rng)
-    drifts = shot.errors.drifts(len(cameras), shot.seed)
+    camera = shot.errors.thermal_camera((shot.width, shot.height), world.temperatures, len(cameras), shot.seed)
     folder.parent.mkdir(parents=True, exist_ok=True)
     private = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     part = private / folder.name  # its permissions follow the umask; those of `private` do not
     try:
-        for sub in ("rgb", "thermal", "depth"):
+        for sub in ("rgb", "depth"):
             (part / sub).mkdir(parents=True)
+        thermal = ThermalFiles(part, world, shot.errors.camera.files)
         names, images = [], []
-        for index, camera in enumerate(cameras):
+        for index, place in enumerate(cameras):
             name = f"view{index:03d}"
-            rgb, degC, depth = render(world, camera)
+            rgb, degC, depth = render(world, place)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
             Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
-            degC = degC + rng.normal(0, shot.errors.noise_degC, degC.shape) + drifts[index]
-            Image.fromarray(thermal_image(degC, world)).save(part / "thermal" / f"{name}.png")
+            noise = rng.normal(0, shot.errors.noise_degC, degC.shape)
+            thermal.view(name, camera.shown(degC, index, noise))
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))
-            names.append(f"{name}.png")
+            names.append(name)
             images.append((rgb, depth))
         cloud = _sparse_points(cameras, images, round(shot.points * world.point_share), rng)
-        named = list(zip(names, shot.errors.given(cameras, shot.seed), strict=True))
-        write_model(part / "sparse" / "0", named, cloud)
-        low, high = world.temperatures
-        (part / "temperature.json").write_text(json.dumps({"unit": "degC", "min": low, "max": high}), encoding="utf-8")
+        given = shot.errors.given(cameras, shot.seed)
+        files = [f"{name}.png" for name in names]  # of the model; thermal files may have another extension
+        write_model(part / "sparse" / "0", list(zip(files, given, strict=True)), cloud)
+        camera = thermal.finish(camera)
+        if shot.errors.has_truth:
+            write_truth(part, CameraTruth(names, camera))
         try:
             part.replace(folder)
         except OSError:
@@ -81,16 +83,6 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
                 raise
     finally:
         shutil.rmtree(private, ignore_errors=True)
-
-
-def thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
-    """8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
-    low, high = world.temperatures
-    level = np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)
-    if not world.pseudo_color:
-        return level
-    palette = np.round(matplotlib.colormaps[PALETTE](np.arange(256))[:, :3] * 255).astype(np.uint8)
-    return palette[level]
 
 
 def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> PointCloud:

@@ -8,15 +8,20 @@ from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 
-def mae_degC(shown: ScoredView) -> float:
-    """Mean absolute difference of the 8-bit pictures (H, W, 1) in °C, where gray values are linear in temperature."""
+def differences(shown: ScoredView) -> np.ndarray:
+    """Differences (N, 1) or (H, W, 1) of the 8-bit pictures in °C, where gray values are linear in temperature."""
     if shown.scene is None or shown.scene.temperature is None:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")
     if shown.scene.channels != 1:
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
     image, target = shown.pair("thermal").pixels
     span = shown.scene.temperature.max - shown.scene.temperature.min
-    return float(np.abs(image - target).mean(dtype=np.float64) * span)
+    return np.asarray((image - target).astype(np.float64) * span)
+
+
+def mae_degC(shown: ScoredView) -> float:
+    """Mean absolute difference in °C."""
+    return float(np.abs(differences(shown)).mean())
 
 
 METRIC = ViewMetric(

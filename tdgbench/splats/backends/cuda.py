@@ -40,7 +40,7 @@ class CudaBackend(Backend):
 
     def why_not(self) -> str | None:
         if importlib.util.find_spec("gsplat") is None:
-            return "gsplat is not installed: pip install 'tdgbench[cuda]'"
+            return "gsplat is not installed: pip install -e '.[cuda]'"
         if not torch.cuda.is_available():
             return "torch finds no CUDA GPU"
         return _import_problem()

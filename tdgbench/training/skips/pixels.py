@@ -19,12 +19,10 @@ class Pixels(Skip):
         if training.budget.pixels is None:
             self.decide(False, "the budget has no rule for pixels")
             return
-        steps = next(iter(training.method.models().values())).curriculum.steps
-        reason = ", ".join(f"1/{scale} until iteration {last}" for last, scale in steps)
-        iterations, left_out, first = max(training.log.iterations, 1), 0.0, 0
-        for last, scale in steps:
-            last = min(last, training.log.iterations)
-            left_out += max(last - first, 0) * (1 - 1 / scale**2)
-            first = max(first, last)
+        curriculum = next(iter(training.method.models().values())).curriculum
+        trained = {scale: count for scale, count in curriculum.iterations.items() if scale > 1}
+        reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if count)
+        left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
         nothing = "the images are too small, or all of their spectrum is in their highest frequencies"
-        self.decide(bool(steps), reason or nothing, f"{left_out / iterations:.0%} of the pixels")
+        share = left_out / max(training.log.iterations, 1)
+        self.decide(bool(reason), reason or nothing, f"{share:.0%} of the pixels")

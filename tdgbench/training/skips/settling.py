@@ -26,6 +26,5 @@ class SettlingSkip(Skip):
         elif remaining == 0:
             reason = f"{len(held)} held-out views went on getting better"
         else:
-            waited = rule.patience * rule.every
-            reason = f"{len(held)} held-out views gained less than {rule.gain:g} dB in {waited} iterations"
+            reason = f"{len(held)} held-out views gained less than {rule.gain:g} dB from window to window"
         self.decide(rule is not None and remaining > 0, reason, f"{remaining} of {iterations} iterations")

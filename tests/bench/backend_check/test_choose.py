@@ -112,8 +112,8 @@ def test_no_memory_is_a_reason_for_now(machine, checked):
 
 
 def test_a_gpu_without_gsplat_is_named(machine):
-    machine("A", "A", why_not="gsplat is not installed: pip install 'tdgbench[cuda]'")
-    line = "the CPU trains, not A: gsplat is not installed: pip install 'tdgbench[cuda]'"
+    machine("A", "A", why_not="gsplat is not installed: pip install -e '.[cuda]'")
+    line = "the CPU trains, not A: gsplat is not installed: pip install -e '.[cuda]'"
     assert choose(never) == Choice("cpu", line)
 
 

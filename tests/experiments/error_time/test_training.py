@@ -111,6 +111,19 @@ def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch):
     assert failed == 1 and isinstance(reported[0][2], RuntimeError) and curves["label"].nunique() == 5
 
 
+def test_a_run_has_the_budget_that_it_names(data_root):
+    cfg = config("+experiment=budgets", f"data.root={data_root}", *SMALL)
+    cfg.job.budgets.lean.iterations, cfg.job.budgets.paper.iterations = 4, 3
+    lengths = {
+        run.label: sample_curve(cfg, "turntable", run, 2)["iteration"].max()
+        for run in runs_of(cfg)
+        if run.budget != "short"
+    }
+    assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
+    with pytest.raises(ValueError, match="run 'x': no budget 'long' among paper, short, lean"):
+        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg, budget: long}]"))
+
+
 def test_an_unknown_method_is_named(data_root):
     with pytest.raises(ValueError, match="no method 'splat' among msmg, thermal, tdg"):
         runs_of(experiment(data_root, "job.runs=[{label: x, method: splat}]"))

@@ -2,11 +2,13 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import ReadOptions
-from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
 from tests.helpers.scenes import small_dataset
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
 DEFAULT = {"orbit": "e8f57fcbf50ecdaa", "turntable": "0226cd150bd92687"}  # fingerprints before errors were options
+
+CAMERA = {"camera": ThermalErrors(gain=0.05)}
 
 
 def load(root, **errors):
@@ -43,5 +45,12 @@ def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
 
 
 def test_folders_name_the_errors(tmp_path):
-    folders = {load(tmp_path, **errors).folder.name for errors in ({}, {"noise_degC": 0.5}, {"pose_units": 0.01})}
-    assert len(folders) == 3
+    folders = {
+        load(tmp_path, **errors).folder.name for errors in ({}, {"noise_degC": 0.5}, {"pose_units": 0.01}, CAMERA)
+    }
+    assert len(folders) == 4
+
+
+def test_only_errors_of_the_camera_have_a_truth():
+    assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
+    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(camera=ThermalErrors(blur_px=1.0)).has_truth

@@ -1,0 +1,184 @@
+"""`python -m benchmarks.thermal`: errors of the thermal camera estimated before training, where the true one is known.
+
+Each made scene is rendered once, in °C with the noise of a camera. Then cameras drift, one per seed: offsets of ±4 °C
+with a shutter, gains of ±5 %, 2.6 °C of vignette. Printed are true and estimated numbers, and the errors, which are
+judged: 0.1 °C (offset), 2 % (gain), 0.2 °C (vignette) at most, and 0.02 °C RMS of change of a scene without drift.
+Exits with 1 if an error is beyond its bound. `--folder` takes captures in their place: what comes back of a known drift
+beside their own camera, which is unknown; nothing is judged then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.scenes import FolderDataset, ReadOptions, Scene, TemperatureRange, View
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
+from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
+from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
+from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
+
+BOUNDS = {"offset": 0.1, "gain": 0.02, "vignette": 0.2, "clean": 0.02}  # °C; of gains, a share of 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.thermal", description=__doc__)
+    parser.add_argument("--size", default="640x480", help="width x height, px")
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--points", type=int, default=20_000)
+    parser.add_argument("--seeds", type=int, default=3, help="of cameras")
+    parser.add_argument("--scene", nargs="+", default=["orbit", "night", "turntable", "facade"])
+    parser.add_argument("--folder", nargs="+", type=Path, default=[], help="captures in °C, in place of made scenes")
+    parser.add_argument("--walk", type=float, default=4.0, help="largest offset, °C")
+    parser.add_argument("--gain", type=float, default=0.05)
+    parser.add_argument("--vignette", type=float, default=2.6, help="°C at the corners")
+    parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
+    args = parser.parse_args()
+    errors = ThermalErrors(walk_degC=args.walk, shutter_views=15, gain=args.gain, vignette_degC=args.vignette)
+    runs, views = [], []
+    for clean in _scenes(args):
+        own, run = _clean(clean)
+        runs.append(run)
+        print(_line(runs[-1]), flush=True)
+        for seed in range(args.seeds):
+            summary, table = _drifting(clean, errors, seed, own if args.folder else None)
+            runs.append(summary)
+            views.append(table)
+            print(_line(summary), flush=True)
+    args.out.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(runs).to_csv(args.out / "thermal.csv", index=False)
+    pd.concat(views).to_csv(args.out / "thermal_views.csv", index=False)
+    wrong = [] if args.folder else beyond(runs)
+    if wrong:
+        print(f"beyond its bound: {', '.join(wrong)}")
+        sys.exit(1)
+
+
+def beyond(runs: list[dict[str, Any]]) -> list[str]:
+    """Errors that are beyond their bounds.
+
+    >>> beyond([{"scene": "orbit", "seed": 0, "gain_worst": 0.03, "offset_worst": 0.01}])
+    ['gain of orbit 0']
+    """
+    return [
+        f"{name} of {run['scene']} {run['seed']}"
+        for run in runs
+        for name, bound in BOUNDS.items()
+        if run.get(f"{name}_worst", 0) > bound
+    ]
+
+
+def _scenes(args: argparse.Namespace) -> Iterator[Scene]:
+    if args.folder:
+        yield from (FolderDataset(str(folder), ReadOptions()).load(None) for folder in args.folder)
+        return
+    width, height = (int(number) for number in args.size.split("x"))
+    capture = CaptureErrors(camera=ThermalErrors(encoding="degC"))
+    dataset = SyntheticDataset(
+        str(args.data), ReadOptions(), width, height, args.views, args.points, seed=0, errors=capture
+    )  # fmt: skip
+    yield from (dataset.load(name) for name in args.scene)
+
+
+def _clean(scene: Scene) -> tuple[ThermalCamera, dict[str, Any]]:
+    """The camera of a scene as it is, and what correcting for it changes."""
+    start = time.perf_counter()
+    camera = _estimated(scene)
+    seconds = time.perf_counter() - start
+    change = [correct_values(_degC(view, scene), view.name, camera) - _degC(view, scene) for view in scene.train]
+    return camera, {
+        "scene": scene.name, "seed": "clean", "seconds": seconds, "estimated": camera.summary,
+        "clean_worst": float(np.sqrt(np.mean(np.square(change)))), "notes": "; ".join(camera.notes),
+    }  # fmt: skip
+
+
+def _drifting(
+    clean: Scene, errors: ThermalErrors, seed: int, own: ThermalCamera | None
+) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Errors of the estimate of a camera; true and estimated numbers of each view. own: what drifted before."""
+    scene, truth = drifting(clean, errors, seed)
+    if own is not None:
+        vignette = truth.camera.vignette + own.map(*reversed(truth.camera.vignette.shape))
+        truth = replace(truth, camera=replace(truth.camera, vignette=vignette))
+    start = time.perf_counter()
+    camera = _estimated(scene)
+    seconds = time.perf_counter() - start
+    true, found = truth_in_gauge(truth, camera), errors_of(camera, truth)
+    summary: dict[str, Any] = {"scene": scene.name, "seed": seed, "seconds": seconds}
+    for name, error in (("offset", found.offsets), ("gain", found.gains), ("vignette", found.vignette)):
+        summary |= {f"{name}_rms": float(np.sqrt(np.mean(error**2))), f"{name}_worst": float(np.abs(error).max())}
+    low, high = true.response.offsets.min(), true.response.offsets.max()
+    summary["true"] = (
+        f"offsets {low:+.2f} to {high:+.2f}, gains {true.response.gains.min():.3f} to {true.response.gains.max():.3f}, "
+        f"vignette {np.ptp(true.vignette):.2f}"
+    )
+    summary |= {"estimated": camera.summary, "notes": "; ".join(camera.notes)}
+    table = pd.DataFrame(
+        {
+            "scene": scene.name, "seed": seed, "view": camera.views,
+            "true_offset": true.response.offsets, "offset": camera.offsets, "offset_error": camera.offset_errors,
+            "true_gain": true.response.gains, "gain": camera.gains, "gain_error": camera.gain_errors,
+            "sightings": camera.sightings,
+        }
+    )  # fmt: skip
+    return summary, table
+
+
+def drifting(clean: Scene, errors: ThermalErrors, seed: int) -> tuple[Scene, CameraTruth]:
+    """The scene as a camera with the given errors shows it, and that camera. The range grows, so nothing is clipped."""
+    views = clean.views
+    size, span = (views[0].camera.width, views[0].camera.height), (clean.temperature.min, clean.temperature.max)
+    camera = errors.drawn(size, span, np.zeros(len(views)), [seed])
+    shown = {view.name: _shown(view, clean, camera, index) for index, view in enumerate(views)}
+    low, high = min(one.min() for one in shown.values()) - 1, max(one.max() for one in shown.values()) + 1
+
+    def seen(view: View) -> View:
+        image = ((shown[view.name] - low) / (high - low)).astype(np.float32)[..., None]
+        return replace(view, load_thermal=lambda: image)
+
+    scene = replace(
+        clean, train=[seen(view) for view in clean.train], test=[seen(view) for view in clean.test],
+        temperature=TemperatureRange(float(low), float(high)),
+    )  # fmt: skip
+    return scene, CameraTruth([view.name for view in views], camera)
+
+
+def _shown(view: View, scene: Scene, camera: TrueCamera, index: int) -> np.ndarray:
+    degC = _degC(view, scene)
+    return camera.shown(degC, index, np.zeros_like(degC))
+
+
+def _degC(view: View, scene: Scene) -> np.ndarray:
+    """Temperatures (H, W) of a view, °C."""
+    assert scene.temperature is not None, f"{scene.name} has no temperatures"
+    low, high = scene.temperature.min, scene.temperature.max
+    return low + (high - low) * view.thermal.mean(axis=2, dtype=np.float64)
+
+
+def _estimated(scene: Scene) -> ThermalCamera:
+    camera = estimate_camera(scene)
+    if not isinstance(camera, ThermalCamera):
+        sys.exit(camera.reason)
+    return camera
+
+
+def _line(run: dict[str, Any]) -> str:
+    head, tail = f"{run['scene']} {run['seed']}: ", f"{run['seconds']:.0f} s"
+    if run["seed"] == "clean":
+        return f"{head}changed by {run['clean_worst']:.4f} °C RMS; {run['estimated']} ({run['notes']}); {tail}"
+    said = [f"{name} {run[f'{name}_rms']:.4f} RMS, {run[f'{name}_worst']:.4f} worst" for name in list(BOUNDS)[:3]]
+    return f"{head}true {run['true']}; estimated {run['estimated']}; errors: {'; '.join(said)}; {tail}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Errors of a thermal camera: drift, gain, vignette, fixed pattern, blur, dead pixels, automatic gain control.
+
+value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise, in °C, of temperatures T.
+
+Sizes in real cameras. An uncooled camera is off by up to ±5 °C under the changing conditions of a flight, with a
+prominent vignette, where it was within ±0.5 °C in the laboratory (Kelly et al. 2019, Remote Sensing 11(5), 567). Its
+shutter closes every 3 minutes or after a change of the camera's own temperature by 1.5 °C (FLIR Lepton Engineering
+Datasheet 500-0659-00-09, automatic FFC). A capture of a house: offsets of −4.2 to +2.5 °C over 45 views, a vignette of
+2.6 °C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, NonNegativeInt
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+
+SMOOTHING = 4.0  # views, σ; over which the drift keeps its direction
+QUARTIC = 0.5  # share of r⁴ in the vignette, the rest is r²
+COLUMNS = 0.5  # share of the fixed pattern's variance that is common to a column, which is read out by one amplifier
+TAILS = (0.1, 99.9)  # percentiles of an image that automatic gain control stretches to 0 and 255
+
+DegC = Annotated[float, Field(ge=0, le=100)]
+Encoding = Literal["range", "degC", "agc"]
+
+
+@dataclass(frozen=True)
+class ThermalErrors:
+    """What a thermal camera adds to temperatures, beside the temporal noise; all off by default.
+
+    walk_degC: largest deviation of a smooth random walk of the views' offsets, in the order of the views, from its
+    mean. shutter_views: views after which the shutter closes, which sets the walk back to its start; 0: never.
+    gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
+    pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns. blur_px: σ.
+    dead_share: of pixels that show one value in all views. encoding: of the thermal files. `range`: 8 bits of the
+    world's range, which clips, and the world's palette; `degC`: float TIFF; `agc`: 8-bit gray, each image stretched
+    on its own, so that temperatures are lost. None: `degC` if there is an error, else `range`.
+    """
+
+    walk_degC: DegC = 0.0
+    shutter_views: NonNegativeInt = 0
+    gain: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    vignette_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    pattern_degC: DegC = 0.0
+    blur_px: Annotated[float, Field(ge=0, le=100)] = 0.0
+    dead_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    encoding: Encoding | None = None
+
+    @property
+    def title(self) -> str:
+        """The options that are not the default, for the name of a folder.
+
+        >>> ThermalErrors(gain=0.05, encoding="agc").title
+        '-gain0.05-agc'
+        """
+        numbers = (field for field in fields(self) if field.name != "encoding")
+        changed = [f"-{one.name}{getattr(self, one.name):g}" for one in numbers if getattr(self, one.name)]
+        return "".join(changed) + (f"-{self.encoding}" if self.encoding else "")
+
+    @property
+    def files(self) -> Encoding:
+        """How the thermal files are encoded."""
+        return self.encoding or ("range" if self == ThermalErrors() else "degC")
+
+    def walk(self, views: int, rng: np.random.Generator) -> np.ndarray:
+        """Offsets (views,) in °C of a camera that drifts; each closing of the shutter sets them back."""
+        curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))
+        if self.shutter_views:
+            curve = curve - curve[np.arange(views) // self.shutter_views * self.shutter_views]
+        curve -= curve.mean()
+        largest = np.abs(curve).max()
+        return self.walk_degC / largest * curve if largest > 0 else curve
+
+    def drawn(
+        self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
+    ) -> TrueCamera:
+        """The camera with these errors. size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
+
+        Each kind of error has random numbers of its own, so that one does not change with another.
+        """
+        width, height = size
+        streams = [np.random.default_rng([*seed, number]) for number in range(4)]
+        views, (low, high) = len(drifts), span
+        dead = streams[2].random((height, width)) < self.dead_share
+        return TrueCamera(
+            reference=(low + high) / 2,
+            offsets=drifts + self.walk(views, streams[0]),
+            gains=1 + self.gain * streams[1].uniform(-1, 1, views),
+            vignette=self.vignette_degC * vignette(width, height),
+            pattern=self.pattern_degC * _pattern(height, width, streams[3]),
+            dead=np.where(dead, streams[2].uniform(low, high, dead.shape), np.nan),
+            blur_px=self.blur_px,
+        )
+
+
+@dataclass(frozen=True)
+class TrueCamera:
+    """A thermal camera whose errors are known. Temperatures in °C; V views in the order of their names."""
+
+    reference: float  # temperature that gains leave as it is
+    offsets: np.ndarray  # (V,)
+    gains: np.ndarray  # (V,)
+    vignette: np.ndarray  # (H, W)
+    pattern: np.ndarray  # (H, W)
+    dead: np.ndarray  # (H, W), what a dead pixel shows; NaN for pixels that work
+    blur_px: float = 0.0  # σ
+    limits: np.ndarray | None = None  # (V, 2), shown as 0 and 255; None without automatic gain control
+
+    def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
+        """What the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
+        seen = gaussian_filter(degC, self.blur_px, mode="nearest") if self.blur_px else degC
+        response = seen + (self.gains[view] - 1) * (seen - self.reference) + self.vignette + self.pattern
+        return np.where(np.isnan(self.dead), response + noise + self.offsets[view], self.dead)
+
+
+def vignette(width: int, height: int) -> np.ndarray:
+    """Radial polynomial (height, width): 0 at the centre, 1 at the corners of the image.
+
+    >>> vignette(2, 2).round(2).tolist()
+    [[0.16, 0.16], [0.16, 0.16]]
+    """
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width - 0.5, (np.arange(height) + 0.5) / height - 0.5)
+    radius = ((x * width) ** 2 + (y * height) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)  # squared, 1 at a corner
+    return (1 - QUARTIC) * radius + QUARTIC * radius**2
+
+
+def limits(degC: np.ndarray) -> tuple[float, float]:
+    """Temperatures that automatic gain control shows as 0 and 255, of an image (H, W)."""
+    low, high = np.percentile(degC, TAILS)
+    return float(low), max(float(high), float(low) + 1e-3)
+
+
+def _pattern(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
+    """Fixed pattern (height, width) of mean 0 and variance 1."""
+    columns, pixels = rng.normal(size=width), rng.normal(size=(height, width))
+    pattern = np.sqrt(COLUMNS) * columns + np.sqrt(1 - COLUMNS) * pixels
+    return pattern - pattern.mean()

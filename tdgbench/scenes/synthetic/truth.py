@@ -1,0 +1,70 @@
+"""The true thermal camera of a made scene, in files beside it that no reader of scenes opens."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import is_there, read_array, read_json
+from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
+
+FOLDER = "camera"  # inside the scene's
+MAPS = ("vignette", "pattern", "dead")
+
+
+@dataclass(frozen=True)
+class CameraTruth:
+    """A camera, and the names of its views (V,)."""
+
+    names: list[str]
+    camera: TrueCamera
+
+    def index(self, names: list[str]) -> np.ndarray:
+        """Positions (N,) of views among the camera's."""
+        place = {name: number for number, name in enumerate(self.names)}
+        return np.array([place[name] for name in names])
+
+
+def write_truth(scene: Path, truth: CameraTruth) -> None:
+    """Write `camera/`: numbers of the views as JSON, maps (H, W) in °C as .npy."""
+    folder, camera = scene / FOLDER, truth.camera
+    folder.mkdir()
+    for name in MAPS:
+        np.save(folder / f"{name}.npy", getattr(camera, name).astype(np.float32))
+    limits = [None] * len(truth.names) if camera.limits is None else camera.limits.tolist()
+    views = {
+        name: {"offset_degC": float(offset), "gain": float(gain), "limits_degC": limit}
+        for name, offset, gain, limit in zip(truth.names, camera.offsets, camera.gains, limits, strict=True)
+    }
+    content = {"reference_degC": camera.reference, "blur_px": camera.blur_px, "views": views}
+    (folder / "camera.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def read_truth(scene: Path) -> CameraTruth:
+    """The true camera of a made scene. Raises SceneError for a scene without one, or with damaged files.
+
+    scene: its folder.
+    """
+    folder = scene / FOLDER
+    if not is_there(folder):
+        raise SceneError(f"{scene} states no true thermal camera; made scenes do, if their camera has errors")
+    maps = {name: read_array(folder / f"{name}.npy") for name in MAPS}
+    try:
+        content = read_json(folder / "camera.json")
+        views = content["views"]
+        stated = [view["limits_degC"] for view in views.values()]
+        camera = TrueCamera(
+            reference=float(content["reference_degC"]),
+            offsets=np.array([view["offset_degC"] for view in views.values()], np.float64),
+            gains=np.array([view["gain"] for view in views.values()], np.float64),
+            blur_px=float(content["blur_px"]),
+            limits=None if None in stated else np.array(stated, np.float64),
+            **maps,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); make the scene again") from error
+    return CameraTruth(list(views), camera)

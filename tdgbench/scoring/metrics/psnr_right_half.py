@@ -1,0 +1,49 @@
+"""PSNR of a view's right half after the gain and offset that fit its left half best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.metrics.psnr_affine import best_response
+from tdgbench.scoring.scored_view import ImagePair, NotApplicableError, at_valid
+
+
+def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | None = None) -> float:
+    """PSNR (dB) of the right half of images (H, W, C) in [0, 1], whose columns from W // 2 on it is.
+
+    The two parameters of a test view are not known before; they are fitted where the view is not scored, as NeRF in the
+    Wild (Martin-Brualla et al. 2021) fits its embeddings. valid: bool (H, W), the pixels that count; None: all. Raises
+    NotApplicableError if a half has none.
+
+    >>> target = np.tile(np.linspace(0.2, 0.6, 8), (4, 1))[..., None]
+    >>> round(psnr_right_half(0.5 * target + 0.2, target))
+    100
+    """
+    half = image.shape[1] // 2
+    left, right = (
+        [at_valid(None if valid is None else valid[:, columns], one[:, columns]) for one in (image, target)]
+        for columns in (slice(0, half), slice(half, None))
+    )
+    if not (left[0].size and right[0].size):
+        raise NotApplicableError("a half of a test view has no pixel with a thermal value")
+    return psnr(best_response(*left).of(right[0]), right[1])
+
+
+def _of_images(pair: ImagePair) -> float:
+    return psnr_right_half(pair.image, pair.target, pair.valid)
+
+
+METRIC = ImageMetric(
+    name="psnr_right_half",
+    label="PSNR of the right half",
+    meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best",
+    order=44,
+    unit="dB",
+    digits=2,
+    higher_is_better=True,
+    limits=(0.0, MAX_PSNR),
+    needs="valid pixels in both halves",
+    of_images=_of_images,
+)

@@ -1,0 +1,27 @@
+"""Mean absolute temperature error after the best offset of a view."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.metrics.temperature_error import differences
+from tdgbench.scoring.scored_view import ScoredView
+
+
+def mae_degC_without_offset(shown: ScoredView) -> float:
+    """Mean absolute difference in °C from the median difference, the offset that makes it least."""
+    found = differences(shown)
+    return float(np.abs(found - np.median(found)).mean())
+
+
+METRIC = ViewMetric(
+    name="mae_degC_without_offset",
+    label="temperature error without offset",
+    meaning="mean absolute error of the temperatures after the offset of each test view that makes it least",
+    order=82,
+    unit="°C",
+    needs="a temperature range, gray images",
+    verified_to=1e-6,
+    of_view=mae_degC_without_offset,
+)

@@ -1,0 +1,112 @@
+"""A thermal camera's response, as estimated from a scene.
+
+value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise: that is gain_v · T plus
+an offset of view v, written so that offsets are those at the reference temperature, where they do not depend on the
+gains. The scale and zero of T are not observable; they are such that the mean offset is 0 and the mean gain 1 over the
+training views, and that vignette and pattern have a mean of 0 over the image. So the scene's mean temperature stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tdgbench.thermal.polynomials import evaluate
+
+
+class Response(NamedTuple):
+    """Offset and gain of each view, (V,)."""
+
+    offsets: np.ndarray
+    gains: np.ndarray
+
+
+@dataclass(frozen=True)
+class ThermalCamera:
+    """Estimated response of V training views. Values are in °C, or in image units where a scene has no temperatures.
+
+    vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
+    be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
+    standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
+    sightings: (V,) points that a view sees.
+    """
+
+    unit: str  # "°C" or "image"
+    views: tuple[str, ...]
+    reference: float
+    offsets: np.ndarray
+    gains: np.ndarray
+    vignette: np.ndarray
+    columns: np.ndarray | None
+    rows: np.ndarray | None
+    offset_errors: np.ndarray
+    gain_errors: np.ndarray
+    vignette_errors: np.ndarray
+    residual_before: float
+    residual_after: float
+    sightings: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def of_view(self, name: str) -> tuple[float, float]:
+        """Offset and gain of a training view. Raises KeyError for another one."""
+        if name not in self.views:
+            raise KeyError(f"view {name} is no training view; its offset and gain are unknown")
+        index = self.views.index(name)
+        return float(self.offsets[index]), float(self.gains[index])
+
+    def map(self, width: int, height: int) -> np.ndarray:
+        """Vignette (height, width) of an image."""
+        return evaluate(self.vignette, width, height)
+
+    def pattern(self, width: int, height: int) -> np.ndarray:
+        """Fixed pattern (height, width) of an image; 0 where there is none.
+
+        Raises ValueError for an image of another size than those that it was estimated from.
+        """
+        pattern = np.zeros((height, width))
+        for lines, size, axis in ((self.columns, width, 0), (self.rows, height, 1)):
+            if lines is not None:
+                if len(lines) != size:
+                    raise ValueError(
+                        f"the fixed pattern has {len(lines)} lines, an image of {width}×{height} px has not"
+                    )
+                pattern += np.expand_dims(lines, axis)
+        return pattern
+
+    def shared(self, width: int, height: int) -> np.ndarray:
+        """What the camera adds in all views, (height, width): vignette and fixed pattern."""
+        return self.map(width, height) + self.pattern(width, height)
+
+    @property
+    def summary(self) -> str:
+        """One line for notes and reports."""
+        unit = "" if self.unit == "image" else f" {self.unit}"
+        corners = self.map(64, 48)
+        pattern = ", a fixed pattern by " + " and ".join(
+            name for name, lines in (("columns", self.columns), ("rows", self.rows)) if lines is not None
+        )
+        return (
+            f"offsets {self.offsets.min():+.2f} to {self.offsets.max():+.2f}{unit}, gains {self.gains.min():.3f} to "
+            f"{self.gains.max():.3f}, vignette {np.ptp(corners):.2f}{unit} from end to end"
+            f"{pattern if self.columns is not None or self.rows is not None else ''}; values of a point differ by "
+            f"{self.residual_after:.3g}{unit} between views, {self.residual_before:.3g} before"
+        )
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A camera that cannot be estimated. reason: why, and the remedy."""
+
+    reason: str
+
+
+def in_gauge(response: Response) -> Response:
+    """The same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
+
+    >>> in_gauge(Response(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
+    array([-1.,  1.])
+    """
+    gains = response.gains / response.gains.mean()
+    return Response(response.offsets - gains * response.offsets.mean(), gains)

@@ -1,0 +1,144 @@
+"""Estimate a scene's thermal camera before training: from its training views and sparse points alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tdgbench.scenes import Scene, View
+from tdgbench.scenes.images import is_gray
+from tdgbench.text import some
+from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
+from tdgbench.thermal.explain import explain
+from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
+from tdgbench.thermal.polynomials import basis
+from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
+
+FEWEST_SIGHTINGS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
+GAIN_PRIOR = {"°C": 0.05, "image": 0.5}  # standard deviation of gains; cameras in °C are exact to some 5 % (FLIR Lepton
+# Engineering Datasheet 500-0659-00-09), images of automatic gain control are stretched by any factor
+UNSURE = 0.5  # share of its prior; a gain whose standard error is larger is named in a note
+FEWEST_TRAINING_VIEWS = 3
+
+
+def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
+    """The thermal camera of a scene, from its training views; or why it cannot be estimated.
+
+    In °C where the scene has a range of temperatures, else in image units. Test views are not read.
+    """
+    unit, scale, zero = units(scene)
+    if scene.points is None:
+        return Unknown(
+            f"{scene.name} has no sparse points, from which the thermal camera is estimated; add a COLMAP model that "
+            "has some"
+        )
+    if len(scene.train) < FEWEST_TRAINING_VIEWS:
+        return Unknown(f"{scene.name} has {len(scene.train)} training views; a camera needs {FEWEST_TRAINING_VIEWS}")
+    colored = [view.name for view in scene.train if not is_gray(view.thermal)]
+    if colored:
+        return Unknown(
+            f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
+            "give gray images, or data.thermal=radiometric"
+        )
+    seen = _well_seen(find_sightings(scene.train, scene.points.points), len(scene.train))
+    counts = np.bincount(seen.view, minlength=len(scene.train))
+    if np.count_nonzero(counts) < FEWEST_TRAINING_VIEWS:
+        return Unknown(
+            f"{scene.name}: {np.count_nonzero(counts)} training views see {FEWEST_SIGHTINGS} or more points that "
+            f"{FEWEST_VIEWS} views share; a camera needs {FEWEST_TRAINING_VIEWS}: add points, or raise data.width"
+        )
+    return _estimate(scene.train, seen, (unit, scale, zero))
+
+
+def units(scene: Scene) -> tuple[str, float, float]:
+    """Unit of a scene's cameras, and its values: value = scale × image value + zero."""
+    if scene.temperature is None:
+        return "image", 1.0, 0.0
+    return "°C", scene.temperature.max - scene.temperature.min, scene.temperature.min
+
+
+def _well_seen(seen: Sightings, views: int) -> Sightings:
+    """The sightings of views that have enough of them."""
+    while True:
+        counts = np.bincount(seen.view, minlength=views)
+        keep = (counts >= FEWEST_SIGHTINGS)[seen.view]
+        if keep.all():
+            return seen
+        seen = seen.kept(keep)
+
+
+def _estimate(train: Sequence[View], seen: Sightings, unit: tuple[str, float, float]) -> ThermalCamera:
+    name, scale, zero = unit
+    data = _data(train, seen, scale, zero)
+    found, terms = explain(data, GAIN_PRIOR[name])
+    counts = np.bincount(seen.view, minlength=len(train))
+    offset_errors, gain_errors, vignette_errors = _errors(found.fit, len(train))
+    response = in_gauge(found.fit.response)
+    return ThermalCamera(
+        unit=name,
+        views=tuple(view.name for view in train),
+        reference=found.fit.reference,
+        offsets=response.offsets,
+        gains=response.gains,
+        vignette=found.fit.vignette,
+        columns=found.columns,
+        rows=found.rows,
+        offset_errors=offset_errors,
+        gain_errors=gain_errors,
+        vignette_errors=vignette_errors,
+        residual_before=found.fit.before,
+        residual_after=found.fit.after,
+        sightings=counts,
+        notes=tuple(_notes(train, counts, terms, gain_errors / GAIN_PRIOR[name])),
+    )
+
+
+def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> Data:
+    """Values in the scene's unit. Views of several sizes have no common columns and rows."""
+    sizes = np.array([(view.camera.width, view.camera.height) for view in train])
+    shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
+    across, down = (shares * PATCHES).astype(int).T
+    return Data(
+        value=scale * seen.value + zero,
+        detail=scale * seen.detail,
+        point=seen.point,
+        view=seen.view,
+        slope=scale * seen.slope,
+        terms=basis(*shares.T),
+        patch=(seen.view * PATCHES + down) * PATCHES + across,
+        column=seen.x.astype(int),
+        row=seen.y.astype(int),
+        views=len(train),
+        points=seen.points,
+        size=(int(sizes[0, 0]), int(sizes[0, 1])) if (sizes == sizes[0]).all() else (0, 0),
+    )
+
+
+def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard errors of offsets, gains and coefficients in the gauge."""
+    covariance, gains = found.covariance(), found.response.gains / found.response.gains.mean()
+    change = np.eye(len(covariance))
+    for first in (0, views):  # the derivative of `in_gauge` where the mean offset is about 0
+        block = slice(first, first + views)
+        change[block, block] -= np.outer(gains, np.ones(views)) / views
+    errors = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0))
+    return errors[:views], errors[views : 2 * views], errors[2 * views :]
+
+
+def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.ndarray) -> list[str]:
+    """unsure: (V,) standard errors of the gains, as shares of their prior."""
+    left_out = [name for name, used in terms._asdict().items() if not used]
+    notes = []
+    if left_out:
+        notes.append(f"held-out views are predicted no better with {', '.join(left_out)}: not corrected")
+    few = [view.name for view, count in zip(train, counts, strict=True) if count == 0]
+    if few:
+        notes.append(
+            f"{len(few)} views see fewer than {FEWEST_SIGHTINGS} points that others see; they keep gain 1 and "
+            f"the mean offset: {some(few)}"
+        )
+    doubtful = [view.name for view, count, share in zip(train, counts, unsure, strict=True) if count and share > UNSURE]
+    if doubtful:
+        notes.append(f"the gains of {len(doubtful)} views are poorly determined: {some(doubtful)}")
+    return notes

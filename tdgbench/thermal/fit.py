@@ -1,0 +1,243 @@
+"""Robust least squares for the response of a thermal camera, with the temperatures of the points as further unknowns.
+
+Minimises Σ ρ((value − T_p − (gain_v − 1) (T_p − reference) − offset_v − vignette(x, y)) / σ) over temperatures,
+offsets, gains and coefficients by Gauss-Newton with weights; temperatures are eliminated (Schur complement). A
+temperature that is an unknown of its own, and no mean of values, leaves the gains unbiased by noise. σ depends on the
+slope of the image, as errors of position do; ρ is Huber's, then Tukey's (Holland and Welsch 1977), which ignores
+outliers. Priors hold what the values tell nothing about at an ideal camera.
+
+Errors of neighbouring values are not independent: registration and reflections are wrong for whole surfaces. So the
+covariance is the cluster-robust one (Liang and Zeger 1986), over PATCHES of each view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+
+from tdgbench.thermal.camera import Response
+from tdgbench.thermal.polynomials import TERMS
+
+ROUNDS, HUBER_ROUNDS = 24, 5
+SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
+HUBER, TUKEY = 1.345, 4.685  # 95 % efficient where errors are normal (Holland and Welsch 1977)
+NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation
+SLOPE_BINS = 12
+PATCHES = 8  # columns and rows of patches of a view
+
+
+@dataclass(frozen=True)
+class Data:
+    """S values (S,) of points (S,) in views (S,), and what is known of each.
+
+    detail: (S,) what a blur took from it. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
+    column, row: (S,) in which it lies. size: numbers of columns and rows.
+    """
+
+    value: np.ndarray
+    detail: np.ndarray
+    point: np.ndarray
+    view: np.ndarray
+    slope: np.ndarray
+    terms: np.ndarray
+    patch: np.ndarray
+    column: np.ndarray
+    row: np.ndarray
+    views: int
+    points: int
+    size: tuple[int, int]
+
+    def kept(self, keep: np.ndarray) -> Data:
+        """The values where `keep` (S,) is true; views and points keep their numbers."""
+        arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row")
+        return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
+
+    @property
+    def ideal(self) -> np.ndarray:
+        """Offsets, gains and coefficients (2 V + K,) of an ideal camera."""
+        return np.repeat([0.0, 1.0, 0.0], [self.views, self.views, self.terms.shape[1]])
+
+
+class Terms(NamedTuple):
+    """Which terms of the response are estimated; the others are those of an ideal camera."""
+
+    vignette: bool = False
+    offsets: bool = False
+    gains: bool = False
+    pattern: bool = False
+
+    def free(self, data: Data) -> np.ndarray:
+        """Which of the parameters (2 V + K,) are estimated."""
+        return np.repeat([self.offsets, self.gains, self.vignette], [data.views, data.views, data.terms.shape[1]])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
+
+    covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
+    the mean of their point; after: of the residuals.
+    """
+
+    response: Response
+    vignette: np.ndarray
+    temperatures: np.ndarray
+    reference: float
+    residuals: np.ndarray
+    weights: np.ndarray
+    covariance: Callable[[], np.ndarray]
+    before: float
+    after: float
+
+
+def fit(data: Data, terms: Terms, gain_prior: float) -> Fit:
+    """Estimate the response.
+
+    gain_prior: standard deviation of gains about 1, as they are expected. The priors of offsets and coefficients are as
+    wide as the values; with each degree of the vignette, half as wide.
+    """
+    reference, spread = float(np.median(data.value)), float(np.std(data.value)) or 1.0
+    sizes = [data.views, data.views, data.terms.shape[1]]
+    stiffness = 1 / np.repeat([spread**2, gain_prior**2, spread**2], sizes)
+    stiffness[2 * data.views :] *= np.array([4.0 ** sum(degrees) for degrees in TERMS])
+    free = terms.free(data)
+    theta, temperatures = data.ideal, _means(data)
+    residuals = data.value - temperatures[data.point]
+    before = _deviation(residuals)
+    for round_ in range(ROUNDS):
+        sigma = _sigma(residuals, data.slope)
+        weights = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS) / sigma**2
+        system = System(data, theta, temperatures, reference, weights)
+        step = system.solve(residuals, (data.ideal - theta) * stiffness, stiffness, free)
+        temperatures = temperatures + system.temperature_step(residuals, step)
+        theta = theta + step
+        residuals = data.value - predict(data, theta, temperatures, reference)
+        if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * _deviation(residuals):
+            break
+    inflated = residuals * _inflation(weights * sigma**2, data)
+    response = Response(theta[: data.views], theta[data.views : 2 * data.views])
+    return Fit(
+        response, theta[2 * data.views :], temperatures, reference, residuals, weights,
+        partial(system.covariance, inflated, data, stiffness, free), before, _deviation(residuals),
+    )  # fmt: skip
+
+
+def predict(data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
+    """Values (S,) that the model gives. theta: offsets, gains and coefficients, (2 V + K,)."""
+    offsets, gains, vignette = np.split(theta, [data.views, 2 * data.views])
+    degC = temperatures[data.point]
+    return degC + (gains[data.view] - 1) * (degC - reference) + offsets[data.view] + data.terms @ vignette
+
+
+class System:
+    """Normal equations of one round, without the temperatures, which are eliminated."""
+
+    def __init__(
+        self, data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
+    ) -> None:  # fmt: skip
+        count, rows = len(data.value), np.arange(len(data.value))
+        gains = theta[data.views : 2 * data.views][data.view]
+        entries = np.stack([np.ones(count), temperatures[data.point] - reference], axis=1)
+        columns = np.stack([data.view, data.views + data.view], axis=1)
+        start = np.arange(0, 2 * count + 1, 2)
+        self.by_view = csr_matrix((entries.ravel(), columns.ravel(), start), shape=(count, 2 * data.views))
+        self.terms, self.weights = data.terms, weights
+        self.gains = gains
+        self.by_point = csr_matrix((gains * weights, (data.point, rows)), shape=(data.points, count))
+        self.curvature = np.maximum(np.bincount(data.point, weights * gains**2, data.points), 1e-12)
+        self.from_views, self.from_terms = self.by_point @ self.by_view, self.by_point @ self.terms
+
+        self.matrix = self._matrix()
+
+    def _matrix(self) -> np.ndarray:
+        """Normal matrix (2 V + K, 2 V + K)."""
+        views = self.by_view.shape[1]
+        matrix = np.empty((views + self.terms.shape[1],) * 2)
+        heavy, inverse = diags(self.weights), diags(1 / self.curvature)
+        matrix[:views, :views] = (self.by_view.T @ heavy @ self.by_view).toarray()
+        matrix[:views, :views] -= (self.from_views.T @ inverse @ self.from_views).toarray()
+        matrix[:views, views:] = self.by_view.T @ (self.weights[:, None] * self.terms)
+        matrix[:views, views:] -= self.from_views.T @ (self.from_terms / self.curvature[:, None])
+        matrix[views:, :views] = matrix[:views, views:].T
+        matrix[views:, views:] = self.terms.T @ (self.weights[:, None] * self.terms)
+        matrix[views:, views:] -= self.from_terms.T @ (self.from_terms / self.curvature[:, None])
+        return matrix
+
+    def solve(
+        self, residuals: np.ndarray, pull: np.ndarray, stiffness: np.ndarray, free: np.ndarray
+    ) -> np.ndarray:  # fmt: skip
+        """Step of offsets, gains and coefficients, 0 where not `free`. pull, stiffness: of the priors."""
+        weighted, pulled = self.weights * residuals, (self.by_point @ residuals) / self.curvature
+        right = np.r_[
+            self.by_view.T @ weighted - self.from_views.T @ pulled, self.terms.T @ weighted - self.from_terms.T @ pulled
+        ]
+        step = np.zeros(len(free))
+        matrix = (self.matrix + np.diag(stiffness))[np.ix_(free, free)]
+        step[free] = np.linalg.solve(matrix, (right + pull)[free])
+        return step
+
+    def covariance(self, residuals: np.ndarray, data: Data, stiffness: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Of offsets, gains and coefficients, robust to errors that are alike in a patch of a view."""
+        count, weighted = len(residuals), self.weights * residuals
+        size = int(data.patch.max()) + 1
+        by_patch = csr_matrix((weighted, (data.patch, np.arange(count))), shape=(size, count))
+        to_points = csr_matrix((weighted * self.gains, (data.patch, data.point)), shape=(size, data.points))
+        to_points = to_points @ diags(1 / self.curvature)
+        scores = np.hstack(
+            [
+                (by_patch @ self.by_view - to_points @ self.from_views).toarray(),
+                by_patch @ self.terms - to_points @ self.from_terms,
+            ]
+        )
+        inverse = np.zeros_like(self.matrix)
+        inverse[np.ix_(free, free)] = np.linalg.inv((self.matrix + np.diag(stiffness))[np.ix_(free, free)])
+        return inverse @ (scores.T @ scores) @ inverse
+
+    def temperature_step(self, residuals: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Step (P,) of the temperatures, given that of the other parameters."""
+        views = self.by_view.shape[1]
+        moved = self.from_views @ step[:views] + self.from_terms @ step[views:]
+        return (self.by_point @ residuals - moved) / self.curvature
+
+
+def _means(data: Data) -> np.ndarray:
+    """Mean (P,) of the values of each point; 0 of points without values."""
+    return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
+
+
+def _deviation(residuals: np.ndarray) -> float:
+    """Robust standard deviation."""
+    return NORMAL * float(np.median(np.abs(residuals)))
+
+
+def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Standard deviation (S,) of residuals, by the slope of the image: of each of SLOPE_BINS quantiles."""
+    edges = np.unique(np.quantile(slope, np.linspace(0, 1, SLOPE_BINS + 1)[1:-1]))
+    bins = np.digitize(slope, edges)
+    floor = max(0.1 * _deviation(residuals), 1e-9)
+    deviations = [_deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
+    return np.maximum(np.array(deviations), floor)[bins]
+
+
+def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:
+    """Factor (S,) on residuals for the covariance, given Tukey's weights (S,).
+
+    Each point's temperature takes one of its values' degrees of freedom. The curvature of Tukey's ρ is less than its
+    weight: (1 − u²) (1 − 5 u²), not (1 − u²)², of the residual u over TUKEY standard deviations.
+    """
+    root, used = np.sqrt(weights), np.bincount(data.point, weights > 0, data.points)[data.point]
+    curvature = float(np.mean(root * (5 * root - 4)))
+    return np.sqrt(used / np.maximum(used - 1, 1)) * float(np.mean(weights)) / max(curvature, 1e-3)
+
+
+def _weights(scaled: np.ndarray, robust: bool) -> np.ndarray:
+    """Weights (S,) of residuals in standard deviations: Tukey's if `robust`, else Huber's."""
+    size = np.abs(scaled)
+    if robust:
+        return np.where(size < TUKEY, (1 - (size / TUKEY) ** 2) ** 2, 0.0)
+    return HUBER / np.maximum(size, HUBER)

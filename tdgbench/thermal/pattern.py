@@ -1,0 +1,36 @@
+"""Fixed pattern by columns and rows, from what is left of values once the smooth response is removed.
+
+Each line's mean is shrunk towards 0 by how well it is known (empirical Bayes), so that noise becomes no pattern. A
+pattern of single pixels is not estimated: sparse points show each pixel about once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
+FEWEST_LINES = 16  # with values
+
+
+def line_pattern(residuals: np.ndarray, weights: np.ndarray, line: np.ndarray, lines: int) -> np.ndarray | None:
+    """Pattern (lines,) of mean 0, or None if it cannot be told from noise.
+
+    residuals, weights: (S,), weights being inverse variances, 0 of outliers. line: (S,) column or row of each.
+    """
+    total = np.bincount(line, weights, lines)
+    known = total > 0
+    if np.count_nonzero(known) < FEWEST_LINES:
+        return None
+    mean = np.zeros(lines)
+    mean[known] = np.bincount(line, weights * residuals, lines)[known] / total[known]
+    spread = np.sum(weights * residuals**2) / np.sum(weights)
+    scale = spread * np.sum(weights) / np.count_nonzero(weights)  # of variances: 1 if the weights are right
+    noise = np.zeros(lines)
+    noise[known] = scale / total[known]
+    excess = mean[known] ** 2 - noise[known]
+    variance = float(np.mean(excess))
+    if variance <= SIGNIFICANT * np.sqrt(2 * np.mean(noise[known] ** 2) / np.count_nonzero(known)):
+        return None
+    pattern = np.zeros(lines)
+    pattern[known] = mean[known] * variance / (variance + noise[known])
+    return pattern - pattern.mean()

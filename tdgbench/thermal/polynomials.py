@@ -1,0 +1,29 @@
+"""Smooth maps over an image: products of Legendre polynomials in x and y, orthonormal there, without a constant.
+
+Degree 4 holds the radial polynomials r² and r⁴ about any centre near the image, and a tilt.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+DEGREE = 4
+TERMS = [(i, total - i) for total in range(1, DEGREE + 1) for i in range(total + 1)]  # degrees in x and y
+
+
+def basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values (N, K) of the polynomials at positions (N,) as shares of the image's width and height, in [0, 1].
+
+    >>> basis(np.array([0.5]), np.array([0.5])).round(2)[0, :5].tolist()
+    [0.0, 0.0, -1.12, 0.0, -1.12]
+    """
+    along_x, along_y = (legvander(2 * share - 1, DEGREE) * np.sqrt(2 * np.arange(DEGREE + 1) + 1) for share in (x, y))
+    return np.stack([along_x[:, i] * along_y[:, j] for i, j in TERMS], axis=1)
+
+
+def evaluate(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Map (height, width) with coefficients (K,); its mean is 0."""
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    values = basis(x.ravel(), y.ravel()) @ coefficients
+    return (values - values.mean()).reshape(height, width)

@@ -1,0 +1,98 @@
+"""Sightings: values of training views at the scene's sparse points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from tdgbench.priors.visible import WINDOW, visible_points
+from tdgbench.scenes import Camera, View
+
+MOST_POINTS = 20_000
+OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
+POINTS_IN_WINDOW = 4  # that should lie in the window in which nearer points hide others
+GRID = (24, 160)  # columns of the grid in which points hide others
+BLUR = 1.0  # px, σ; values are those of the blurred image, which has less noise
+MARGIN = 2  # px; pixels up to this far must be valid
+SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
+FEWEST_VIEWS = 3  # that must see a point
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """S pairs of a point and a training view that sees it.
+
+    point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
+    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. points: how many points the indices are of.
+    """
+
+    point: np.ndarray
+    view: np.ndarray
+    value: np.ndarray
+    detail: np.ndarray
+    slope: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    points: int
+
+    def kept(self, keep: np.ndarray) -> Sightings:
+        """The sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
+        keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
+        left, point = np.unique(self.point[keep], return_inverse=True)
+        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y")}
+        return replace(self, point=point, points=len(left), **arrays)
+
+
+def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
+    """Sightings of points (N, 3), of MOST_POINTS of them at most, in views with thermal images of one channel."""
+    used = np.zeros(len(points), bool)
+    used[:: max(1, -(-len(points) // MOST_POINTS))] = True
+    parts: list[tuple[np.ndarray, ...]] = []
+    for index, view in enumerate(views):
+        number, x, y = _seen(view.camera, points, used)
+        value, detail, slope, usable = _values(view, x, y)
+        whole = (number, np.full(len(number), index), value, detail, slope, x, y)
+        parts.append(tuple(one[usable] for one in whole))
+    point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
+    found = Sightings(point, of_view, value, detail, slope, x, y, len(points))
+    return found.kept(np.ones(len(point), bool))
+
+
+def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers and positions x and y in px of the `used` points that a camera sees; all points hide others."""
+    width = _grid_width(camera, points)
+    grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    number = visible_points(grid, points, OCCLUSION).number
+    number = number[used[number]]
+    pixels, _ = camera.project(points[number])
+    return number, pixels[:, 0], pixels[:, 1]
+
+
+def _grid_width(camera: Camera, points: np.ndarray) -> int:
+    """Columns of a grid in which about POINTS_IN_WINDOW points of the image share a window."""
+    pixels, z = camera.project(points)
+    inside = (z > 0) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
+    cells = WINDOW**2 * np.count_nonzero(inside) / POINTS_IN_WINDOW
+    return min(int(np.clip(np.sqrt(cells * camera.width / camera.height), *GRID)), camera.width)
+
+
+def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Values, details and slopes at positions in px, and whether each was measured.
+
+    With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
+    pixel's centre to the position by the gradient of the blurred image.
+    """
+    image = view.thermal.mean(axis=2, dtype=np.float64)
+    height, width = image.shape
+    row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
+    smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
+    down, right = (one[row, column] for one in np.gradient(smooth))
+    value = smooth[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
+    size = 2 * MARGIN + 1
+    unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)
+    if view.valid is not None:
+        unusable |= ndimage.minimum_filter(view.valid, size) == 0
+    return value, (image - smooth)[row, column], np.hypot(down, right), ~unusable[row, column]

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from tdgbench.bench.options import OptionError, check_options
+from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, limits, vignette
+from tests.helpers.configs import config
+
+SIZE, SPAN = (48, 36), (10.0, 30.0)
+
+
+def drawn(views=40, drifts=None, **errors):
+    return ThermalErrors(**errors).drawn(SIZE, SPAN, np.zeros(views) if drifts is None else drifts, [0])
+
+
+def scene_temperatures():
+    return gaussian_filter(np.random.default_rng(1).uniform(12, 28, (36, 48)), 2)
+
+
+def test_a_camera_without_errors_adds_noise_alone():
+    degC, noise = scene_temperatures(), np.random.default_rng(2).normal(0, 0.05, (36, 48))
+    assert np.array_equal(drawn().shown(degC, 3, noise), degC + noise)
+
+
+def test_the_walk_is_smooth_and_reaches_its_largest_value():
+    offsets = drawn(walk_degC=4.0).offsets
+    assert np.abs(offsets).max() == pytest.approx(4.0) and offsets.mean() == pytest.approx(0)
+    assert np.abs(np.diff(offsets)).max() < 1.5
+
+
+def test_the_shutter_sets_the_walk_back():
+    steps = np.diff(drawn(walk_degC=4.0, shutter_views=10).offsets)
+    at_closures = np.abs(steps[[9, 19, 29]])
+    assert at_closures.max() > 3 * np.abs(np.delete(steps, [9, 19, 29])).max()
+    offsets = drawn(walk_degC=4.0, shutter_views=10).offsets
+    assert np.allclose(offsets[::10], offsets[0])
+
+
+def test_response_follows_the_model():
+    camera = drawn(drifts=np.linspace(-2, 2, 40), gain=0.05, vignette_degC=2.6, pattern_degC=0.3)
+    degC = scene_temperatures()
+    for view in (0, 17):
+        expected = 20 + camera.gains[view] * (degC - 20) + camera.offsets[view] + camera.vignette + camera.pattern
+        assert np.allclose(camera.shown(degC, view, np.zeros_like(degC)), expected)
+    assert camera.gains.min() < 0.97 and camera.gains.max() > 1.03 and np.abs(camera.gains - 1).max() <= 0.05
+    assert camera.offsets.tolist() == np.linspace(-2, 2, 40).tolist()
+
+
+def test_vignette_is_radial_and_as_asked_at_the_corners():
+    shape = vignette(64, 48)
+    assert np.allclose(shape, shape[::-1]) and np.allclose(shape, shape[:, ::-1])
+    assert shape.max() == pytest.approx(1, abs=0.07) and shape.min() == pytest.approx(0, abs=1e-3)
+    assert np.argmin(shape[24]) in (31, 32)
+
+
+def test_pattern_is_partly_one_of_columns():
+    pattern = drawn(pattern_degC=0.5).pattern
+    assert pattern.std() == pytest.approx(0.5, rel=0.15) and pattern.mean() == pytest.approx(0, abs=1e-9)
+    assert pattern.mean(axis=0).std() > 3 * pattern.mean(axis=1).std()
+
+
+def test_blur_and_dead_pixels():
+    degC, still = scene_temperatures(), np.zeros((36, 48))
+    camera = drawn(blur_px=1.5, dead_share=0.02)
+    first, second = camera.shown(degC, 0, still), camera.shown(degC + 1, 1, still)
+    dead = first == second
+    assert dead.mean() == pytest.approx(0.02, rel=0.5) and np.array_equal(dead, np.isfinite(camera.dead))
+    assert np.allclose(first[~dead], gaussian_filter(degC, 1.5, mode="nearest")[~dead])
+
+
+def test_one_error_does_not_change_the_random_numbers_of_another():
+    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1, dead_share=0.1), drawn(gain=0.05)
+    assert np.array_equal(both.gains, one.gains)
+    assert np.array_equal(both.pattern, drawn(pattern_degC=0.1).pattern)
+
+
+def test_limits_of_gain_control_leave_out_tails():
+    degC = np.linspace(0, 10, 1001)[None]
+    assert limits(degC) == pytest.approx((0.01, 9.99), abs=0.01)
+    low, high = limits(np.full((2, 2), 7.0))
+    assert low == 7 and high > low
+
+
+def test_titles_name_what_is_set():
+    assert ThermalErrors().title == "" and ThermalErrors(walk_degC=4, shutter_views=10).title == (
+        "-walk_degC4-shutter_views10"
+    )
+    assert [ThermalErrors(**errors).files for errors in ({}, {"gain": 0.1}, {"encoding": "agc"})] == [
+        "range", "degC", "agc"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", ["gain=2", "encoding=jpeg", "shutter_views=-1", "walk_degC=nan"])
+def test_options_are_checked_where_they_enter(wrong):
+    option = f"dataset.loader.errors.camera.{wrong}"
+    check_options(config("dataset=synthetic", "dataset.loader.errors.camera.encoding=agc"))
+    with pytest.raises(OptionError, match=option.partition("=")[0]):
+        check_options(config("dataset=synthetic", option))

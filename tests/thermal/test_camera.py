@@ -1,0 +1,31 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tdgbench.thermal.camera import Response, in_gauge
+
+
+def test_the_gauge_changes_no_value():
+    """Temperatures T' = T scaled and shifted with the gauge give the same values at the reference r."""
+    before, r = Response(np.array([1.0, -2.0, 4.0]), np.array([1.1, 0.9, 1.3])), 20.0
+    after, degC = in_gauge(before), np.linspace(10, 30, 5)[:, None]
+    moved = r + before.gains.mean() * (degC - r) + before.offsets.mean()
+    assert r + after.gains * (moved - r) + after.offsets == pytest.approx(
+        r + before.gains * (degC - r) + before.offsets
+    )
+    assert after.offsets.mean() == pytest.approx(0) and after.gains.mean() == pytest.approx(1)
+
+
+def test_pattern_and_vignette_are_added(drifting_camera):
+    columns = np.linspace(-1, 1, 64)
+    camera = replace(drifting_camera, columns=columns, rows=None)
+    assert np.allclose(camera.shared(64, 48) - camera.map(64, 48), columns)
+    with pytest.raises(ValueError, match="32×48"):
+        camera.pattern(32, 48)
+    assert "a fixed pattern by columns;" in camera.summary and "a fixed pattern" not in drifting_camera.summary
+
+
+def test_the_summary_has_the_unit(drifting_camera):
+    assert "°C, gains 0.9" in drifting_camera.summary
+    assert "°C" not in replace(drifting_camera, unit="image").summary

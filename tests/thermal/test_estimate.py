@@ -1,0 +1,118 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
+from tdgbench.scenes.synthetic.truth import read_truth
+from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
+from tdgbench.thermal.accuracy import errors_of
+from tests.helpers.layouts import celsius
+
+
+def test_drift_gain_and_vignette_are_recovered(drifting_scene, drifting_camera):
+    """The issue's bounds: 0.1 °C, 2 %, 0.2 °C, of errors of ±4 °C, ±5 % and 2.6 °C."""
+    errors = errors_of(drifting_camera, read_truth(drifting_scene.folder))
+    assert drifting_camera.unit == "°C" and np.ptp(drifting_camera.offsets) > 5
+    assert np.abs(errors.offsets).max() < 0.1
+    assert np.abs(errors.gains).max() < 0.02
+    assert np.abs(errors.vignette).max() < 0.2
+    assert drifting_camera.residual_after < 0.1 * drifting_camera.residual_before
+
+
+def test_the_mean_stays(drifting_camera):
+    assert drifting_camera.offsets.mean() == pytest.approx(0, abs=1e-9)
+    assert drifting_camera.gains.mean() == pytest.approx(1)
+    assert drifting_camera.shared(64, 48).mean() == pytest.approx(0, abs=1e-9)
+
+
+def test_standard_errors_are_those_of_the_errors(drifting_scene, drifting_camera):
+    errors = errors_of(drifting_camera, read_truth(drifting_scene.folder))
+    for error, stated in ((errors.offsets, drifting_camera.offset_errors), (errors.gains, drifting_camera.gain_errors)):
+        assert 0.2 < np.sqrt(np.mean((error / stated) ** 2)) < 5
+
+
+def test_a_clean_camera_is_left_alone(clean_scene):
+    camera = estimate_camera(clean_scene)
+    changes = [
+        camera.of_view(view.name)[0]
+        + (camera.of_view(view.name)[1] - 1) * (celsius(view, clean_scene) - camera.reference)
+        for view in clean_scene.train
+    ]
+    assert np.sqrt(np.mean(np.square(changes))) < 0.02 and np.abs(camera.shared(64, 48)).max() < 0.05
+
+
+def test_automatic_gain_control_is_a_gain_and_an_offset(make_scene):
+    scene = make_scene("facade", encoding="agc", walk_degC=3.0)
+    camera = estimate_camera(scene)
+    true = read_truth(scene.folder)
+    stretch = 1 / np.ptp(true.camera.limits[true.index(list(camera.views))], axis=1)
+    assert camera.unit == "image" and np.ptp(stretch / stretch.mean()) > 0.05
+    assert np.abs(camera.gains - stretch / stretch.mean()).max() < 0.02
+
+
+@pytest.mark.slow
+def test_columns_of_a_fixed_pattern_are_found(make_scene):
+    scene = make_scene(pattern_degC=0.5, walk_degC=2.0)
+    camera = estimate_camera(scene)
+    pattern = read_truth(scene.folder).camera.pattern
+    smooth = camera.map(64, 48).mean(axis=0)
+    assert camera.columns is not None
+    assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.8
+
+
+def test_masked_pixels_and_outliers_do_not_matter(drifting_scene):
+    def spoiled(view: View) -> View:
+        image, valid = view.thermal.copy(), np.ones((48, 64), bool)
+        image[:, :14], valid[:, :14] = 0.9, False
+        image[20:24, 40:44] = 0.5  # something that moves with the camera
+        return replace(view, load_thermal=lambda: image, load_valid=lambda: valid)
+
+    scene = replace(drifting_scene, train=[spoiled(view) for view in drifting_scene.train])
+    errors = errors_of(estimate_camera(scene), read_truth(drifting_scene.folder))
+    assert np.abs(errors.offsets).max() < 0.1 and np.abs(errors.gains).max() < 0.02
+
+
+def test_a_view_with_few_points_keeps_an_ideal_response(drifting_scene):
+    away = drifting_scene.train[0]
+    turned = away.camera.world_to_camera.copy()
+    turned[:3] = np.diag([-1.0, 1.0, -1.0]) @ turned[:3]  # looks the other way
+    train = [replace(away, camera=replace(away.camera, world_to_camera=turned)), *drifting_scene.train[1:]]
+    points = drifting_scene.points.points
+    in_front = points[away.camera.project(points)[1] > 0]
+    cloud = PointCloud(in_front, np.zeros((len(in_front), 3), np.float32))
+    camera = estimate_camera(replace(drifting_scene, train=train, points=cloud))
+    assert camera.sightings[0] == 0 and "keep gain 1" in " ".join(camera.notes) and away.name in " ".join(camera.notes)
+    assert abs(camera.offsets[0]) < 2 and abs(camera.gains[0] - 1) < 0.05
+
+
+def test_scenes_that_tell_nothing(drifting_scene, small_scene):
+    for scene, why in (
+        (replace(drifting_scene, points=None), "no sparse points"),
+        (replace(drifting_scene, train=drifting_scene.train[:2]), "2 training views"),
+        (
+            replace(drifting_scene, points=PointCloud(np.zeros((1, 3)), np.zeros((1, 3), np.float32))),
+            "0 training views",
+        ),
+        (small_scene, "pseudo-colour"),
+    ):
+        found = estimate_camera(scene)
+        assert isinstance(found, Unknown) and why in found.reason
+
+
+@pytest.mark.slow
+def test_known_drift_is_found_in_a_real_scene(arco_folder):
+    """arco's images are corrected already: its own estimate has no offsets, and a known drift comes back."""
+    scene = FolderDataset(str(arco_folder), ReadOptions()).load(None)
+    span = scene.temperature.max - scene.temperature.min
+    drift = np.linspace(-0.4, 0.4, len(scene.train))  # °C; more would leave the range of the 8-bit images
+
+    def drifted(view: View, offset: float) -> View:
+        image = view.thermal
+        return replace(view, load_thermal=lambda: 0.25 + 0.5 * image + np.float32(offset / span / 2))
+
+    own = estimate_camera(scene)
+    assert isinstance(own, ThermalCamera) and np.abs(own.offsets).max() < 0.1
+    views = [drifted(view, offset) for view, offset in zip(scene.train, drift, strict=True)]
+    camera = estimate_camera(replace(scene, train=views))
+    assert np.abs(2 * camera.offsets - drift).max() < 0.15

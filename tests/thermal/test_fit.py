@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from tdgbench.thermal.camera import Response, in_gauge
+from tdgbench.thermal.fit import Terms, fit
+from tests.helpers.sightings import sightings
+
+OFFSETS, GAINS = np.linspace(-4, 4, 12), np.tile([0.95, 1.0, 1.05], 4)
+ALL = Terms(vignette=True, offsets=True, gains=True)
+
+
+def true_response(reference):
+    return in_gauge(Response(OFFSETS + (GAINS - 1) * (reference - 20), GAINS))
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05])
+def test_response_is_recovered(outliers):
+    coefficients = np.array([0.3, -0.2, 0.4, 0.1, 0.5, *[0.0] * 9])
+    data, _ = sightings(OFFSETS, GAINS, coefficients=coefficients, outliers=outliers)
+    found = fit(data, ALL, 0.05)
+    response, true = in_gauge(found.response), true_response(found.reference)
+    assert np.abs(response.offsets - true.offsets).max() < 0.03
+    assert np.abs(response.gains - true.gains).max() < 0.003
+    assert np.abs(found.vignette - coefficients).max() < 0.02
+    assert found.after == pytest.approx(0.05, rel=0.2) and found.before > 1
+
+
+def test_noise_does_not_bias_gains():
+    """Regression on means of the values would draw gains towards 0."""
+    data, _ = sightings(np.zeros(4), np.array([0.9, 1.1, 0.9, 1.1]), noise=1.5, points=6000)
+    gains = in_gauge(fit(data, ALL, 0.5).response).gains
+    assert gains == pytest.approx([0.9, 1.1, 0.9, 1.1], abs=0.015)
+
+
+def test_standard_errors_are_those_of_repeated_captures():
+    errors, stated = [], []
+    for seed in range(9):
+        data, _ = sightings(OFFSETS, GAINS, seed=seed, noise=0.3)
+        found = fit(data, ALL, 0.05)
+        response, true = in_gauge(found.response), true_response(found.reference)
+        errors.append(response.gains - true.gains)
+        change = np.eye(12) - 1 / 12
+        stated.append(np.diag(change @ found.covariance()[12:24, 12:24] @ change))
+    assert np.sqrt(np.mean(stated)) == pytest.approx(np.std(errors), rel=0.25)
+
+
+def test_terms_that_are_not_estimated_are_ideal():
+    data, _ = sightings(OFFSETS, GAINS)
+    found = fit(data, Terms(offsets=True), 0.05)
+    assert (found.response.gains == 1).all() and (found.vignette == 0).all() and np.ptp(found.response.offsets) > 7
+    assert (np.diag(found.covariance())[12:] == 0).all()
+    found = fit(data, Terms(), 0.05)
+    assert (found.response.offsets == 0).all()
+
+
+def test_priors_hold_what_is_unknown():
+    data, _ = sightings(OFFSETS, GAINS)
+    found = fit(data.kept(data.view != 5), ALL, 0.05)
+    assert found.response.gains[5] == pytest.approx(1) and found.response.offsets[5] == pytest.approx(0)

@@ -1,0 +1,26 @@
+from dataclasses import replace
+
+import numpy as np
+
+from tdgbench.thermal.sightings import FEWEST_VIEWS, find_sightings
+
+
+def test_values_are_those_of_the_points(clean_scene):
+    seen = find_sightings(clean_scene.train, clean_scene.points.points)
+    counts = np.bincount(seen.point)
+    assert seen.points == len(counts) and counts.min() >= FEWEST_VIEWS
+    spread = [np.ptp(seen.value[seen.point == one]) for one in range(0, seen.points, 10)]
+    assert np.median(spread) < 0.02 < 0.2 < np.ptp(seen.value)
+    first = seen.view == 0
+    pixel = seen.y[first].astype(int), seen.x[first].astype(int)
+    exact = clean_scene.train[0].thermal[..., 0][pixel]
+    assert np.median(np.abs(seen.value[first] + seen.detail[first] - exact)) < 0.005
+
+
+def test_clipped_and_masked_pixels_are_left_out(clean_scene):
+    image, valid = clean_scene.train[0].thermal.copy(), np.ones((48, 64), bool)
+    image[:, :10], valid[:, 50:] = 1.0, False
+    view = replace(clean_scene.train[0], load_thermal=lambda: image, load_valid=lambda: valid)
+    seen = find_sightings([view, *clean_scene.train[1:]], clean_scene.points.points)
+    x = seen.x[seen.view == 0]
+    assert len(x) and x.min() > 12 and x.max() < 48 and seen.x[seen.view == 1].min() < 10
