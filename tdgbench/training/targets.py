@@ -37,6 +37,12 @@ class _Kept(NamedTuple):
     valid: Tensor | None
     target: Target
 
+    @property
+    def bytes(self) -> int:
+        """Memory beyond that of the image and its mask."""
+        target = self.target
+        return target.filtered.nbytes + (0 if target.weights is None else target.weights.nbytes + target.image.nbytes)
+
 
 class PreparedTargets:
     """Prepared images by their tensors, up to a number of bytes; what exceeds it is prepared anew each time."""
@@ -52,19 +58,17 @@ class PreparedTargets:
         version = (image._version, None if valid is None else valid._version)
         if kept is not None and kept.valid is valid and kept.version == version:
             return kept.target
-        target = prepare(_array(image), None if valid is None else _array(valid))
-        size = target.filtered.nbytes + (0 if target.weights is None else 2 * target.weights.nbytes)
-        if kept is None and self.bytes + size <= self.kept_bytes:
-            self.bytes += size
-            weakref.finalize(image, self._forget, id(image), size)
-            self._kept[id(image)] = _Kept(version, valid, target)
-        elif kept is not None:
-            self._kept[id(image)] = _Kept(version, valid, target)
-        return target
+        new = _Kept(version, valid, prepare(_array(image), None if valid is None else _array(valid)))
+        growth = new.bytes - (0 if kept is None else kept.bytes)
+        if self.bytes + growth <= self.kept_bytes:
+            self.bytes += growth
+            self._kept[id(image)] = new
+            if kept is None:
+                weakref.finalize(image, self._forget, id(image))
+        return new.target
 
-    def _forget(self, key: int, size: int) -> None:
-        self._kept.pop(key, None)
-        self.bytes -= size
+    def _forget(self, key: int) -> None:
+        self.bytes -= self._kept.pop(key).bytes
 
 
 def _array(tensor: Tensor) -> np.ndarray:

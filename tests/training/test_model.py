@@ -101,7 +101,7 @@ def bytes_of(model: SplatModel) -> dict[str, bytes]:
     return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
 
 
-@pytest.mark.parametrize(("channels", "unseen"), [(1, True), (3, False)])
+@pytest.mark.parametrize(("channels", "unseen"), [(1, True), pytest.param(3, False, marks=pytest.mark.slow)])
 def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatch, channels, unseen):
     """The same bytes after 200 iterations with density control."""
     taken, take = [], PendingGradients.take_step

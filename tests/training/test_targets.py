@@ -31,6 +31,7 @@ def test_an_image_is_prepared_once(monkeypatch):
     assert kept.of(image, None) is kept.of(image, None) and len(calls) == 1
     masked = kept.of(image, mask)
     assert masked is kept.of(image, mask) and masked.weights is not None and len(calls) == 2
+    assert kept.bytes == 4 * 4 * 400  # image, weights, and two filtered ones
     image.mul_(0.5)  # noticed
     assert np.array_equal(kept.of(image, None).image, image.numpy().reshape(20, 20)) and len(calls) == 3
     del image, masked

@@ -64,8 +64,8 @@ class StepProfile:
         with ExitStack() as stack:
             stack.enter_context(self._timed(pool, "run", part_of_kernel))
             stack.enter_context(self._timed(Adam, "step", lambda *_: "Adam"))
-            stack.enter_context(self._timed(DensityControl, "observe", lambda *_: "density control"))
-            stack.enter_context(self._timed(DensityControl, "update", lambda *_: "density control"))
+            for name in ("observe_visible", "observe_gradients", "update"):
+                stack.enter_context(self._timed(DensityControl, name, lambda *_: "density control"))
             yield
 
     @contextmanager

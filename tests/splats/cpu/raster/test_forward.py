@@ -20,7 +20,7 @@ def test_only_candidates_are_updated():
     means[::2, 2] = -5  # behind the camera
     given = Gaussians(means, scales.log(), quats, opacities.logit(), colors)
     (view,), (K,) = turned_camera(40, 30)
-    settings, images = settings_for((view, K), 40, 30, 1, 0), []
+    settings, images, values = settings_for((view, K), 40, 30, 1, 0), [], []
     for flushed in (False, True):
         state = TrainingState(given)
         optimizer = Adam(state, RATES, 1.0)
@@ -35,11 +35,16 @@ def test_only_candidates_are_updated():
         source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
         done = forward(source, settings)
         images.append(done.images.color)
-        updated = set((state.clocks[:, 1] == 3).nonzero().squeeze(1).tolist())
+        values.append(state.values)
+        current = state.clocks[:, 1] == 3
+        if not flushed:
+            candidates = current
+        updated = set(current.nonzero().squeeze(1).tolist())
         behind = set((state.values[:, 2] < -1).nonzero().squeeze(1).tolist())
         drawn = np.concatenate([done.splats.gaussian_ids[a : a + n] for a, n in done.splat_spans])
         assert flushed or (len(drawn) > 0 and set(drawn.tolist()) <= updated and not updated & behind)
-    assert np.array_equal(*images)
+    assert np.array_equal(*images) and torch.equal(*(rows[candidates] for rows in values))
+    assert not torch.equal(*(rows[~candidates] for rows in values))
 
 
 def test_the_forward_pass_finds_the_blocks_in_which_a_gaussian_has_weight():
