@@ -19,17 +19,17 @@ class ViewTensors:
     """Arrays of views as tensors, the same ones as long as the view lives; on the CPU they share its memory."""
 
     def __init__(self) -> None:
-        self._tensors: dict[int, dict[tuple[str, str], Tensor]] = {}
+        self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
 
     def of(self, view: View, name: str, device: torch.device) -> Tensor:
         """The array `name` of a view; nobody writes to it."""
         if id(view) not in self._tensors:
             self._tensors[id(view)] = {}
             weakref.finalize(view, self._tensors.pop, id(view), None)
-        tensors, key = self._tensors[id(view)], (name, str(device))
-        if key not in tensors:
-            tensors[key] = torch.from_numpy(getattr(view, name)).to(device)
-        return tensors[key]
+        tensors, key, array = self._tensors[id(view)], (name, str(device)), getattr(view, name)
+        if key not in tensors or tensors[key][0] is not array:  # the view may have been given another one
+            tensors[key] = array, torch.from_numpy(array).to(device)
+        return tensors[key][1]
 
 
 class _Kept(NamedTuple):

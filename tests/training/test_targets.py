@@ -24,6 +24,13 @@ def test_a_view_has_one_tensor_which_goes_with_it():
     assert len(tensors._tensors) == 1
 
 
+def test_a_view_that_is_given_another_image_has_another_tensor():
+    tensors, one = ViewTensors(), view()
+    tensors.of(one, "thermal", torch.device("cpu"))
+    one.thermal = np.full((20, 20, 1), np.nan, np.float32)
+    assert tensors.of(one, "thermal", torch.device("cpu")).isnan().all()
+
+
 def test_an_image_is_prepared_once(monkeypatch):
     calls, prepare = [], targets.prepare
     monkeypatch.setattr(targets, "prepare", lambda *args: calls.append(1) or prepare(*args))

@@ -78,7 +78,7 @@ def test_colors_and_depth_are_the_channels():
 def test_what_cannot_be_seen_is_not_kept():
     parameters = some_gaussians()
     parameters[0][0, 2] = -4  # behind the camera
-    parameters[0][1, 0] = 100  # beside the image
+    parameters[0][1, 1] = 100  # below the image
     parameters[3][2] = 0.001  # too faint
     group, _ = grouped(parameters)
     assert group[VALID, :3].tolist() == [0, 1, 1] and group[KEEP, :3].tolist() == [0, 0, 0]
