@@ -17,9 +17,11 @@ from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.statistics import observe_gradients, observe_visible
+from tdgbench.splats.cpu.scratch import release
+from tdgbench.splats.cpu.statistics import Watch, observe_visible
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 
 
@@ -109,21 +111,39 @@ class DensityControl:
 
     @torch.no_grad()
     def observe(self, gradients: Gradients, width: int, height: int) -> None:
-        """Accumulate the gradients of a view of width × height px."""
-        half = (0.5 * width, 0.5 * height)
-        if self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32:
+        """Accumulate the visible Gaussians and the gradients of a view of width × height px."""
+        self.observe_visible(gradients)
+        self.observe_gradients(gradients, width, height)
+
+    @torch.no_grad()
+    def observe_visible(self, view: Gradients | PendingGradients) -> None:
+        """Count a view for its visible Gaussians, and update their largest radii."""
+        if self._is_fast:
             counts, radii = self.view_counts.numpy(), self.max_radii.numpy()
-            views = (gradients.projected.numpy(), gradients.radii.numpy(), counts, radii)
-            pool.run(observe_visible, [(*span, *views) for span in gradients.projected_spans])
-            rows = (gradients.index.numpy(), gradients.image.numpy(), *half, self.grad_sum.numpy())
-            pool.run(observe_gradients, [(*span, *rows) for span in gradients.spans])
+            rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
+            pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans])
             return
-        index, radii = gradients.visible()
+        index, visible = view.computed().visible()
         self.view_counts[index] += 1
-        self.max_radii[index] = torch.maximum(self.max_radii[index], radii.to(self.max_radii))
+        self.max_radii[index] = torch.maximum(self.max_radii[index], visible.to(self.max_radii))
+
+    @torch.no_grad()
+    def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
+        """Accumulate the gradients of a view of width × height px."""
+        if self._is_fast:
+            gradients.observe(self.watch(width, height))
+            return
         index, _, image = gradients.rows()
-        norm = (image[:, :2] * image.new_tensor(half)).norm(dim=1)
+        norm = (image[:, :2] * image.new_tensor((0.5 * width, 0.5 * height))).norm(dim=1)
         self.grad_sum.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
+
+    def watch(self, width: int, height: int) -> Watch:
+        """Where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
+        return Watch(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True)
+
+    @property
+    def _is_fast(self) -> bool:
+        return self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32
 
     def state_dict(self) -> dict[str, Tensor]:
         """What was accumulated since the last change, as `torch.save` takes it."""
@@ -138,6 +158,12 @@ class DensityControl:
     def is_active(self, iteration: int) -> bool:
         """Whether density control still observes views at an iteration."""
         return iteration < self.rules.stop
+
+    def is_due(self, iteration: int) -> bool:
+        """Whether `update` changes Gaussians at an iteration."""
+        rules = self.rules
+        changes = rules.is_round(iteration, self.iterations) or rules.is_reset(iteration, self.iterations)
+        return self.is_active(iteration) and changes
 
     @torch.no_grad()
     def update(
@@ -155,7 +181,9 @@ class DensityControl:
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
+            release()  # the renders' memory makes room for the new Gaussians, and the memory of these for the renders
             self._densify_and_prune(change, iteration, generator, verdict)
+            release()
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
             self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
@@ -191,7 +219,7 @@ class DensityControl:
         if iteration > rules.opacity_reset_every:
             drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
         change.pruned += int(drop.sum())
-        self.state.exchange(remove.nonzero().squeeze(1), added[~drop])
+        self.state.exchange(remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added)
         self._clear()
 
     def _by_gradients(self) -> Verdict:

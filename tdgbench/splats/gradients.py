@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import Step, step_rows
+from tdgbench.splats.cpu.scratch import empty_aligned
+from tdgbench.splats.cpu.statistics import NO_WATCH, Watch, observe_gradients
 
 
 @dataclass
@@ -22,6 +28,38 @@ class Gradients:
     pairs: int = 0  # (tile, Gaussian) pairs of the view; 0 where a backend does not count them
     blended: int = 0  # pairs that the blend read before their tile ended
     lease: object = field(default=None, repr=False)  # keeps the memory of the arrays from being reused
+
+    @property
+    def columns(self) -> int:
+        """Columns of a row."""
+        return self.values.shape[1]
+
+    @property
+    def touched(self) -> int:
+        """Number of rows: Gaussians with a gradient."""
+        return sum(count for _, count in self.spans)
+
+    def computed(self) -> Gradients:
+        """These gradients; `PendingGradients` computes them here."""
+        return self
+
+    def observe(self, watch: Watch) -> None:
+        """Add the image-plane gradients of float32 rows on the CPU to density control's statistics."""
+        rows = (self.index.numpy(), self.image.numpy(), watch)
+        pool.run(observe_gradients, [(*span, *rows) for span in self.spans])
+
+    def take_step(self, step: Step, watch: Watch = NO_WATCH) -> np.ndarray:
+        """Take a step of Adam with these float32 rows on the CPU, and `observe` them.
+
+        Returns (columns of the state,) float32: 1 in columns with a gradient that is not finite.
+        """
+        if watch.active:
+            self.observe(watch)
+        spans = split_spans(self.spans)
+        bad = flags_of(len(spans), step)
+        rows = (self.index.numpy(), self.values.numpy(), step)
+        pool.run(step_rows, [(*span, *rows, one) for span, one in zip(spans, bad, strict=True)])
+        return bad.max(axis=0, initial=0)
 
     @classmethod
     def dense(cls, values: Tensor, image: Tensor, radii: Tensor) -> Gradients:
@@ -58,3 +96,17 @@ class Gradients:
         parts = [slice(first, first + count) for first, count in self.projected_spans]
         projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
         return projected[radii > 0], radii[radii > 0]
+
+
+def flags_of(spans: int, step: Step) -> np.ndarray:
+    """(spans, columns of the state) float32 zeros for what a step finds in each column."""
+    flags = empty_aligned((spans, step.rows.stride), np.float32)
+    flags[:] = 0
+    return flags
+
+
+def split_spans(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Spans (first, count) for the threads: a single one is split into one per thread."""
+    if len(spans) > 1:
+        return spans
+    return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

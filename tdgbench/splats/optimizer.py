@@ -15,14 +15,17 @@ from tdgbench.splats.cpu.adam import (
     Decay,
     Deferred,
     Rows,
+    Stale,
+    Step,
     Update,
     flush_rows,
-    step_rows,
     sum_displacements,
     update_rows,
 )
+from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, split_spans
+from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
@@ -86,47 +89,61 @@ class Adam:
         self._decay = Decay(*((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2)))
         self._rho_powers = (RHO**exponents).astype(np.float32)
 
-    def step(self, gradients: Gradients, iteration: int, without: str | None = None) -> str | None:
+    def step(
+        self,
+        gradients: Gradients | PendingGradients,
+        iteration: int,
+        without: str | None = None,
+        watch: Watch = NO_WATCH,
+    ) -> str | None:
         """Take one step at an iteration (1-based); the parameter `without` has no gradient, in torch's sense.
 
-        Returns the name of a parameter whose gradient is not finite, or None.
+        Pending gradients are computed in the same pass, which adds to `watch`. Returns the name of a parameter whose
+        gradient is not finite, or None.
         """
         state = self.state
         if without is not None:
+            gradients = gradients.computed()
             gradients.values[:, state.column_of(without)] = 0
         for name in self.steps:
             self.steps[name] += name != without
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
-            self._step_all(gradients.values, rates / bias1, np.sqrt(bias2))
-            finite = bool(torch.isfinite(gradients.values.sum()))
-            return None if finite else self._not_finite(gradients.values)
-        self._used = max(self._used, gradients.values.shape[1])
+            values = gradients.computed().values
+            self._step_all(values, rates / bias1, np.sqrt(bias2))
+            return None if bool(torch.isfinite(values.sum())) else self._not_finite(values)
+        self._used = max(self._used, gradients.columns)
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
         self._coefficients[state.now % FLUSH_EVERY] = rates * np.sqrt(bias2) / bias1
         update = Update(step_sizes.numpy(), per_bias2.numpy(), *(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS)))
-        index, values = gradients.index.numpy(), gradients.values.numpy()
-        common = (index, values, self._rows(values.shape[1]), self._deferred(state.now - 1), self._decay, update)
-        finite_spans = pool.run(step_rows, [(*span, *common) for span in _split(gradients.spans)])
+        step = Step(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
+        bad = gradients.take_step(step, watch)
         deferred = state.now - self._flushed
         sum_displacements(deferred, state.now, self._coefficients, np.float32(RHO), self._displacements)
         if deferred >= FLUSH_EVERY - 1:
             self.flush()
-        return None if all(finite_spans) else self._not_finite(gradients.rows()[1])
+        return self._first_in(bad) if bad.any() else None
 
     def _not_finite(self, rows: torch.Tensor) -> str | None:
         """Name of the first parameter with a gradient that is not finite; rows (n, columns)."""
-        bad = (~torch.isfinite(rows)).any(dim=0)
-        return next((name for name in self.steps if bool(bad[self.state.column_of(name)].any())), None)
+        return self._first_in((~torch.isfinite(rows)).any(dim=0).numpy(force=True))
+
+    def _first_in(self, bad: np.ndarray) -> str | None:
+        """Name of the first parameter with a marked column; bad (columns,)."""
+        return next((name for name in self.steps if bad[self.state.column_of(name)].any()), None)
+
+    def stale(self) -> Stale:
+        """All rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
+        return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)
 
     def update_rows(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
         """Apply the deferred steps of the rows candidates[first : first + count] of every span; candidates int32."""
         if self.state.now == self._flushed:
             return
         common = (candidates, self._rows(self._used), self._deferred(self.state.now))
-        pool.run(update_rows, [(*span, *common) for span in _split(spans)])
+        pool.run(update_rows, [(*span, *common) for span in split_spans(spans)])
 
     def flush(self) -> None:
         """Apply the deferred steps of every row."""
@@ -204,10 +221,3 @@ class Adam:
         first.lerp_(grad, 1 - BETA1)
         second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
         values.sub_(sizes * first / (second.sqrt() / bias + EPS))
-
-
-def _split(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans (first, count) for the threads: a single one is split into one per thread."""
-    if len(spans) > 1:
-        return spans
-    return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

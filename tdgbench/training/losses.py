@@ -21,7 +21,9 @@ from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradi
 from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
 from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
 from tdgbench.training import torch_losses
+from tdgbench.training.targets import PreparedTargets
 
+_PREPARED = PreparedTargets()
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
 
@@ -105,11 +107,11 @@ def _fused(
 ) -> Tensor:
     """L1, SSIM and smoothness in one pass. Raises ValueError if the shapes differ."""
     _check_shapes(image, target, valid)
-    other, mask = _array(target), None if valid is None else _array(valid)
+    prepared = _PREPARED.of(target, valid)
 
     def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
         error, similarity, differences, gradient = photometric_and_gradient(
-            a, other, l1_weight, -dssim_weight, smooth.gradient, smooth.wrap, mask
+            a, prepared, l1_weight, -dssim_weight, smooth.gradient, smooth.wrap
         )
         return l1_weight * error + dssim_weight * (1 - similarity) + smooth.value * differences, gradient
 

@@ -22,7 +22,9 @@ from tdgbench.training.images import THERMAL, Modality
 from tdgbench.training.model import SplatModel
 from tdgbench.training.pixels import schedule
 from tdgbench.training.skips import Skips
+from tdgbench.training.targets import ViewTensors
 
+_TENSORS = ViewTensors()
 Share = Annotated[float, Field(ge=0, le=1)]
 SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
 
@@ -175,14 +177,14 @@ def training_device(backend: str) -> torch.device:
 
 def thermal_tensor(view: View, device: torch.device) -> Tensor:
     """A view's thermal image (H, W, C), 0 at masked pixels, as a tensor; on the CPU it shares the view's memory."""
-    return torch.from_numpy(view.thermal).to(device)
+    return _TENSORS.of(view, "thermal", device)
 
 
 def valid_tensor(view: View, device: torch.device) -> Tensor | None:
     """The mask (H, W) bool that a loss of the view's thermal image gets; None if every pixel counts."""
-    return None if view.valid is None else torch.from_numpy(view.valid).to(device)
+    return None if view.valid is None else _TENSORS.of(view, "valid", device)
 
 
 def rgb_tensor(view: View, device: torch.device) -> Tensor:
     """A view's RGB image (H, W, 3) as a tensor; on the CPU it shares the view's memory."""
-    return torch.from_numpy(view.rgb).to(device)
+    return _TENSORS.of(view, "rgb", device)

@@ -12,9 +12,11 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.density import DensityChange, DensityControl, Verdict
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
@@ -37,10 +39,9 @@ class Work:
     pruned: int = 0
     withheld: int = 0
 
-    def add(self, gradients: Gradients, count: int) -> None:
-        """Add the backward pass of a view of `count` Gaussians."""
+    def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
+        """Add the backward pass of a view of `count` Gaussians, but for those that it touched."""
         self.rows += count
-        self.touched += sum(n for _, n in gradients.spans)
         self.pairs += gradients.pairs
         self.blended += gradients.blended
 
@@ -87,7 +88,7 @@ class SplatModel:
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
-        self._gradients: list[Gradients] = []
+        self._views: list[_View] = []
 
     def __len__(self) -> int:
         return len(self.state)
@@ -107,11 +108,11 @@ class SplatModel:
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
         """Render at the SH degree in use, over black. The backward pass is observed by density control."""
 
-        def collect(gradients: Gradients) -> None:
-            self._gradients.append(gradients)
+        def collect(gradients: Gradients | PendingGradients) -> None:
+            self._views.append(_View(gradients, camera.width, camera.height))
             self.work.add(gradients, len(self.state))
             if self.density.is_active(self._iteration):
-                self.density.observe(gradients, camera.width, camera.height)
+                self.density.observe_visible(gradients)
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
         options = StateOptions(self.degree, depth, self._blending, tolerance)
@@ -142,9 +143,10 @@ class SplatModel:
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
             self.degree += 1
 
-    def forget_views(self) -> None:
-        """Drop the gradients since the last step."""
-        self._gradients = []
+    def take_gradients(self) -> Gradients | None:
+        """Sum of the gradients since the last step, which forgets them; None without a backward pass."""
+        views, self._views = self._views, []
+        return Gradients.total([view.gradients.computed() for view in views], len(self.state)) if views else None
 
     def has_recovered(self, iteration: int) -> bool:
         """Whether the model at an iteration has recovered from density control, and is worth saving."""
@@ -168,14 +170,41 @@ class SplatModel:
         There is no step after a round of density control, and none for opacities after their reset. Returns the name of
         a parameter whose gradient is not finite, or None; Adam has then used it.
         """
-        parts, self._gradients = self._gradients, []
+        views, self._views = self._views, []
+        gradients, watch = self._gradients_of(views, iteration)
         verdict = self._judge(iteration)
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
-        if parts and not change.densified:
-            gradients = Gradients.total(parts, len(self.state))
-            bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None)
+        bad = None
+        if gradients is not None and not change.densified:
+            bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
-            return bad
-        return None
+        self.work.touched += sum(view.gradients.touched for view in views)
+        return bad
+
+    def _gradients_of(self, views: list[_View], iteration: int) -> tuple[Gradients | PendingGradients | None, Watch]:
+        """Sum of the views' gradients, and the statistics that they are still to be added to.
+
+        Those of one view stay pending where nothing but a step needs them.
+        """
+        observes = self.density.is_active(self._iteration)
+        if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
+            (view,) = views
+            return view.gradients, self.density.watch(view.width, view.height) if observes else NO_WATCH
+        for view in views:
+            view.gradients = view.gradients.computed()
+            if observes:
+                self.density.observe_gradients(view.gradients, view.width, view.height)
+        if not views:
+            return None, NO_WATCH
+        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_WATCH
+
+
+@dataclass
+class _View:
+    """Gradients of a view of width × height px."""
+
+    gradients: Gradients | PendingGradients
+    width: int
+    height: int

@@ -45,7 +45,13 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
             if render.depth is not None:
                 loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
             loss.backward()
-            model.finish(iteration)
+            if depth:  # as after a round of density control, and of several views
+                gradients = model.take_gradients()
+                assert gradients is not None
+                model.density.observe_gradients(gradients, SIZE, SIZE)
+                model.optimizer.step(gradients, iteration)
+            else:
+                model.finish(iteration)
         if budget.growth is not None:
             look_at(model.gaussians, camera, torch.zeros(SIZE, SIZE, device=model.state.values.device), None, backend)
         model.optimizer.flush()

@@ -11,34 +11,21 @@ from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole
-from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
-
-
-def cloud(channels: int, degree: int, dtype=torch.float32) -> Gaussians:
-    means, quats, scales, opacities, sh = random_gaussians(120, 4, degree, channels)
-    return Gaussians(means, scales.log(), quats, opacities.logit(), sh).map(lambda t: t.to(dtype))
+from tests.helpers.gaussians import RATES, turned_camera
+from tests.splats.backward_passes import COUNT, backward_pass, cloud
 
 
 def gradients_of(given: Gaussians, backend: str, used_degree: int):
     """Image, depth, transmittance, and the gradients by Gaussian (N, columns), (N, 2), radii (N,)."""
-    state = TrainingState(given)
-    view, K = (t[0] for t in turned_camera(50, 40))
-    collected = []
-    optimizer = Adam(state, RATES, 1.0)
-    options = StateOptions(used_degree, depth=True, tolerance=optimizer.tolerance(1))
-    rendered = render_state(state, optimizer, Pinhole(view, K, 50, 40), options, collected.append, backend)
-    outputs = rendered.image, rendered.depth, rendered.transmittance
-    g = torch.Generator().manual_seed(0)
-    loss = sum((o * torch.randn(o.shape, generator=g, dtype=torch.float64).to(o)).sum() for o in outputs)
-    loss.backward()
-    (found,) = collected
-    values, image = np.zeros((120, 64)), np.zeros((120, 2))
+    done = backward_pass(given, backend, used_degree)
+    found = done.gradients.computed()
+    values, image = np.zeros((COUNT, 64)), np.zeros((COUNT, 2))
     index, rows, on_image = (t.double().numpy() for t in found.rows())
     values[index.astype(int), : rows.shape[1]], image[index.astype(int)] = rows, on_image[:, :2]
-    radii = torch.zeros(120, dtype=torch.int32)
+    radii = torch.zeros(COUNT, dtype=torch.int32)
     visible, visible_radii = found.visible()
     radii[visible] = visible_radii
-    return [o.detach().double() for o in outputs], values, image, radii, state
+    return done.outputs, values, image, radii, done.state
 
 
 @pytest.mark.parametrize(("channels", "degree", "used"), [(1, 3, 3), (1, 3, 1), (3, 2, 2), (3, 3, 0)])

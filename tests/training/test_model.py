@@ -1,10 +1,15 @@
 import dataclasses
 
+import pytest
 import torch
 from hydra.utils import instantiate
 
 from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.pending import PendingGradients
+from tdgbench.training import model as model_module
+from tdgbench.training.losses import thermal
 from tdgbench.training.model import SplatModel
+from tdgbench.training.skips import Skips
 from tests.helpers.configs import config
 
 
@@ -61,3 +66,71 @@ def test_looking_does_not_count(small_scene):
         model.render(small_scene.test[0].camera)
     model.finish(iteration=1000)
     assert model.density.view_counts.sum() == 0 and model.optimizer.steps["means"] == 0
+
+
+RULES = (
+    "sh_degree=2", "sh_every=40", "density.start=20", "density.every=25", "density.stop=240",
+    "density.opacity_reset_every=110", "density.grad_threshold=5e-5", "iterations=1000",
+)  # fmt: skip
+
+
+def one_pass(scene, channels: int, iterations: int, unseen: bool = True) -> SplatModel:
+    """A model after some iterations, with rounds, resets and rising degrees."""
+    budget = instantiate(config("budget=demo", *(f"budget.{rule}" for rule in RULES)).budget)
+    start = gaussians_from_points(scene.points.points, scene.points.colors, channels, budget.sh_degree)
+    generator = torch.Generator().manual_seed(0)
+    model = SplatModel(start, budget, scene.extent, "cpu", generator, Skips(unseen=unseen))
+    for iteration in range(1, iterations + 1):
+        take_step(model, scene.train[iteration % len(scene.train)], channels, iteration)
+    return model
+
+
+def take_step(model, view, channels: int, iteration: int) -> str | None:
+    model.begin(iteration)
+    render = model.render(view.camera, depth=iteration % 3 == 0)
+    target = torch.from_numpy(view.thermal[..., :1]).expand(-1, -1, channels).contiguous()
+    loss = thermal(render.image, target, 0.2, 0.1, "paper")
+    (loss + (0.0 if render.depth is None else 1e-2 * render.depth.mean())).backward()
+    return model.finish(iteration)
+
+
+def bytes_of(model: SplatModel) -> dict[str, bytes]:
+    """All that training changes."""
+    tensors = {name: getattr(model.state, name) for name in ("values", "first", "second", "bounds", "clocks")}
+    tensors |= model.density.state_dict()
+    return {name: tensor.numpy().tobytes() for name, tensor in tensors.items()}
+
+
+@pytest.mark.parametrize(("channels", "unseen"), [(1, True), pytest.param(3, False, marks=pytest.mark.slow)])
+def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatch, channels, unseen):
+    """The same bytes after 200 iterations with density control."""
+    taken, take = [], PendingGradients.take_step
+    monkeypatch.setattr(PendingGradients, "take_step", lambda *args: taken.append(1) or take(*args))
+    together = one_pass(small_scene, channels, 200, unseen)
+    render_state = model_module.render_state
+
+    def computed_first(state, optimizer, camera, options, collect, backend):
+        return render_state(state, optimizer, camera, options, lambda view: collect(view.computed()), backend)
+
+    monkeypatch.setattr(model_module, "render_state", computed_first)
+    count = len(taken)
+    apart = one_pass(small_scene, channels, 200, unseen)
+    assert count > 180 and len(taken) == count
+    assert together.degree == 2 and together.work == apart.work and together.work.cloned + together.work.split > 0
+    assert bytes_of(together) == bytes_of(apart)
+
+
+def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
+    """Whether the gradients are rows or pending."""
+    found = []
+    for computed in (False, True):
+        model = one_pass(small_scene, 1, 3)
+        model.begin(4)
+        render = model.render(small_scene.train[0].camera)
+        render.image.sum().backward()
+        (view,) = model._views
+        view.gradients._blended.slots.values.fill(3e38)  # overflows where two are added
+        if computed:
+            view.gradients = view.gradients.computed()
+        found.append(model.finish(4))
+    assert found[0] == found[1] is not None

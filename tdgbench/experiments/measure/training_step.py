@@ -29,8 +29,8 @@ PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.tiles": "bin",
     "raster.blend": "blend",
     "raster.blend_backward": "blend backward",
-    "raster.projection_backward": "projection backward",
-    "raster.dense": "projection backward",
+    "raster.projection_backward": "projection backward, Adam",
+    "raster.dense": "projection backward, Adam",
     "adam": "Adam",
     "statistics": "density control",
     "rows": "density control",
@@ -62,10 +62,10 @@ class StepProfile:
     def watch(self) -> Iterator[None]:
         """Context that times kernels, optimiser and density control."""
         with ExitStack() as stack:
-            stack.enter_context(self._timed(pool, "run", _part_of_kernel))
+            stack.enter_context(self._timed(pool, "run", part_of_kernel))
             stack.enter_context(self._timed(Adam, "step", lambda *_: "Adam"))
-            stack.enter_context(self._timed(DensityControl, "observe", lambda *_: "density control"))
-            stack.enter_context(self._timed(DensityControl, "update", lambda *_: "density control"))
+            for name in ("observe_visible", "observe_gradients", "update"):
+                stack.enter_context(self._timed(DensityControl, name, lambda *_: "density control"))
             yield
 
     @contextmanager
@@ -92,7 +92,8 @@ class StepProfile:
             setattr(owner, attribute, original)
 
 
-def _part_of_kernel(kernel, _arguments) -> str:
+def part_of_kernel(kernel, _arguments) -> str:
+    """Part of a step that a kernel belongs to."""
     return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.splats.cpu.")]
 
 
@@ -126,7 +127,7 @@ def _steps_and_renders(method: Method, scene: Scene, steps: int) -> tuple[float,
                 render = model.render(view.camera, depth=with_depth)
                 outputs = [render.image, *([render.depth] if render.depth is not None else [])]
                 torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
-                model.forget_views()
+                model.take_gradients()
             end = time.perf_counter()
             if turn > 0 or steps < 2 * len(scene.train):
                 seconds["step"] += middle - start

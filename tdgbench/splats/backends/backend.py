@@ -11,10 +11,11 @@ import torch
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam, Tolerance
+from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
-Collect = Callable[[Gradients], None]
+Collect = Callable[[Gradients | PendingGradients], None]
 
 
 class StateOptions(NamedTuple):

@@ -10,15 +10,15 @@ from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tdgbench.splats.cpu.raster.backward import backward
+from tdgbench.splats.cpu.raster.backward import Blended, blend_backward
 from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.dense import dense_gradients, dense_projected
 from tdgbench.splats.cpu.raster.forward import forward
 from tdgbench.splats.cpu.raster.limits import pack_limits
 from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
-from tdgbench.splats.cpu.raster.types import ForwardPass, GradientRows, Settings
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.optimizer import Adam, Tolerance
+from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
@@ -54,14 +54,14 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
         source, settings, done, color_shape = ctx.saved
-        rows = backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance)))
+        rows = blend_backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
         dense = dense_gradients(rows, source.count, int(np.prod(color_shape[1:])))
         means, quats, scales, opacities, colors, means2d = _tensors(dense)
         return means, quats, scales, opacities, colors.view(color_shape), means2d, None
 
 
 class _RenderRows(torch.autograd.Function):
-    """`Rasterize` for Gaussians whose gradients do not pass through torch: `deliver` gets them."""
+    """`Rasterize` for Gaussians whose gradients do not pass through torch: `deliver` gets what they are made of."""
 
     @staticmethod
     def forward(ctx, trigger, source, settings, deliver):
@@ -72,8 +72,8 @@ class _RenderRows(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, *grads):
-        source, settings, done, deliver = ctx.saved
-        deliver(backward(source, settings, done, *_arrays(grads)), done)
+        (source, settings, done, deliver), ctx.saved = ctx.saved, None  # the loss, and so this, outlives the step
+        deliver(blend_backward(source, settings, done, *_arrays(grads)))
         return None, None, None, None
 
 
@@ -102,12 +102,12 @@ class CpuBackend(Backend):
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
         tolerance = options.tolerance or EVERYWHERE
-        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.update_rows)
+        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
         view = RenderOptions(options.depth, blending=options.blending)
         settings = _settings(camera, state.channels, options.sh_degree, view)
 
-        def deliver(rows, done) -> None:
-            collect(_gradients(rows, done))
+        def deliver(blended: Blended) -> None:
+            collect(PendingGradients(blended))
 
         trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
         image, depth, transmittance = _RenderRows.apply(trigger, source, settings, deliver)
@@ -139,16 +139,6 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
         background=black if background is None else background.detach().contiguous().numpy(),
         limits=pack_limits(options.blending),
     )
-
-
-def _gradients(rows: GradientRows, done: ForwardPass) -> Gradients:
-    """The rows of a backward pass as tensors, without copying."""
-    index, values, image = _tensors(rows.arrays)
-    projected, radii = _tensors((done.projected.gaussian_ids, done.projected.radii))
-    return Gradients(
-        rows.spans, index, values, image, done.projected_spans, projected, radii,
-        pairs=done.count_pairs(), blended=int(done.visits.counts.sum()), lease=(rows.workspace, done.workspace),
-    )  # fmt: skip
 
 
 BACKEND = CpuBackend()

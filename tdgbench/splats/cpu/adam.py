@@ -15,9 +15,8 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, store
-from tdgbench.splats.cpu.simd.reductions import any_positive
-from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, maximum, select, square_root
+from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, prefetch_row, store
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, select, square_root
 
 F, U = np.float32, np.uint64
 PREFETCH_DISTANCE = 6  # rows
@@ -51,6 +50,14 @@ class Decay(NamedTuple):
     second: np.ndarray
 
 
+class Stale(NamedTuple):
+    """Rows whose deferred steps are to be applied before they are read."""
+
+    rows: Rows
+    deferred: Deferred
+    flushed: int  # step up to which all rows are current
+
+
 class Update(NamedTuple):
     """Constants of one step."""
 
@@ -59,6 +66,28 @@ class Update(NamedTuple):
     rest1: np.float32  # 1 − β1
     rest2: np.float32  # 1 − β2
     eps: np.float32
+
+
+class Step(NamedTuple):
+    """One step; `deferred` ends with the step before."""
+
+    rows: Rows
+    deferred: Deferred
+    decay: Decay
+    update: Update
+
+
+def _nothing() -> tuple[Stale, Step]:
+    """No row and no step, in the types of some: kernels are compiled once for both."""
+    floats = np.zeros(0, np.float32)
+    rows = Rows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
+    deferred = Deferred(0, floats, floats, F(0))
+    return Stale(rows, deferred, 0), Step(
+        rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
+    )
+
+
+NO_STALE, NO_STEP = _nothing()
 
 
 @kernel(inline=True)
@@ -71,11 +100,12 @@ def write_bounds(rows, i, row):
 
 
 @kernel(inline=True)
-def prefetch_row(rows, i):
-    """Prefetch the parameters and moments of Gaussian i."""
+def prefetch_gaussian(rows, i):
+    """Prefetch the row of Gaussian i: parameters, moments and clocks."""
     prefetch_columns(rows.parameters, i, rows.stride, 0, rows.columns)
     prefetch_columns(rows.first, i, rows.stride, 0, rows.columns)
     prefetch_columns(rows.second, i, rows.stride, 0, rows.columns)
+    prefetch_row(rows.clocks, U(i))
 
 
 @kernel(inline=True)
@@ -93,40 +123,46 @@ def apply_deferred(rows, i, row, deferred):
     rows.clocks[i, U(1)] = deferred.now
 
 
-@kernel()
-def step_rows(first, count, index, gradients, rows, deferred, decay, update):
-    """Take one step with the rows index[first : first + count]; `deferred` ends with the step before.
+@kernel(inline=True)
+def step_row(step, i, gradients, source, bad):
+    """Step Gaussian i by the gradients (any,) float32 that begin at `source`; columns beyond rows.columns have none.
 
-    index: int32 (capacity,). gradients: float32 (capacity, rows.columns), d loss / d parameter; the columns beyond are
-    zero. Returns whether all gradients are finite.
+    bad (stride,) float32: becomes 1 in columns whose gradient is not finite.
     """
-    zero, one = broadcast(F(0)), broadcast(F(1))
-    bad = zero
+    rows, deferred, update = step.rows, step.deferred, step.update
+    one = broadcast(F(1))
     now = deferred.now + 1
-    flat = gradients.reshape(-1)
+    steps = U(now - rows.clocks[i, U(0)])
+    decay1, decay2 = step.decay.first[steps], step.decay.second[steps]
+    row = i * U(rows.stride)
+    if rows.clocks[i, U(1)] < deferred.now:
+        apply_deferred(rows, i, row, deferred)
+    for j in range(0, rows.columns, LANES):
+        g = load(gradients, source + U(j))
+        store(bad, j, select(is_finite(g), load(bad, j), one))
+        o = row + U(j)
+        m = load(rows.first, o) * decay1 + g * update.rest1
+        v = load(rows.second, o) * decay2 + g * g * update.rest2
+        store(rows.first, o, m)
+        store(rows.second, o, v)
+        move = divide(m, square_root(v) * load(update.per_bias2, j) + update.eps) * load(update.step_sizes, j)
+        store(rows.parameters, o, load(rows.parameters, o) - move)
+    rows.clocks[i, U(0)] = now
+    rows.clocks[i, U(1)] = now
+    write_bounds(rows, i, row)
+
+
+@kernel()
+def step_rows(first, count, index, gradients, step, bad):
+    """Step the rows index[first : first + count], int32 (capacity,), by gradients, float32 (capacity, rows.columns).
+
+    step: Step. bad (stride,) float32: becomes 1 in columns with a gradient that is not finite.
+    """
+    flat, rows = gradients.reshape(-1), step.rows
     last = U(first + count - 1)
     for r in range(U(first), U(first + count)):
-        prefetch_row(rows, np.int64(index[min(r + U(PREFETCH_DISTANCE), last)]))
-        i = U(index[r])
-        steps = U(now - rows.clocks[i, U(0)])
-        decay1, decay2 = decay.first[steps], decay.second[steps]
-        row, source = i * U(rows.stride), r * U(rows.columns)
-        if rows.clocks[i, U(1)] < deferred.now:
-            apply_deferred(rows, i, row, deferred)
-        for j in range(0, rows.columns, LANES):
-            g = load(flat, source + U(j))
-            bad = maximum(bad, select(is_finite(g), zero, one))
-            o = row + U(j)
-            m = load(rows.first, o) * decay1 + g * update.rest1
-            v = load(rows.second, o) * decay2 + g * g * update.rest2
-            store(rows.first, o, m)
-            store(rows.second, o, v)
-            move = divide(m, square_root(v) * load(update.per_bias2, j) + update.eps) * load(update.step_sizes, j)
-            store(rows.parameters, o, load(rows.parameters, o) - move)
-        rows.clocks[i, U(0)] = now
-        rows.clocks[i, U(1)] = now
-        write_bounds(rows, i, row)
-    return not any_positive(bad)
+        prefetch_gaussian(rows, np.int64(index[min(r + U(PREFETCH_DISTANCE), last)]))
+        step_row(step, U(index[r]), flat, r * U(rows.columns), bad)
 
 
 @kernel()
@@ -134,7 +170,7 @@ def update_rows(first, count, candidates, rows, deferred):
     """Apply the deferred steps of the rows candidates[first : first + count], int32 (capacity,)."""
     last = U(first + count - 1)
     for k in range(U(first), U(first + count)):
-        prefetch_row(rows, np.int64(candidates[min(k + U(PREFETCH_DISTANCE), last)]))
+        prefetch_gaussian(rows, np.int64(candidates[min(k + U(PREFETCH_DISTANCE), last)]))
         i = U(candidates[k])
         if rows.clocks[i, U(1)] < deferred.now:
             apply_deferred(rows, i, i * U(rows.stride), deferred)

@@ -17,7 +17,7 @@ import numpy as np
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import jit, pool
-from tdgbench.splats.cpu.raster.backward import backward
+from tdgbench.splats.cpu.raster.backward import blend_backward
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.limits import pack_limits
@@ -63,14 +63,14 @@ def blend_nothing(colors: int, depth: bool) -> None:
     camera = pack_camera(np.eye(4), np.eye(3), 0, 0, 1.0, 1.0, 0.0)
     settings = Settings(camera, 0, 0, 0, depth, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
     rows = np.empty((0, padded(COLORS_AT + colors)), np.float32)
-    source = source_of_rows(rows, np.empty((0, 4), np.float32), 0.0, 0.0, None)
+    source = source_of_rows(rows, np.empty((0, 4), np.float32), 0.0, 0.0)
     ids, pairs = np.empty(0, np.int32), np.empty((0, 2), np.int32)
-    splats = Splats(np.empty((0, FLOATS), np.float32), ids, pairs)
+    splats = Splats(np.empty((0, FLOATS), np.float32), ids, pairs, np.empty(0, np.uint32))
     tiles = TileLists(np.zeros(1, np.int64), ids, ids)
     images, visits = blend_tiles(settings, splats, tiles, np.empty(0, np.uint32))
     projected = Projected(ids, ids, np.empty((0, 2), np.float32))
     done = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
-    backward(source, settings, done, None, None, None)
+    blend_backward(source, settings, done, None, None, None).rows()
 
 
 if __name__ == "__main__":

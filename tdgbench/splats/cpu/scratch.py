@@ -6,6 +6,8 @@ may hold them for as long as it lives.
 
 from __future__ import annotations
 
+import ctypes
+import os
 from collections import defaultdict
 
 import numpy as np
@@ -33,8 +35,11 @@ def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
 
 
 def release() -> None:
-    """Free the memory of all free buffers."""
+    """Free the memory of all free buffers, and give back what C's allocator holds of memory that was freed."""
     _free.clear()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:  # glibc
+        trim(ctypes.c_size_t(0))
 
 
 class Workspace:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,14 +25,32 @@ def observe_visible(first, count, index, radii, view_counts, max_radii):
             max_radii[i] = max(max_radii[i], np.float32(radii[r]))
 
 
+class Watch(NamedTuple):
+    """Where density control accumulates the gradients of a view in its image."""
+
+    grad_sum: np.ndarray  # float32 (N,): in units of half the image
+    half_width: float  # of the image, px
+    half_height: float
+    active: bool
+
+
+NO_WATCH = Watch(np.empty(0, np.float32), 0.0, 0.0, False)
+
+
+@kernel(inline=True)
+def add_length(watch, i, gu, gv):
+    """Add the length of an image-plane gradient (per px) to that of Gaussian i."""
+    gu, gv = gu * watch.half_width, gv * watch.half_height
+    watch.grad_sum[i] += math.sqrt(gu * gu + gv * gv)
+
+
 @kernel()
-def observe_gradients(first, count, index, image, half_width, half_height, grad_sum):
-    """Add the length of the image-plane gradient of the visible Gaussians, in units of half the image.
+def observe_gradients(first, count, index, image, watch):
+    """Add the length of the image-plane gradient of the visible Gaussians; watch: Watch.
 
     index: int32 (capacity,); image: float32 (capacity, 3), see `Gradients.image`; of both [first, first + count)
-    is read. grad_sum: float32 (N,).
+    is read.
     """
     for r in range(U(first), U(first + count)):
         if image[r, U(2)] > np.float32(0):
-            gu, gv = image[r, U(0)] * half_width, image[r, U(1)] * half_height
-            grad_sum[U(index[r])] += math.sqrt(gu * gu + gv * gv)
+            add_length(watch, U(index[r]), image[r, U(0)], image[r, U(1)])

@@ -28,11 +28,26 @@ C1, C2 = F(ssim.C1), F(ssim.C2)
 
 
 class Images(NamedTuple):
-    """Two images, float32 (rows, columns · channels) each."""
+    """Two images, float32 (rows, columns · channels) each, and what the window makes of the second."""
 
     a: np.ndarray
     b: np.ndarray
+    filtered_b: np.ndarray  # (2, rows, columns · channels): b and b², filtered along rows and columns
     channels: int
+
+
+class Target(NamedTuple):
+    """An image to compare others with, prepared: that takes as long as a third of the comparison."""
+
+    image: np.ndarray  # float32 (H, W · C); masked pixels are 0
+    filtered: np.ndarray  # float32 (2, H, W · C): the image and its square, filtered by the window
+    weights: np.ndarray | None  # float32 (H, W · C): 0 of masked values, 1 of others; None: nothing is masked
+    channels: int
+
+    @property
+    def count(self) -> int:
+        """Number of values that are not masked."""
+        return self.image.size if self.weights is None else int(np.count_nonzero(self.weights))
 
 
 class Scales(NamedTuple):
@@ -78,38 +93,72 @@ def across_rows(ring, field, centre, out):
 
 @kernel()
 def moments_of_row(ra, rb, channels, line, out):
-    """out (5, columns) = a, b, a², b², ab filtered along the row; ra, rb (columns,).
+    """out (3, columns) = a, a², ab filtered along the row; ra, rb (columns,).
 
-    line (5, padded columns) is scratch.
+    line (3, padded columns) is scratch.
     """
     n = ra.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
-    l0, l1, l2, l3, l4 = line[0], line[1], line[2], line[3], line[4]
+    l0, l1, l2 = line[0], line[1], line[2]
     for x in range(U(n)):
         p, q = ra[x], rb[x]
         l0[x + pad] = p
-        l1[x + pad] = q
-        l2[x + pad] = p * p
-        l3[x + pad] = q * q
-        l4[x + pad] = p * q
-    for k in range(5):
+        l1[x + pad] = p * p
+        l2[x + pad] = p * q
+    for k in range(3):
         source, target = line[k], out[k]
         for x in range(U(n)):
             target[x] = along_row(source, x, c)
 
 
-@kernel(free_sums=True)
-def similarity_of_row(filtered, channels, weights, y, line, values, out):
-    """values (columns,) = SSIM of a row's pixels, from its five moments `filtered` (5, columns).
+@kernel()
+def target_moments_of_row(rb, channels, line, out):
+    """out (2, columns) = b, b² filtered along the row; rb (columns,). line (2, padded columns) is scratch."""
+    n = rb.shape[0]
+    c = U(channels)
+    pad = U(RADIUS) * c
+    l0, l1 = line[0], line[1]
+    for x in range(U(n)):
+        q = rb[x]
+        l0[x + pad] = q
+        l1[x + pad] = q * q
+    for k in range(2):
+        source, target = line[k], out[k]
+        for x in range(U(n)):
+            target[x] = along_row(source, x, c)
 
+
+@kernel()
+def filter_band(start, stop, b, channels, out):
+    """Rows [start, stop) of out (2, rows, columns): b (rows, columns) and b², filtered along rows and columns."""
+    rows, n = b.shape
+    line = np.zeros((2, n + 2 * RADIUS * channels), np.float32)
+    moments = np.zeros((TAPS, 2, n), np.float32)
+    for y in range(start - RADIUS, stop + RADIUS):
+        here = (y + 2 * TAPS) % TAPS
+        if y >= 0 and y < rows:
+            target_moments_of_row(b[y], channels, line, moments[here])
+        else:
+            moments[here, :, :] = ZERO
+        s = y - RADIUS
+        if s >= start:
+            for k in range(2):
+                across_rows(moments, k, s, out[k, s])
+
+
+@kernel(free_sums=True)
+def similarity_of_row(filtered, filtered_b, channels, weights, y, line, values, out):
+    """values (columns,) = SSIM of the pixels of row y.
+
+    From its moments a, a², ab, `filtered` (3, columns), and b, b², of which filtered_b (2, rows, columns) has all.
     out (3, columns) = dS/dmu_a, dS/dE[aa], dS/dE[ab], filtered along the row; line (3, padded columns) is scratch.
-    weights (rows, columns): of the pixels, of which these are row y; or None.
+    weights (rows, columns): of the pixels; or None.
     """
     n = values.shape[0]
     c = U(channels)
     pad = U(RADIUS) * c
-    f0, f1, f2, f3, f4 = filtered[0], filtered[1], filtered[2], filtered[3], filtered[4]
+    f0, f1, f2, f3, f4 = filtered[0], filtered_b[0, y], filtered[1], filtered_b[1, y], filtered[2]
     l0, l1, l2 = line[0], line[1], line[2]
     for x in range(U(n)):
         mu_a, mu_b = f0[x], f1[x]
@@ -167,9 +216,9 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
     a, b, channels = images.a, images.b, images.channels
     rows, n = a.shape
     padded = n + 2 * RADIUS * channels
-    line, slope_line = np.zeros((5, padded), np.float32), np.zeros((3, padded), np.float32)
-    moments, slopes = np.zeros((TAPS, 5, n), np.float32), np.zeros((TAPS, 3, n), np.float32)
-    filtered, values = np.empty((5, n), np.float32), np.empty(n, np.float32)
+    line, slope_line = np.zeros((3, padded), np.float32), np.zeros((3, padded), np.float32)
+    moments, slopes = np.zeros((TAPS, 3, n), np.float32), np.zeros((TAPS, 3, n), np.float32)
+    filtered, values = np.empty((3, n), np.float32), np.empty(n, np.float32)
     for y in range(start - 2 * RADIUS, stop + 2 * RADIUS):
         here = (y + 2 * TAPS) % TAPS
         if y >= 0 and y < rows:
@@ -181,9 +230,9 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
             continue
         here = (s + 2 * TAPS) % TAPS
         if s >= 0 and s < rows:
-            for k in range(5):
+            for k in range(3):
                 across_rows(moments, k, s, filtered[k])
-            similarity_of_row(filtered, channels, weights, s, slope_line, values, slopes[here])
+            similarity_of_row(filtered, images.filtered_b, channels, weights, s, slope_line, values, slopes[here])
             if s >= start and s < stop:
                 sums[s, 1] = row_sum(values)
         else:
@@ -201,9 +250,25 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
             sums[g, 2] = neighbour_differences(g, a, weights, channels, scales.wrap)
 
 
+def prepare(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
+    """An image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false where it is masked.
+
+    Raises ValueError if all of it is masked.
+    """
+    height, width, channels = image.shape
+    flat, weights = image.reshape(height, width * channels), None
+    if valid is not None:
+        weights = pixel_weights(valid, channels)
+        flat = without_masked(flat, weights)
+    filtered = np.empty((2, *flat.shape), np.float32)
+    bands = pool.chunks(height, min(height, pool.get_threads()))
+    pool.run(filter_band, [(*band, flat, channels, filtered) for band in bands])
+    return Target(flat, filtered, weights, channels)
+
+
 def photometric_and_gradient(
     a: np.ndarray,
-    b: np.ndarray,
+    b: np.ndarray | Target,
     l1_weight: float,
     ssim_weight: float,
     smooth_scale: float = 0.0,
@@ -213,9 +278,9 @@ def photometric_and_gradient(
     """L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their weighted gradient by a.
 
     The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
-    are float32 (H, W, C), contiguous, in [0, 1]. See `tdgbench.splats.cpu.losses.smoothness` for `wrap`. valid: bool
-    (H, W), where it is false pixels are masked; L1 and SSIM are means over the others. Raises ValueError if there are
-    no others.
+    are float32 (H, W, C), contiguous, in [0, 1]; b may be prepared. See `tdgbench.splats.cpu.losses.smoothness` for
+    `wrap`. valid: bool (H, W), where it is false pixels are masked, unless b is prepared; L1 and SSIM are means over
+    the others. Raises ValueError if there are no others.
 
     >>> a, b = np.full((8, 8, 1), 0.5, np.float32), np.full((8, 8, 1), 0.25, np.float32)
     >>> l1, _, _, gradient = photometric_and_gradient(a, b, 1.0, 0.0)
@@ -223,15 +288,14 @@ def photometric_and_gradient(
     (0.25, True)
     """
     height, width, channels = a.shape
-    flat_a, flat_b = a.reshape(height, width * channels), b.reshape(height, width * channels)
-    weights, count = None, a.size
-    if valid is not None:
-        weights, count = pixel_weights(valid, channels), int(np.count_nonzero(valid)) * channels
-        flat_a, flat_b = without_masked(flat_a, weights), without_masked(flat_b, weights)
+    target = b if isinstance(b, Target) else prepare(b, valid)
+    flat_a, weights, count = a.reshape(height, width * channels), target.weights, target.count
+    if weights is not None:
+        flat_a = without_masked(flat_a, weights)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
     scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    common = (Images(flat_a, flat_b, channels), weights, scales, gradient, sums)
+    common = (Images(flat_a, target.image, target.filtered, channels), weights, scales, gradient, sums)
     pool.run(photometric_band, [(*band, *common) for band in bands])
     error, similarity, differences = sums.sum(axis=0).tolist()
     return error / count, similarity / count, differences, gradient.reshape(a.shape)

@@ -1,28 +1,78 @@
-"""The backward pass over one camera: from gradients of the images to those of the Gaussians."""
+"""The backward pass over one camera: from gradients of the images to those of the Gaussians, or to their next state."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import Step
 from tdgbench.splats.cpu.raster.blend_backward import fill_slots, slot_size
-from tdgbench.splats.cpu.raster.projection_backward import projection_backward
+from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROWS, FusedStep, projection_backward
+from tdgbench.splats.cpu.raster.slot_sums import SLOT
 from tdgbench.splats.cpu.raster.source import Source
 from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, Images, Settings, Slots
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
+from tdgbench.splats.cpu.statistics import Watch
 
 
-def backward(
+@dataclass
+class Blended:
+    """A view whose blend is differentiated, and whose projection is not."""
+
+    source: Source
+    settings: Settings
+    done: ForwardPass
+    slots: Slots
+    workspace: Workspace  # holds the slots
+
+    @property
+    def columns(self) -> int:
+        """Columns of a row of gradients."""
+        return padded(COLORS_AT + self.settings.channels.count_bases() * len(self.settings.background))
+
+    def rows(self) -> GradientRows:
+        """Gradients of the Gaussians that some pixel depends on."""
+        workspace = Workspace()
+        capacity = -(-len(self.done.splats.values) // LANES) * LANES
+        rows = GradientArrays(
+            workspace.take("ids of gradients", capacity, np.int32),
+            workspace.take("gradients", (capacity, self.columns), np.float32),
+            workspace.take("image gradients", (capacity, 3), np.float32),
+        )
+        return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
+
+    def step(self, step: Step, watch: Watch, bad: np.ndarray) -> int:
+        """Step the Gaussians that some pixel depends on, and add to their statistics; returns how many these are.
+
+        The source's parameters are those of the step. bad: (spans, stride) float32, becomes 1 in columns with a
+        gradient that is not finite. The view is then of no more use.
+        """
+        return sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, watch, one) for one in bad]))
+
+    def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[tuple[int, int]]:
+        source, settings, done = self.source, self.settings, self.done
+        shared = (source.parameters, settings.channels, settings.camera, done.splats, self.slots, rows)
+        counts = pool.run(
+            projection_backward,
+            [(*span, *shared, step) for span, step in zip(done.splat_spans, steps, strict=True)],
+        )
+        return [(first, n) for (first, _), n in zip(done.splat_spans, counts)]
+
+
+def blend_backward(
     source: Source,
     settings: Settings,
     done: ForwardPass,
     color: np.ndarray | None,
     depth: np.ndarray | None,
     transmittance: np.ndarray | None,
-) -> GradientRows:
-    """Gradients of the parameters from those of color (H, W, colours), depth (H, W) and transmittance (H, W).
+) -> Blended:
+    """Differentiate the blend, from gradients of color (H, W, colours), depth (H, W) and transmittance (H, W).
 
     Float32; None is zero.
     """
@@ -32,19 +82,9 @@ def backward(
             for gradient, image in zip((color, depth, transmittance), done.images)
         )
     )
-    workspace, scratch = Workspace(), Workspace()
+    workspace = Workspace()
     floats = slot_size(len(settings.background) + settings.depth_channel)
-    slots = Slots(
-        scratch.take("slots", done.pair_capacity * floats, np.float32), np.zeros(done.pair_capacity, np.bool_)
-    )
+    values = workspace.take("slots", done.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
+    slots = Slots(values, np.zeros(done.pair_capacity, np.bool_))
     fill_slots(settings, done, gradients, slots)
-    capacity = -(-len(done.splats.values) // LANES) * LANES
-    columns = padded(COLORS_AT + settings.channels.count_bases() * len(settings.background))
-    rows = GradientArrays(
-        workspace.take("ids of gradients", capacity, np.int32),
-        workspace.take("gradients", (capacity, columns), np.float32),
-        workspace.take("image gradients", (capacity, 3), np.float32),
-    )
-    arguments = (source.parameters, settings.channels, settings.camera, done.splats, slots, rows)
-    counts = pool.run(projection_backward, [(*span, *arguments) for span in done.splat_spans])
-    return GradientRows([(first, n) for (first, _), n in zip(done.splat_spans, counts)], rows, workspace)
+    return Blended(source, settings, done, slots, workspace)

@@ -11,13 +11,14 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.blocks import NONE, lowest
 from tdgbench.splats.cpu.raster.parameters import column, exponential, three_columns
 from tdgbench.splats.cpu.raster.projection import camera_point, ray_limits
-from tdgbench.splats.cpu.raster.source import Source, Span
+from tdgbench.splats.cpu.raster.source import BOUNDS, Source, Span
 from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.cpu.scratch import Workspace
-from tdgbench.splats.cpu.simd.memory import aligned_floats, store
-from tdgbench.splats.cpu.simd.reductions import any_positive
+from tdgbench.splats.cpu.simd.memory import load_fours
+from tdgbench.splats.cpu.simd.reductions import lane_bits
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
     broadcast,
@@ -67,26 +68,23 @@ def cull(start, stop, bounds, camera, cutoff, candidates):
     camera: Camera; cutoff in σ; candidates (capacity,) int32.
     """
     rows = np.empty(LANES, np.int32)
-    flags = aligned_floats(LANES)
     left, right, top, bottom = ray_limits(camera)
     steepest = max(abs(left), abs(right)) ** 2, max(abs(top), abs(bottom)) ** 2
     jacobian = camera.fx * camera.fx * (ONE + steepest[0]) + camera.fy * camera.fy * (ONE + steepest[1])
     blur = camera.eps2d + camera.eps2d + F(0.4)
     found = start
     for base in range(start, stop, LANES):
-        for lane in range(LANES):
-            rows[lane] = min(base + lane, stop - 1)
-        x, y, z = camera_point(three_columns(bounds.means, rows, 0, 0), camera)
+        mean, size = read_bounds(bounds, base, stop, rows)
+        x, y, z = camera_point(mean, camera)
         near = maximum(z - bounds.tolerance, broadcast(camera.near))
-        stretch = largest_deviation(bounds, rows) * divide(ONE, near)
+        stretch = size * divide(ONE, near)
         radius = MARGIN * cutoff * square_root(stretch * stretch * jacobian + blur) + GRID
-        visible = ONE - hidden(x, y, z, radius, bounds.tolerance, camera)
-        if any_positive(visible):
-            store(flags, 0, visible)
-            for lane in range(min(LANES, stop - base)):
-                if flags[U(lane)] > ZERO:
-                    candidates[U(found)] = base + lane
-                    found += 1
+        visible = lane_bits(less_equal(hidden(x, y, z, radius, bounds.tolerance, camera), broadcast(ZERO)))
+        visible &= (U(1) << U(min(LANES, stop - base))) - U(1)
+        while visible != NONE:
+            candidates[U(found)] = base + np.int64(lowest(visible))
+            visible &= visible - U(1)
+            found += 1
     count = found - start
     if count > 0:
         for k in range(found, start + (count + LANES - 1) // LANES * LANES):
@@ -95,15 +93,24 @@ def cull(start, stop, bounds, camera, cutoff, candidates):
 
 
 @kernel(inline=True)
-def largest_deviation(bounds, rows):
-    """Bound of the standard deviations of LANES Gaussians, world units; rows (LANES,) int32."""
-    size = column(bounds.scales, rows, 0, 0)
-    if bounds.axes == 3:
-        size = maximum(size, column(bounds.scales, rows, 0, 1))
-        size = maximum(size, column(bounds.scales, rows, 0, 2))
+def read_bounds(bounds, base, stop, rows):
+    """Means of the Gaussians [base, base + LANES), and bounds of their standard deviations, world units.
+
+    Lanes from `stop` on hold Gaussian stop − 1. rows (LANES,) int32 is scratch.
+    """
+    if bounds.raw and base + LANES <= stop:
+        x, y, z, size = load_fours(bounds.means.values, base * BOUNDS)
+    else:
+        for lane in range(LANES):
+            rows[lane] = min(base + lane, stop - 1)
+        x, y, z = three_columns(bounds.means, rows, 0, 0)
+        size = column(bounds.scales, rows, 0, 0)
+        if bounds.axes == 3:
+            size = maximum(size, column(bounds.scales, rows, 0, 1))
+            size = maximum(size, column(bounds.scales, rows, 0, 2))
     if bounds.raw:
         size = exponential(size + bounds.growth)
-    return size
+    return (x, y, z), size
 
 
 @kernel(inline=True)

@@ -10,10 +10,9 @@ import numpy as np
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.culling import find_candidates
 from tdgbench.splats.cpu.raster.projection_forward import project
-from tdgbench.splats.cpu.raster.sorting import sort_by_key
 from tdgbench.splats.cpu.raster.source import Source
 from tdgbench.splats.cpu.raster.tiles import TILE, list_by_tile
-from tdgbench.splats.cpu.raster.types import ForwardPass, Settings, TileLists
+from tdgbench.splats.cpu.raster.types import ForwardPass, Settings
 from tdgbench.splats.cpu.scratch import Workspace
 
 
@@ -21,14 +20,9 @@ def forward(source: Source, settings: Settings) -> ForwardPass:
     """Render one camera."""
     workspace, scratch = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
     candidates, spans = find_candidates(source, settings, scratch)
-    if source.update is not None:
-        source.update(spans, candidates)
     found = project(source, settings, candidates, spans, workspace, scratch)
-    keys, splat_ids = found.order
-    spare = [(scratch.take("keys", len(keys), np.uint32), scratch.take("order", len(keys), np.int32)) for _ in "12"]
-    _, by_depth = sort_by_key([(first, first + n) for first, n in found.splat_spans], keys, splat_ids, spare)
     n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
-    tiles = TileLists(*list_by_tile(by_depth, found.splats.pairs, found.pair_tiles, n_tiles, workspace.take))
+    tiles = list_by_tile(found, n_tiles, workspace, scratch)
     active_blocks = workspace.take("active blocks", len(tiles.splat_ids), np.uint32)
     images, visits = blend_tiles(settings, found.splats, tiles, active_blocks)
     if found.has_nan:  # the Gaussian could have been anywhere

@@ -8,13 +8,30 @@ from __future__ import annotations
 import numpy as np
 from numba import int64
 
+from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.harmonics import view_direction, write_basis
-from tdgbench.splats.cpu.raster.parameters import LOG2_E, column, opacity_and_log2
-from tdgbench.splats.cpu.raster.projection import footprint_of, screen_radius
-from tdgbench.splats.cpu.raster.splat import A_, B_, C_, CHANNELS, FIRST_X, LOG2_OPACITY, OPACITY, U_, V_
+from tdgbench.splats.cpu.raster.parameters import LOG2_E, opacity_and_log2, staged
+from tdgbench.splats.cpu.raster.projection import exact_image_point, footprint_of, screen_radius
+from tdgbench.splats.cpu.raster.splat import (
+    A_,
+    B_,
+    C_,
+    CHANNELS,
+    FIRST_X,
+    FIRST_Y,
+    FLOATS,
+    LAST_X,
+    LAST_Y,
+    LOG2_OPACITY,
+    OPACITY,
+    RADIUS,
+    U_,
+    V_,
+)
 from tdgbench.splats.cpu.raster.tiles import SLACK, Box, Ellipse
-from tdgbench.splats.cpu.simd.memory import load, store
+from tdgbench.splats.cpu.simd.doubles import narrow, widen
+from tdgbench.splats.cpu.simd.memory import load, store, store_whole
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
     broadcast,
@@ -29,22 +46,22 @@ from tdgbench.splats.cpu.simd.registers import (
     select,
     square_root,
 )
+from tdgbench.splats.cpu.simd.transpose import turn_block
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-# Registers of a group. 0 to 6 are as in a splat; the channels begin at COLOR.
-VALID, KEEP, Z, SCREEN_RADIUS, WIDE, HIGH, SLOPE, CUT, DET, X0, X1, Y0, Y1 = range(7, 20)
-COLOR, GROUP = 20, 24
+# Registers of a group. 0 to 15 are the columns of a splat.
+VALID, KEEP, Z, WIDE, HIGH, SLOPE, CUT, DET, U_SINGLE, V_SINGLE, GROUP = range(FLOATS, FLOATS + 11)
 
 
 @kernel(inline=True)
-def project_group(group, rows, k, parameters, camera, limits, has_nan):
-    """Write the registers of the Gaussians rows[k …], without colours; returns their means and has_nan.
+def project_group(group, stage, raw, camera, limits, has_nan):
+    """Write the registers of the Gaussians in `stage`, without colours; returns their means and has_nan.
 
-    has_nan: a register, above zero in lanes that met a NaN.
+    has_nan: a register, above zero in lanes that met a NaN. raw: before activation.
     """
-    footprint = footprint_of(parameters, rows, k, camera)
-    opacity, log2_opacity = opacity_and_log2(parameters.opacities, rows, k, parameters.raw)
+    footprint = footprint_of(stage, raw, camera)
+    opacity, log2_opacity = opacity_and_log2(stage, raw)
     (x, y, z), (a, b, c), det = footprint.point, footprint.covariance, footprint.det
     one, zero = broadcast(ONE), broadcast(ZERO)
     # opacity and determinant carry what scales and quaternions hold
@@ -58,8 +75,8 @@ def project_group(group, rows, k, parameters, camera, limits, has_nan):
     cut = log2_opacity - limits.log2_min_alpha
     wide, high = half_sides(a, c, det, cut, limits)
     inverse = divide(ONE, det)
-    store(group, U_ * LANES, u)
-    store(group, V_ * LANES, v)
+    store(group, U_SINGLE * LANES, u)
+    store(group, V_SINGLE * LANES, v)
     store(group, A_ * LANES, -HALF * LOG2_E * c * inverse)
     store(group, B_ * LANES, LOG2_E * b * inverse)
     store(group, C_ * LANES, -HALF * LOG2_E * a * inverse)
@@ -68,12 +85,15 @@ def project_group(group, rows, k, parameters, camera, limits, has_nan):
     store(group, VALID * LANES, valid)
     store(group, KEEP * LANES, write_box(group, u, v, wide, high, keep, camera))
     store(group, Z * LANES, z)
-    store(group, SCREEN_RADIUS * LANES, screen_radius(a, c, det, u, v, camera))
+    store(group, RADIUS * LANES, screen_radius(a, c, det, u, v, camera))
     store(group, WIDE * LANES, wide)
     store(group, HIGH * LANES, high)
     store(group, SLOPE * LANES, divide(b * wide, a))
     store(group, CUT * LANES, cut)
     store(group, DET * LANES, det)
+    exact_u, exact_v = exact_image_point(footprint.mean, camera)
+    store(group, U_ * LANES, narrow(exact_u - widen(load(group, FIRST_X * LANES))))
+    store(group, V_ * LANES, narrow(exact_v - widen(load(group, FIRST_Y * LANES))))
     return footprint.mean, has_nan
 
 
@@ -102,41 +122,49 @@ def write_box(group, u, v, wide, high, keep, camera):
     top = maximum(v - high - (HALF + SLACK), zero)
     bottom = minimum(v + high - (HALF - SLACK), broadcast(camera.height - ONE))
     x0, x1, y0, y1 = round_up(left), round_down(right), round_up(top), round_down(bottom)
-    store(group, X0 * LANES, x0)
-    store(group, X1 * LANES, x1)
-    store(group, Y0 * LANES, y0)
-    store(group, Y1 * LANES, y1)
+    store(group, FIRST_X * LANES, x0)
+    store(group, LAST_X * LANES, x1)
+    store(group, FIRST_Y * LANES, y0)
+    store(group, LAST_Y * LANES, y1)
     return select(greater_equal(y1, y0), select(greater_equal(x1, x0), keep, zero), zero)
 
 
 @kernel(inline=True)
-def write_colors(group, colors, rows, k, channels, mean, camera, basis):
-    """Write the registers from COLOR on: colours as given (degree −1) or from spherical harmonics.
+def write_channels(group, stage, channels, mean, camera, basis):
+    """Write the registers of the channels: colours as given (degree −1) or from spherical harmonics, and depth.
 
     basis (16 · LANES,) float32 is scratch.
     """
     if channels.degree < 0:
         for c in range(channels.colors):
-            store(group, (COLOR + c) * LANES, column(colors, rows, k, c))
+            store(group, (CHANNELS + c) * LANES, staged(stage, COLORS_AT + c))
     else:
         x, y, z, _ = view_direction(mean, camera)
         write_basis(x, y, z, channels.degree, basis)
         for c in range(channels.colors):
             total = broadcast(HALF)
             for b in range((channels.degree + 1) * (channels.degree + 1)):
-                total = total + load(basis, b * LANES) * column(colors, rows, k, b * channels.colors + c)
+                total = total + load(basis, b * LANES) * staged(stage, COLORS_AT + b * channels.colors + c)
             dark = greater(broadcast(ZERO), total)  # not so for NaN, which must show
-            store(group, (COLOR + c) * LANES, select(dark, broadcast(ZERO), total))
+            store(group, (CHANNELS + c) * LANES, select(dark, broadcast(ZERO), total))
+    if channels.depth:
+        store(group, (CHANNELS + channels.colors) * LANES, load(group, Z * LANES))
 
 
 @kernel(inline=True)
-def box_of(group, i):
+def write_boxes(group, boxes):
+    """Write the boxes to `boxes` (4 · LANES,) int32: first and last column and row of all lanes, px."""
+    store_whole(boxes, 0, load(group, FIRST_X * LANES))
+    store_whole(boxes, LANES, load(group, LAST_X * LANES))
+    store_whole(boxes, 2 * LANES, load(group, FIRST_Y * LANES))
+    store_whole(boxes, 3 * LANES, load(group, LAST_Y * LANES))
+
+
+@kernel(inline=True)
+def box_of(boxes, i):
     """Box of lane i."""
     return Box(
-        int64(group[U(X0 * LANES) + i]),
-        int64(group[U(X1 * LANES) + i]),
-        int64(group[U(Y0 * LANES) + i]),
-        int64(group[U(Y1 * LANES) + i]),
+        int64(boxes[i]), int64(boxes[U(LANES) + i]), int64(boxes[U(2 * LANES) + i]), int64(boxes[U(3 * LANES) + i])
     )
 
 
@@ -144,8 +172,8 @@ def box_of(group, i):
 def ellipse_of(group, i):
     """Ellipse of lane i."""
     return Ellipse(
-        group[U(U_ * LANES) + i],
-        group[U(V_ * LANES) + i],
+        group[U(U_SINGLE * LANES) + i],
+        group[U(V_SINGLE * LANES) + i],
         group[U(A_ * LANES) + i],
         group[U(B_ * LANES) + i],
         group[U(C_ * LANES) + i],
@@ -158,13 +186,14 @@ def ellipse_of(group, i):
 
 
 @kernel(inline=True)
-def write_splat(splats, r, group, i, channels):
-    """Row r of splats (n, 16) from lane i, but for mean and radius."""
-    for j in range(U(A_), U(7)):
-        splats[r, j] = group[j * U(LANES) + i]
-    for c in range(U(channels.colors)):
-        splats[r, U(CHANNELS) + c] = group[(U(COLOR) + c) * U(LANES) + i]
-    if channels.depth:
-        splats[r, U(CHANNELS + channels.colors)] = group[U(Z * LANES) + i]
-    for j in range(U(4)):
-        splats[r, U(FIRST_X) + j] = group[(U(X0) + j) * U(LANES) + i]
+def turn_splats(group, rows):
+    """rows (FLOATS · LANES,) float32 = the splats of all lanes, one after the other."""
+    for c in range(0, FLOATS, LANES):
+        turn_block(group, c * LANES, LANES, rows, c, FLOATS)
+
+
+@kernel(inline=True)
+def copy_splat(rows, i, splats, r):
+    """Row r of flat splats (n · FLOATS,) = the splat of lane i in `rows`."""
+    for c in range(0, FLOATS, LANES):
+        store(splats, r * U(FLOATS) + U(c), load(rows, i * U(FLOATS) + U(c)))

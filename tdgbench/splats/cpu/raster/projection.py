@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.splats.columns import MEANS_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.parameters import deviations, rotation, three_columns
+from tdgbench.splats.cpu.raster.parameters import deviations, rotation, staged_3
+from tdgbench.splats.cpu.simd.doubles import over, widen
 from tdgbench.splats.cpu.simd.registers import (
     broadcast,
     divide,
@@ -137,14 +139,14 @@ class Footprint(NamedTuple):
 
 
 @kernel(inline=True)
-def footprint_of(parameters, rows, k, camera):
-    """Footprint of the Gaussians rows[k …]; parameters: Parameters.
+def footprint_of(stage, raw, camera):
+    """Footprint of the Gaussians in `stage`; raw: before activation.
 
     The mean is loaded last: LLVM orders the terms of a sum by their loads, and so chooses which products are fused.
     """
-    axes, quat, per_length = rotation(parameters.quats, rows, k)
-    s0, s1, s2 = deviations(parameters.scales, rows, k, parameters.raw)
-    mean = three_columns(parameters.means, rows, k, 0)
+    axes, quat, per_length = rotation(stage)
+    s0, s1, s2 = deviations(stage, raw)
+    mean = staged_3(stage, MEANS_AT)
     x, y, z = camera_point(mean, camera)
     rz = divide(ONE, z)
     tx, ty = clamped_ray(x, y, rz, camera)
@@ -173,18 +175,18 @@ def footprint_of(parameters, rows, k, camera):
     )
 
 
-@kernel()
-def exact_image_point(mean_x, mean_y, mean_z, camera):
-    """u and v of one mean (scalars) in double precision: in single, 3e-5 px are lost at 600, which alpha shows."""
+@kernel(inline=True)
+def exact_image_point(mean, camera):
+    """u and v of the means in double precision: in single, 3e-5 px are lost at 600, which alpha shows."""
     D = np.float64
-    mx = D(mean_x) - D(camera.centre[0]) - D(camera.centre_rest[0])
-    my = D(mean_y) - D(camera.centre[1]) - D(camera.centre_rest[1])
-    mz = D(mean_z) - D(camera.centre[2]) - D(camera.centre_rest[2])
-    x = D(camera.x_axis[0]) * mx + D(camera.x_axis[1]) * my + D(camera.x_axis[2]) * mz
-    y = D(camera.y_axis[0]) * mx + D(camera.y_axis[1]) * my + D(camera.y_axis[2]) * mz
-    z = D(camera.z_axis[0]) * mx + D(camera.z_axis[1]) * my + D(camera.z_axis[2]) * mz
-    rz = 1.0 / z
-    return D(camera.fx) * x * rz + D(camera.cx), D(camera.fy) * y * rz + D(camera.cy)
+    mx = widen(mean[0]) - D(camera.centre[0]) - D(camera.centre_rest[0])
+    my = widen(mean[1]) - D(camera.centre[1]) - D(camera.centre_rest[1])
+    mz = widen(mean[2]) - D(camera.centre[2]) - D(camera.centre_rest[2])
+    x = mx * D(camera.x_axis[0]) + my * D(camera.x_axis[1]) + mz * D(camera.x_axis[2])
+    y = mx * D(camera.y_axis[0]) + my * D(camera.y_axis[1]) + mz * D(camera.y_axis[2])
+    z = mx * D(camera.z_axis[0]) + my * D(camera.z_axis[1]) + mz * D(camera.z_axis[2])
+    rz = over(1.0, z)
+    return x * D(camera.fx) * rz + D(camera.cx), y * D(camera.fy) * rz + D(camera.cy)
 
 
 @kernel(inline=True)

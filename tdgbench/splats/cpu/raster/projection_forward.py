@@ -7,40 +7,40 @@ from typing import NamedTuple
 import numpy as np
 from numba import int64
 
+from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import apply_deferred, prefetch_gaussian
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.blocks import NONE, lowest
 from tdgbench.splats.cpu.raster.group import (
     GROUP,
     KEEP,
-    SCREEN_RADIUS,
+    U_SINGLE,
+    V_SINGLE,
     VALID,
     Z,
     box_of,
+    copy_splat,
     ellipse_of,
     project_group,
-    write_colors,
-    write_splat,
+    turn_splats,
+    write_boxes,
+    write_channels,
 )
-from tdgbench.splats.cpu.raster.projection import exact_image_point
+from tdgbench.splats.cpu.raster.parameters import STAGE, collect
 from tdgbench.splats.cpu.raster.source import Source, Span
-from tdgbench.splats.cpu.raster.splat import FLOATS, RADIUS, U_, V_
-from tdgbench.splats.cpu.raster.tiles import TILE, list_tiles
+from tdgbench.splats.cpu.raster.splat import FLOATS, RADIUS
+from tdgbench.splats.cpu.raster.tiles import TILE, list_box, list_tiles
 from tdgbench.splats.cpu.raster.types import Projected, Settings, Splats
 from tdgbench.splats.cpu.scratch import Workspace
-from tdgbench.splats.cpu.simd.memory import aligned_floats, float_bits
-from tdgbench.splats.cpu.simd.reductions import any_positive
-from tdgbench.splats.cpu.simd.registers import LANES, broadcast
+from tdgbench.splats.cpu.simd.memory import aligned_floats, float_bits, load, prefetch_columns, store_whole
+from tdgbench.splats.cpu.simd.reductions import any_positive, lane_bits
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, greater
 
 F, U = np.float32, np.uint64
 ZERO = F(0)
 PAIRS_PER_CANDIDATE, MIN_PAIRS = 6, 4096  # first guess of the capacity for pairs
-
-
-class DepthOrder(NamedTuple):
-    """Splats and their depths, to be sorted."""
-
-    keys: np.ndarray  # (capacity,) uint32: bits of the camera-space z
-    splat_ids: np.ndarray  # (capacity,) int32
+PREFETCH_DISTANCE = 2 * LANES  # candidates
 
 
 class PairTiles(NamedTuple):
@@ -50,6 +50,24 @@ class PairTiles(NamedTuple):
     tiles: np.ndarray  # (capacity,) int32
 
 
+class View(NamedTuple):
+    """What the kernel needs to know of a rendering."""
+
+    channels: tuple  # Channels
+    camera: tuple  # Camera
+    limits: tuple  # Limits
+
+
+class Scratch(NamedTuple):
+    """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
+
+    stage: np.ndarray  # (STAGE · LANES,) float32: parameters
+    group: np.ndarray  # (GROUP · LANES,) float32
+    basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
+    rows: np.ndarray  # (FLOATS · LANES,) float32: splats, one after the other
+    boxes: np.ndarray  # (4 · LANES,) int32
+
+
 class Projection(NamedTuple):
     """Everything that projection leaves behind, for all threads."""
 
@@ -57,27 +75,28 @@ class Projection(NamedTuple):
     projected_spans: list[Span]
     splats: Splats
     splat_spans: list[Span]
-    order: DepthOrder
     pair_tiles: np.ndarray  # (pair capacity,) int32
+    pair_spans: list[Span]
     has_nan: bool  # in any Gaussian
 
 
 def project(source: Source, settings: Settings, candidates: np.ndarray, spans: list[Span], workspace: Workspace,
             scratch: Workspace) -> Projection:  # fmt: skip
     """Project the spans of candidates (int32), a thread each. workspace: memory that the backward pass reads again."""
-    capacity = max(sum(n for _, n in spans), 1)
+    capacity = -(-max(sum(n for _, n in spans), 1) // LANES) * LANES
     splats = Splats(
         workspace.take("splats", (capacity, FLOATS), np.float32),
         workspace.take("gaussian ids", capacity, np.int32),
         workspace.take("pairs", (capacity, 2), np.int32),
+        scratch.take("keys", capacity, np.uint32),
     )
-    order = DepthOrder(scratch.take("keys", capacity, np.uint32), scratch.take("order", capacity, np.int32))
     projected = Projected(
         workspace.take("projected", capacity, np.int32),
         workspace.take("radii", capacity, np.int32),
-        workspace.take("means2d", (capacity, 2), np.float32),
+        workspace.take("means2d", (0 if source.parameters.raw else capacity, 2), np.float32),
     )
-    shared = (source.parameters, settings.channels, settings.camera, settings.limits, splats, order, projected)
+    view = View(settings.channels, settings.camera, settings.limits)
+    shared = (source.parameters, source.stale, view, splats, projected)
     pairs = max(MIN_PAIRS, PAIRS_PER_CANDIDATE * capacity // len(spans))
     while True:
         tiles = scratch.take("tiles", (len(spans), pairs), np.int32)
@@ -95,55 +114,113 @@ def project(source: Source, settings: Settings, candidates: np.ndarray, spans: l
     splat_spans, projected_spans = (
         [(first, int(n)) for (first, _), n in zip(spans, counts[:, column])] for column in (0, 2)
     )
+    pair_spans = [(t * pairs, int(n)) for t, n in enumerate(counts[:, 1])]
     return Projection(
-        projected, projected_spans, splats, splat_spans, order, tiles.reshape(-1), bool(counts[:, 3].any())
+        projected, projected_spans, splats, splat_spans, tiles.reshape(-1), pair_spans, bool(counts[:, 3].any())
     )
 
 
 @kernel()
-def project_and_list(
-    first, count, candidates, parameters, channels, camera, limits, splats, order, projected, pair_tiles, counts
-):
-    """Project candidates [first, first + count); rows of splats, order and projected are written from `first` on.
+def project_and_list(first, count, candidates, parameters, stale, view, splats, projected, pair_tiles, counts):
+    """Project candidates [first, first + count); rows of splats and projected are written from `first` on.
 
-    candidates (n,) int32; the types of the others have their names. counts (4,) int64, written: splats, pairs,
-    projected, whether anything is NaN. Pairs beyond the capacity are counted, not written.
+    candidates (n,) int32; the types of the others have their names; stale: of Gaussians with deferred steps, which are
+    applied before they are read. counts (4,) int64, written: splats, pairs, projected, whether anything is
+    NaN. Pairs beyond the capacity are counted, not written.
     """
+    channels, camera, limits, raw = view.channels, view.camera, view.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
-    group, basis = aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
+    scratch = Scratch(
+        aligned_floats(STAGE * LANES),
+        aligned_floats(GROUP * LANES),
+        aligned_floats(16 * LANES),
+        aligned_floats(FLOATS * LANES),
+        np.zeros(4 * LANES, np.int32),
+    )
+    stage, group, rows, boxes = scratch.stage, scratch.group, scratch.rows, scratch.boxes
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
-    tiles, means = pair_tiles.tiles, parameters.means.values  # a reference in the loop costs an atomic operation
-    for k in range(first, first + count, LANES):
-        mean, has_nan = project_group(group, candidates, k, parameters, camera, limits, has_nan)
-        write_colors(group, parameters.colors, candidates, k, channels, mean, camera, basis)
-        for lane in range(min(LANES, first + count - k)):
-            i = U(lane)
-            if not (group[U(VALID * LANES) + i] > ZERO):
-                continue
-            at = U(n_projected)
-            projected.gaussian_ids[at] = candidates[U(k) + i]
-            projected.radii[at] = np.int32(group[U(SCREEN_RADIUS * LANES) + i])
-            projected.means2d[at, U(0)] = group[U(U_ * LANES) + i]
-            projected.means2d[at, U(1)] = group[U(V_ * LANES) + i]
-            n_projected += 1
-            if not (group[U(KEEP * LANES) + i] > ZERO):
+    # a reference in the loop costs an atomic operation
+    tiles, flat_splats, pairs = pair_tiles.tiles, splats.values.reshape(-1), splats.pairs
+    gaussian_ids, keys = splats.gaussian_ids, splats.depth_keys
+    bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
+    end = first + count
+    for k in range(first, min(first + LANES, end)):
+        apply_steps(stale, candidates, k)
+    for k in range(first, end, LANES):
+        prefetch_group(parameters, stale, bases * channels.colors, candidates, k + PREFETCH_DISTANCE, end)
+        collect(parameters, candidates, k, bases * channels.colors, stage)
+        mean, has_nan = project_group(group, stage, raw, camera, limits, has_nan)
+        write_channels(group, stage, channels, mean, camera, scratch.basis)
+        turn_splats(group, rows)
+        write_boxes(group, boxes)
+        in_use = (U(1) << U(min(LANES, end - k))) - U(1)
+        valid = lane_bits(greater(load(group, VALID * LANES), broadcast(ZERO))) & in_use
+        n_projected = keep_projected(group, candidates, k, valid, raw, projected, n_projected)
+        kept = lane_bits(greater(load(group, KEEP * LANES), broadcast(ZERO))) & valid
+        for i in range(U(LANES)):
+            if k + LANES + np.int64(i) < end:  # its divisions run beside this lane's scalar work
+                apply_steps(stale, candidates, k + LANES + np.int64(i))
+            if (kept >> i) & U(1) == NONE:
                 continue
             before = n_pairs
-            box = box_of(group, i)
-            n_pairs = list_tiles(ellipse_of(group, i), box, limits.loose, tiles_x, n_pairs, tiles)
-            if n_pairs == before:
-                continue
+            box = box_of(boxes, i)
+            if limits.loose or (box.right >> 4) == (box.left >> 4) or (box.bottom >> 4) == (box.top >> 4):
+                n_pairs = list_box(box, tiles_x, n_pairs, tiles)
+            else:
+                n_pairs = list_tiles(ellipse_of(group, i), box, tiles_x, n_pairs, tiles)
+                if n_pairs == before:
+                    continue
             r = U(n_splats)
-            write_splat(splats.values, r, group, i, channels)
-            splats.values[r, U(RADIUS)] = F(projected.radii[at])
-            m = U(candidates[U(k) + i]) * U(parameters.means.stride) + U(parameters.means.first)
-            exact_u, exact_v = exact_image_point(means[m], means[m + U(1)], means[m + U(2)], camera)
-            splats.values[r, U(U_)], splats.values[r, U(V_)] = F(exact_u - box.left), F(exact_v - box.top)
-            splats.pairs[r, U(0)], splats.pairs[r, U(1)] = pair_tiles.first + before, pair_tiles.first + n_pairs
-            splats.gaussian_ids[r] = projected.gaussian_ids[at]
-            order.keys[r] = float_bits(group[U(Z * LANES) + i])
-            order.splat_ids[r] = n_splats
+            copy_splat(rows, i, flat_splats, r)
+            pairs[r, U(0)], pairs[r, U(1)] = pair_tiles.first + before, pair_tiles.first + n_pairs
+            gaussian_ids[r] = candidates[U(k) + i]
+            keys[r] = float_bits(group[U(Z * LANES) + i])
             n_splats += 1
     counts[0], counts[1], counts[2] = n_splats - first, n_pairs, n_projected - first
     counts[3] = any_positive(has_nan)
+
+
+@kernel(inline=True)
+def apply_steps(stale, candidates, k):
+    """Apply the deferred steps of the Gaussian candidates[k]."""
+    rows, deferred = stale.rows, stale.deferred
+    if deferred.now > stale.flushed:
+        i = U(candidates[U(k)])
+        if rows.clocks[i, U(1)] < deferred.now:
+            apply_deferred(rows, i, i * U(rows.stride), deferred)
+
+
+@kernel(inline=True)
+def prefetch_group(parameters, stale, colors, candidates, k, end):
+    """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`, of rows."""
+    if parameters.raw:
+        for place in range(k, min(k + LANES, end)):
+            i = int64(candidates[U(place)])
+            if stale.deferred.now > stale.flushed:
+                prefetch_gaussian(stale.rows, i)
+            else:
+                prefetch_columns(parameters.means.values, i, parameters.means.stride, 0, COLORS_AT + colors)
+
+
+@kernel(inline=True)
+def keep_projected(group, candidates, k, valid, raw, projected, n_projected):
+    """Append the valid lanes (bits) to `projected`, which n_projected have reached; returns the new number.
+
+    Image means are written where parameters are not raw: only then does anyone ask for them.
+    """
+    if valid == (U(1) << U(LANES)) - U(1) and raw:
+        for lane in range(U(LANES)):
+            projected.gaussian_ids[U(n_projected) + lane] = candidates[U(k) + lane]
+        store_whole(projected.radii, n_projected, load(group, RADIUS * LANES))
+        return n_projected + LANES
+    while valid != NONE:
+        i, at = lowest(valid), U(n_projected)
+        valid &= valid - U(1)
+        projected.gaussian_ids[at] = candidates[U(k) + i]
+        projected.radii[at] = np.int32(group[U(RADIUS * LANES) + i])
+        if not raw:
+            projected.means2d[at, U(0)] = group[U(U_SINGLE * LANES) + i]
+            projected.means2d[at, U(1)] = group[U(V_SINGLE * LANES) + i]
+        n_projected += 1
+    return n_projected

@@ -1,78 +1,134 @@
-"""Stable radix sort of splats by depth, on several threads."""
+"""Sorting of the pairs of each tile by depth, stably: a radix sort of numbers that hold depth and position."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import int64
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.simd.memory import take_next
 
 U = np.uint64
-DIGIT_BITS = 11
-ONE_THREAD_BELOW = 20_000  # keys that one thread sorts faster than several
+DIGIT_BITS = 8
+DIGITS = 1 << DIGIT_BITS
+PASSES = 32 // DIGIT_BITS
+SHORT = 24  # a list up to this length is sorted by insertion
+POSITION = U(32)  # bits of a pair's position in its list, below those of its depth
+
+
+class Lists(NamedTuple):
+    """Pairs, tile by tile."""
+
+    keys: np.ndarray  # (pairs,) uint32: bits of the camera-space z
+    splat_ids: np.ndarray  # (pairs,) int32
+    slots: np.ndarray  # (pairs,) int32
+
+
+class Sorted(NamedTuple):
+    """Pairs, tile by tile, from near to far."""
+
+    splat_ids: np.ndarray  # (pairs,) int32
+    slots: np.ndarray  # (pairs,) int32
+
+
+def sort_tiles(starts: np.ndarray, lists: Lists, out: Sorted) -> None:
+    """Sort the pairs of each tile [starts[t], starts[t + 1]) by their keys, stably; starts (tiles + 1,) int64."""
+    longest = int(np.diff(starts).max(initial=0))
+    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, starts, lists, out)] * pool.get_threads())
 
 
 @kernel()
-def count_digits(start, stop, keys, lowest, shift, histogram):
-    """histogram (digits,) int64 = how often each digit occurs among keys [start, stop), uint32 (n,)."""
-    mask = histogram.shape[0] - 1
-    for digit in range(U(histogram.shape[0])):
-        histogram[digit] = 0
-    for i in range(U(start), U(stop)):
-        histogram[((keys[i] - lowest) >> shift) & mask] += 1
+def sort_lists(counter, longest, starts, lists, out):
+    """Sort the tiles that counter (1,) hands out, until none remains; longest: length of the longest list."""
+    numbers, spare = np.empty(longest, np.uint64), np.empty(longest, np.uint64)
+    histograms = np.zeros((PASSES, DIGITS), np.int32)
+    while True:
+        tile = take_next(counter)
+        if tile >= starts.shape[0] - 1:
+            break
+        begin, count = starts[tile], starts[tile + 1] - starts[tile]
+        bits = pack(lists.keys, begin, count, numbers)
+        is_in_spare = False
+        if count <= SHORT:
+            insert(numbers, count)
+        else:
+            passes = (bits + DIGIT_BITS - 1) // DIGIT_BITS
+            count_digits(numbers, count, passes, histograms)
+            for digit in range(passes):
+                if is_in_spare:
+                    move_by_digit(spare, count, digit, histograms, numbers)
+                else:
+                    move_by_digit(numbers, count, digit, histograms, spare)
+                is_in_spare = not is_in_spare
+        if is_in_spare:
+            write_sorted(spare, begin, count, lists, out)
+        else:
+            write_sorted(numbers, begin, count, lists, out)
 
 
-@kernel()
-def move_by_digit(start, stop, keys, values, lowest, shift, cursor, out_keys, out_values):
-    """Put keys [start, stop), uint32 (n,), and their int32 values where the cursor (digits,) of their digit points."""
-    mask = cursor.shape[0] - 1
-    for i in range(U(start), U(stop)):
-        digit = U(((keys[i] - lowest) >> shift) & mask)
-        place = U(cursor[digit])
-        cursor[digit] = int64(place) + 1
-        out_keys[place] = keys[i]
-        out_values[place] = values[i]
+@kernel(inline=True)
+def pack(keys, begin, count, numbers):
+    """numbers[:count] = depth above the least and position of the keys from `begin` on; returns the bits of a depth."""
+    least, most = np.uint32(0xFFFFFFFF), np.uint32(0)
+    for i in range(U(begin), U(begin + count)):
+        least, most = min(least, keys[i]), max(most, keys[i])
+    for i in range(U(count)):
+        numbers[i] = (U(keys[U(begin) + i] - least) << POSITION) | i
+    bits = 0
+    while count > 0 and U(most - least) >> U(bits) != U(0):
+        bits += 1
+    return bits
 
 
-def sort_by_key(pieces, keys, values, spare):
-    """Sort uint32 keys (capacity,) stably with their int32 values (capacity,): a radix sort that all threads share.
+@kernel(inline=True)
+def insert(numbers, count):
+    """Sort numbers[:count] by insertion."""
+    for i in range(U(1), U(count)):
+        number, place = numbers[i], i
+        while place > U(0) and numbers[place - U(1)] > number:
+            numbers[place] = numbers[place - U(1)]
+            place -= U(1)
+        numbers[place] = number
 
-    The input lies in `pieces` (start, stop) of keys and values; spare is two more pairs of such arrays, for scratch.
-    Returns the sorted keys and values, packed at the beginning of one of those pairs.
-    """
-    count = sum(stop - start for start, stop in pieces)
-    pieces = [piece for piece in pieces if piece[1] > piece[0]]
-    if not pieces:
-        return spare[0][0][:0], spare[0][1][:0]
-    lowest = min(keys[a:b].min() for a, b in pieces)
-    highest = max(keys[a:b].max() for a, b in pieces)
-    bits = max(1, int(highest - lowest).bit_length())
-    passes = -(-bits // DIGIT_BITS)
-    width = -(-bits // passes)
-    source, targets = (keys, values), list(spare)
+
+@kernel(inline=True)
+def count_digits(numbers, count, passes, histograms):
+    """histograms (PASSES, DIGITS) int32 = where the numbers of each digit begin, for the digits of the first passes."""
     for digit in range(passes):
-        if digit > 0:
-            pieces = pool.chunks(count, 1 if count < ONE_THREAD_BELOW else pool.get_threads())
-        histograms = np.empty((len(pieces), 1 << width), np.int64)
-        shift = np.uint32(width * digit)
-        pool.run(count_digits, [(*p, source[0], lowest, shift, h) for p, h in zip(pieces, histograms)])
-        _, cursors = cursors_of(histograms)
-        target = targets[digit % 2]
-        pool.run(move_by_digit, [(*p, *source, lowest, shift, c, *target) for p, c in zip(pieces, cursors)])
-        source = target
-    return source[0][:count], source[1][:count]
+        for value in range(U(DIGITS)):
+            histograms[U(digit), value] = 0
+    for i in range(U(count)):
+        depth = numbers[i] >> POSITION
+        for digit in range(U(passes)):
+            histograms[digit, (depth >> (digit * U(DIGIT_BITS))) & U(DIGITS - 1)] += np.int32(1)
+    for digit in range(U(passes)):
+        total = np.int32(0)
+        for value in range(U(DIGITS)):
+            here = histograms[digit, value]
+            histograms[digit, value] = total
+            total += here
 
 
-def cursors_of(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start of each bin (bins,), and of each piece's share of it (pieces, bins), given counts (pieces, bins).
-
-    Pieces follow each other inside a bin.
-
-    >>> starts, shares = cursors_of(np.array([[1, 2], [3, 0]]))
-    >>> starts.tolist(), shares.tolist()
-    ([0, 4], [[0, 4], [1, 6]])
+@kernel(inline=True)
+def move_by_digit(numbers, count, digit, histograms, out):
+    """out[:count] = the numbers in the order of a digit, stably; of the histograms, as counted, that of the digit is
+    used up.
     """
-    ends = np.cumsum(counts.T).reshape(counts.shape[::-1]).T
-    cursors = np.ascontiguousarray(ends - counts)
-    return cursors[0].copy(), cursors
+    shift = POSITION + U(digit * DIGIT_BITS)
+    for i in range(U(count)):
+        number = numbers[i]
+        value = (number >> shift) & U(DIGITS - 1)
+        place = histograms[U(digit), value]
+        out[U(place)] = number
+        histograms[U(digit), value] = place + np.int32(1)
+
+
+@kernel(inline=True)
+def write_sorted(numbers, begin, count, lists, out):
+    """Write the pairs of a list in the order of its sorted numbers."""
+    for i in range(U(count)):
+        position = U(begin) + (numbers[i] & ((U(1) << POSITION) - U(1)))
+        out.splat_ids[U(begin) + i] = lists.splat_ids[position]
+        out.slots[U(begin) + i] = lists.slots[position]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.cpu.adam import NO_STALE, Stale
 
 Span = tuple[int, int]  # first, count
-Update = Callable[[list[Span], np.ndarray], None]
+BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
 
 
 class Columns(NamedTuple):
@@ -39,7 +40,7 @@ class Bounds(NamedTuple):
     means: Columns  # 3 world coordinates
     scales: Columns  # `axes` standard deviations in world units, or their natural logarithms if raw
     axes: int  # 1 (the largest) or 3
-    raw: bool
+    raw: bool  # rows of BOUNDS floats
     tolerance: np.float32  # world units between a true mean and that of `means`
     growth: np.float32  # by how much the logarithm of a true deviation may exceed that of `scales`
 
@@ -51,7 +52,7 @@ class Source:
     count: int
     parameters: Parameters
     bounds: Bounds
-    update: Update | None = None  # called with spans and array of candidates before their parameters are read
+    stale: Stale = NO_STALE  # what is due to candidates before their parameters are read
 
 
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> Source:
@@ -62,7 +63,7 @@ def source_of_arrays(arrays: Sequence[np.ndarray]) -> Source:
 
 
 def source_of_rows(
-    values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, update: Update | None
+    values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE
 ) -> Source:
     """Source of rows (N, columns) as in `tdgbench.splats.columns`, before activation.
 
@@ -70,9 +71,9 @@ def source_of_rows(
     """
     flat, stride, flat_bounds = values.reshape(-1), values.shape[1], bounds.reshape(-1)
     columns = [Columns(flat, stride, first) for first in (MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT)]
-    means, scales = Columns(flat_bounds, 4, 0), Columns(flat_bounds, 4, 3)
+    means, scales = Columns(flat_bounds, BOUNDS, 0), Columns(flat_bounds, BOUNDS, 3)
     tested = Bounds(means, scales, 1, True, np.float32(tolerance), np.float32(growth))
-    return Source(len(values), Parameters(*columns, True), tested, update)
+    return Source(len(values), Parameters(*columns, True), tested, stale)
 
 
 _ZERO = np.float32(0)

@@ -1,6 +1,7 @@
 """Tile lists: which 16×16 tiles a Gaussian covers, and for every tile its Gaussians from near to far.
 
-No list of pairs is sorted: N depths are, and the lists are filled in that order.
+The lists are filled in the order of the Gaussians, which are close to each other in memory as in the image, and each is
+sorted by itself: it fits the cache, which the depths of all Gaussians do not.
 """
 
 from __future__ import annotations
@@ -13,15 +14,15 @@ from numba import int64
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.sorting import cursors_of
-from tdgbench.splats.cpu.simd.memory import prefetch, prefetch_row
+from tdgbench.splats.cpu.raster.sorting import Lists, Sorted, sort_tiles
+from tdgbench.splats.cpu.raster.types import TileLists
+from tdgbench.splats.cpu.scratch import Workspace
 
 F, U = np.float32, np.uint64
 TILE = 16
 ZERO, HALF, FOUR = F(0), F(0.5), F(4)
 LOG2_E = F(math.log2(math.e))
 SLACK = F(0.01)  # px by which boxes are widened against rounding; the blend decides on alpha itself
-PREFETCH_DISTANCE, FAR_PREFETCH_DISTANCE = 8, 16  # splats
 
 
 class Ellipse(NamedTuple):
@@ -48,28 +49,35 @@ class Box(NamedTuple):
     bottom: int
 
 
+@kernel(inline=True)
+def list_box(box, tiles_x, n_pairs, tiles):
+    """As `list_tiles`, every tile of a box."""
+    for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
+        for tile_x in range(box.left >> 4, (box.right >> 4) + 1):
+            if n_pairs < tiles.shape[0]:
+                tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
+            n_pairs += 1
+    return n_pairs
+
+
 @kernel()
-def list_tiles(ellipse, box, loose, tiles_x, n_pairs, tiles):
+def list_tiles(ellipse, box, tiles_x, n_pairs, tiles):
     """Write the tiles (int64 scalars) that an ellipse covers behind the first n_pairs of `tiles` (capacity,) int32.
 
-    Returns the new number of pairs; those beyond the capacity are counted, not written. loose: every tile of the box.
-    tiles_x: tiles per row of the image.
+    Each row of tiles is cut to the ellipse's extent there: a box of 2×2 tiles or more has corners that the ellipse does
+    not touch. Returns the new number of pairs; those beyond the capacity are counted, not written. tiles_x: tiles per
+    row of the image.
     """
     capacity = tiles.shape[0]
-    # A box of 2×2 tiles or more has corners that the ellipse does not touch: cut each row of tiles to the ellipse's
-    # extent there.
-    has_corners = not loose and (box.right >> 4) > (box.left >> 4) and (box.bottom >> 4) > (box.top >> 4)
     for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
-        first, last = box.left, box.right
-        if has_corners:
-            left, right = extent_in_rows(ellipse, tile_y)
-            begin = max(ellipse.u + left - HALF - SLACK, F(box.left))
-            end = min(ellipse.u + right - HALF + SLACK, F(box.right))
-            if not (end >= begin):
-                continue
-            first, last = int64(math.ceil(begin)), int64(end)
-            if last < first:
-                continue
+        left, right = extent_in_rows(ellipse, tile_y)
+        begin = max(ellipse.u + left - HALF - SLACK, F(box.left))
+        end = min(ellipse.u + right - HALF + SLACK, F(box.right))
+        if not (end >= begin):
+            continue
+        first, last = int64(math.ceil(begin)), int64(end)
+        if last < first:
+            continue
         for tile_x in range(first >> 4, (last >> 4) + 1):
             if n_pairs < capacity:
                 tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
@@ -100,58 +108,60 @@ def extent_in_rows(ellipse, tile_y):
     return left, right
 
 
-@kernel(inline=True)
-def prefetch_next(order, k, last, pairs, pair_tiles):
-    """Prefetch what the splats after the k-th need."""
-    prefetch_row(pairs, U(order[min(k + U(FAR_PREFETCH_DISTANCE), last)]))
-    prefetch(pair_tiles, U(pairs[U(order[min(k + U(PREFETCH_DISTANCE), last)]), U(0)]))
-
-
 @kernel()
-def count_pairs(start, stop, order, pairs, pair_tiles, counts):
-    """counts (tiles,) int64 = pairs of the splats order[start:stop] in each tile.
-
-    order (splats,) int32; pairs (capacity, 2) int32: first pair of each splat, and the last + 1; pair_tiles (pairs,).
-    """
+def count_pairs(first, count, pair_tiles, counts):
+    """counts (tiles,) int64 = pairs [first, first + count) in each tile; pair_tiles (capacity,) int32."""
     for tile in range(U(counts.shape[0])):
         counts[tile] = 0
-    last = U(order.shape[0] - 1)
-    for k in range(U(start), U(stop)):
-        prefetch_next(order, k, last, pairs, pair_tiles)
-        i = U(order[k])
-        for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
-            counts[U(pair_tiles[U(pair)])] += 1
+    for pair in range(U(first), U(first + count)):
+        counts[U(pair_tiles[pair])] += 1
 
 
 @kernel()
-def fill_lists(start, stop, order, pairs, pair_tiles, cursor, splat_ids, slots):
-    """List the splats order[start:stop] where the cursor (tiles,) of each tile points; arguments as above.
+def fill_lists(first, count, splats, pair_tiles, cursor, lists):
+    """List the splats [first, first + count) where the cursor (tiles,) of each tile points.
 
-    splat_ids and slots (pairs,) int32, written: each pair's splat and its number before sorting, its gradient slot.
+    splats: Splats; pair_tiles (capacity,) int32; lists: Lists, written.
     """
-    last = U(order.shape[0] - 1)
-    for k in range(U(start), U(stop)):
-        prefetch_next(order, k, last, pairs, pair_tiles)
-        i = U(order[k])
+    pairs, depth_keys = splats.pairs, splats.depth_keys
+    keys, splat_ids, slots = lists.keys, lists.splat_ids, lists.slots
+    for i in range(U(first), U(first + count)):
         for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
             tile = U(pair_tiles[U(pair)])
             place = U(cursor[tile])
             cursor[tile] = int64(place) + 1
+            keys[place] = depth_keys[i]
             splat_ids[place] = i
             slots[place] = pair
 
 
-def list_by_tile(order: np.ndarray, pairs: np.ndarray, pair_tiles: np.ndarray, n_tiles: int, take):
-    """starts (tiles + 1,) int64, splat_ids and slots (pairs,) int32: every tile's splats, in the order given.
-
-    order (splats,) int32; pairs (capacity, 2) int32; pair_tiles (capacity,) int32; take(role, size, dtype)
-    gives memory.
-    """
-    pieces = pool.chunks(len(order), max(1, min(pool.get_threads(), len(order))))
-    counts = np.empty((len(pieces), n_tiles), np.int64)
-    pool.run(count_pairs, [(*p, order, pairs, pair_tiles, c) for p, c in zip(pieces, counts)])
+def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) -> TileLists:
+    """Every tile's pairs from near to far, of what projection `found`; of equal depth, in the order of the splats."""
+    counts = np.empty((len(found.pair_spans), n_tiles), np.int64)
+    pool.run(count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)])
     first, cursors = cursors_of(counts)
     starts = np.append(first, cursors[-1, -1] + counts[-1, -1])
-    splat_ids, slots = (take(role, int(starts[-1]), np.int32) for role in ("splat ids", "slots of pairs"))
-    pool.run(fill_lists, [(*p, order, pairs, pair_tiles, c, splat_ids, slots) for p, c in zip(pieces, cursors)])
-    return starts, splat_ids, slots
+    total = int(starts[-1])
+    keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
+    lists = Lists(keys.view(np.uint32), splat_ids, slots)
+    pool.run(
+        fill_lists,
+        [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
+    )
+    out = Sorted(workspace.take("splat ids", total, np.int32), workspace.take("slots of pairs", total, np.int32))
+    sort_tiles(starts, lists, out)
+    return TileLists(starts, *out)
+
+
+def cursors_of(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start of each bin (bins,), and of each piece's share of it (pieces, bins), given counts (pieces, bins).
+
+    Pieces follow each other inside a bin.
+
+    >>> starts, shares = cursors_of(np.array([[1, 2], [3, 0]]))
+    >>> starts.tolist(), shares.tolist()
+    ([0, 4], [[0, 4], [1, 6]])
+    """
+    ends = np.cumsum(counts.T).reshape(counts.shape[::-1]).T
+    cursors = np.ascontiguousarray(ends - counts)
+    return cursors[0].copy(), cursors

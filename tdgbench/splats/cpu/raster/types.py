@@ -59,6 +59,7 @@ class Splats(NamedTuple):
     values: np.ndarray  # (capacity, 16) float32, columns as in `tdgbench.splats.cpu.raster.splat`
     gaussian_ids: np.ndarray  # (capacity,) int32, ascending
     pairs: np.ndarray  # (capacity, 2) int32: its first pair, and the last + 1
+    depth_keys: np.ndarray  # (capacity,) uint32: bits of the camera-space z; only until the tiles are listed
 
 
 class TileLists(NamedTuple):

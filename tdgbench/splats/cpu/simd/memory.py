@@ -11,7 +11,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.registers import FLOATS, LANES, vec
+from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, vec
 
 U = np.uint64
 LINE = 16  # floats of a cache line
@@ -59,6 +59,43 @@ def _storing(alignment: int, documentation: str):
 
     operation.__doc__ = documentation
     return operation
+
+
+def _every_second(builder, a, b, first: int):
+    """Lanes first, first + 2, … of two registers, one after the other."""
+    index = ir.Constant(ir.VectorType(_INDEX, LANES), list(range(first, 2 * LANES, 2)))
+    return builder.shuffle_vector(a, b, index)
+
+
+@intrinsic
+def load_fours(typing_context, array, index):
+    """Four registers: the columns of LANES rows of four floats, from array[index] on; array is 1-D float32."""
+
+    def generate(context, builder, signature, args):
+        parts = [
+            builder.load(
+                _address(context, builder, signature.args[0], args[0], builder.add(args[1], _LONG(i * LANES))), align=4
+            )
+            for i in range(4)
+        ]
+        halves = [[_every_second(builder, *parts[i : i + 2], first) for i in (0, 2)] for first in (0, 1)]
+        columns = [_every_second(builder, *halves[c % 2], c // 2) for c in range(4)]
+        return context.make_tuple(builder, signature.return_type, columns)
+
+    return types.UniTuple(vec, 4)(array, types.int64), generate
+
+
+@intrinsic
+def store_whole(typing_context, array, index, value):
+    """LANES whole numbers (a register of floats) into a 1-D int32 array, at any offset; others become anything."""
+
+    def generate(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        target = builder.bitcast(builder.gep(data, [args[1]]), BITS.as_pointer())
+        builder.store(builder.fptosi(args[2], BITS), target, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, index, vec), generate
 
 
 store = _storing(4 * LANES, "LANES floats into a 1-D float32 array, at an offset aligned to the register.")

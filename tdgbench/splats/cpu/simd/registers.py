@@ -21,10 +21,10 @@ LANES = lanes()
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 BITS = ir.VectorType(ir.IntType(32), LANES)
 _FLAGS = ir.VectorType(ir.IntType(1), LANES)
-_FAST = ("contract", "nsz", "nnan", "arcp")
+FAST = ("contract", "nsz", "nnan", "arcp")
 
 
-class _VectorType(types.Type):
+class VectorType(types.Type):
     """A register of floats (`vec`) or of booleans (`mask`)."""
 
     def __init__(self, name: str, llvm_type: ir.VectorType) -> None:
@@ -32,14 +32,14 @@ class _VectorType(types.Type):
         self.llvm_type = llvm_type
 
 
-@register_model(_VectorType)
-class _VectorModel(models.PrimitiveModel):
+@register_model(VectorType)
+class VectorModel(models.PrimitiveModel):
     def __init__(self, manager, vector_type):
         super().__init__(manager, vector_type, vector_type.llvm_type)
 
 
-vec = _VectorType("vec", FLOATS)
-mask = _VectorType("mask", _FLAGS)
+vec = VectorType("vec", FLOATS)
+mask = VectorType("mask", _FLAGS)
 
 
 def _is_operand(t: types.Type) -> bool:
@@ -65,7 +65,7 @@ def _arithmetic(instruction: str):
     def operation(typing_context, x, y):
         def generate(context, builder, signature, args):
             a, b = (_as_vector(builder, v, t) for v, t in zip(args, signature.args, strict=True))
-            return getattr(builder, instruction)(a, b, flags=_FAST)
+            return getattr(builder, instruction)(a, b, flags=FAST)
 
         if _is_operand(x) and _is_operand(y):
             return vec(x, y), generate
@@ -98,7 +98,7 @@ for _operator, _function in (
 
 @intrinsic
 def _negate(typing_context, x):
-    return vec(vec), lambda context, builder, signature, args: builder.fneg(args[0], flags=_FAST)
+    return vec(vec), lambda context, builder, signature, args: builder.fneg(args[0], flags=FAST)
 
 
 @overload(operator.neg)
@@ -159,6 +159,17 @@ def _exponent_test(predicate: str, documentation: str):
 
 is_nan = _exponent_test(">", "Lanes that hold NaN.")
 is_finite = _exponent_test("<", "Lanes that hold neither NaN nor an infinity.")
+
+
+@intrinsic
+def is_nonzero(typing_context, x):
+    """Lanes that hold neither 0 nor −0; NaN is not zero."""
+
+    def generate(context, builder, signature, args):
+        bits = builder.and_(builder.bitcast(args[0], BITS), ir.Constant(BITS, [2**31 - 1] * LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(BITS, [0] * LANES))
+
+    return mask(vec), generate
 
 
 @intrinsic

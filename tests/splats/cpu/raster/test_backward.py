@@ -3,7 +3,7 @@ import torch
 
 from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster.backward import backward
+from tdgbench.splats.cpu.raster.backward import blend_backward
 from tdgbench.splats.cpu.raster.forward import forward
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.splats.cpu.raster.forward_passes import settings_for, source_of
@@ -17,7 +17,7 @@ def test_only_gaussians_that_a_pixel_depends_on_get_rows():
     done = forward(source, settings)
     gradient = np.zeros_like(done.images.color)
     gradient[:5] = 1  # of the upper rows only
-    rows = backward(source, settings, done, gradient, None, None)
+    rows = blend_backward(source, settings, done, gradient, None, None).rows()
     touched = np.concatenate([rows.arrays.gaussian_ids[a : a + n] for a, n in rows.spans])
     assert 0 < len(touched) < len(np.unique(done.splats.gaussian_ids[done.tiles.splat_ids]))
     assert (touched % 2 == 1).all() and len(set(touched.tolist())) == len(touched)
@@ -34,7 +34,7 @@ def test_the_same_on_any_number_of_threads():
             pool.set_threads(threads)
             source = source_of(parameters)
             done = forward(source, settings)
-            rows = backward(source, settings, done, pull, np.ones_like(done.images.depth), None)
+            rows = blend_backward(source, settings, done, pull, np.ones_like(done.images.depth), None).rows()
             parts = [[array[a : a + n] for array in rows.arrays] for a, n in rows.spans]
             found.append([np.concatenate(column).tobytes() for column in zip(*parts, strict=True)])
     finally:

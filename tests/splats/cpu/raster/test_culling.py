@@ -7,7 +7,7 @@ import torch
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.culling import _pack, cull
-from tdgbench.splats.cpu.raster.source import Bounds, Columns
+from tdgbench.splats.cpu.raster.source import BOUNDS, Bounds, Columns
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
@@ -18,8 +18,11 @@ def candidates_of(means, scales, camera, tolerance=0.0, growth=0.0, raw=False) -
     """The candidates of one piece that holds all."""
     count = len(means)
     out = np.full(-(-count // LANES) * LANES, -1, np.int32)
-    columns = (Columns(tensor.numpy().reshape(-1), 3, 0) for tensor in (means, scales))
-    bounds = Bounds(*columns, 3, raw, np.float32(tolerance), np.float32(growth))
+    columns, axes = [Columns(tensor.numpy().reshape(-1), 3, 0) for tensor in (means, scales)], 3
+    if raw:
+        rows = torch.cat([means, scales.amax(dim=1, keepdim=True)], dim=1).numpy().reshape(-1)
+        columns, axes = [Columns(rows, BOUNDS, 0), Columns(rows, BOUNDS, 3)], 1
+    bounds = Bounds(*columns, axes, raw, np.float32(tolerance), np.float32(growth))
     found = cull(0, count, bounds, camera, CUTOFF, out)
     assert (np.diff(out[:found]) > 0).all()
     filled = -(-found // LANES) * LANES
@@ -57,6 +60,16 @@ def test_tolerance_and_growth_cover_what_may_have_moved():
     assert exact - set(candidates_of(means, scales, camera).tolist())  # without a tolerance some would be missed
     radii = rasterization(moved, parameters[1], grown, *parameters[3:], views, Ks, width, height)[2]["radii"][0]
     assert set(torch.nonzero(radii).squeeze(1).tolist()) <= set(allowed.tolist())
+
+
+def test_rows_have_the_candidates_of_arrays():
+    """Of equal deviations along all axes; the last register is not full."""
+    parameters, (views, Ks) = random_gaussians(399, 3, None, 1), turned_camera(50, 30)
+    means, scales = parameters[0] * 3, parameters[2].amax(dim=1, keepdim=True).repeat(1, 3)
+    camera = pack_camera(views[0], Ks[0], 50, 30, 0.2, 1e10, 0.3)
+    by_rows = candidates_of(means, scales.log(), camera, 0.1, raw=True)
+    by_arrays = candidates_of(means, scales, camera, 0.1)
+    assert 0 < len(by_rows) < 399 and len(set(by_rows.tolist()) ^ set(by_arrays.tolist())) <= 2  # rounding of exp
 
 
 def test_nothing_in_sight():

@@ -1,31 +1,50 @@
 import numpy as np
 import torch
 
+from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.raster import blocks
 from tdgbench.splats.cpu.raster.forward import forward
-from tdgbench.splats.cpu.raster.source import Source
-from tests.helpers.gaussians import random_gaussians, turned_camera
+from tdgbench.splats.cpu.raster.source import source_of_rows
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.state import TrainingState
+from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
 from tests.splats.cpu.raster.bits import members
 from tests.splats.cpu.raster.forward_passes import settings_for, source_of
 
 
 def test_only_candidates_are_updated():
-    """The hook gets the Gaussians that the camera may see, before they are read."""
-    parameters = random_gaussians(500, 3, None, 1)
-    parameters[0][::2, 2] = -5  # behind the camera
+    """Those that the camera may see; their steps are applied before they are read."""
+    means, quats, scales, opacities, colors = random_gaussians(500, 3, 0, 1)
+    means[::2, 2] = -5  # behind the camera
+    given = Gaussians(means, scales.log(), quats, opacities.logit(), colors)
     (view,), (K,) = turned_camera(40, 30)
-    asked = []
-    base = source_of(parameters)
-    source = Source(
-        base.count, base.parameters, base.bounds,
-        update=lambda spans, candidates: asked.extend(candidates[a : a + n].copy() for a, n in spans),
-    )  # fmt: skip
-    done = forward(source, settings_for((view, K), 40, 30, 1))
-    updated = np.concatenate(asked)
-    assert (updated % 2 == 1).all() and (np.diff(updated) > 0).all()
-    drawn = np.concatenate([done.splats.gaussian_ids[a : a + n] for a, n in done.splat_spans])
-    assert len(drawn) > 0 and set(drawn.tolist()) <= set(updated.tolist())
+    settings, images, values = settings_for((view, K), 40, 30, 1, 0), [], []
+    for flushed in (False, True):
+        state = TrainingState(given)
+        optimizer = Adam(state, RATES, 1.0)
+        everything, none = torch.arange(500, dtype=torch.int32), torch.zeros(0, dtype=torch.int32)
+        pull = torch.randn(500, 16, generator=torch.Generator().manual_seed(0))
+        optimizer.step(Gradients([(0, 500)], everything, pull, torch.zeros(500, 3), [], none, none), 1)
+        for iteration in (2, 3):
+            optimizer.step(Gradients([(0, 0)], none, pull[:0], torch.zeros(0, 3), [], none, none), iteration)
+        if flushed:
+            optimizer.flush()
+        tolerance = optimizer.tolerance(3)
+        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
+        done = forward(source, settings)
+        images.append(done.images.color)
+        values.append(state.values)
+        current = state.clocks[:, 1] == 3
+        if not flushed:
+            candidates = current
+        updated = set(current.nonzero().squeeze(1).tolist())
+        behind = set((state.values[:, 2] < -1).nonzero().squeeze(1).tolist())
+        drawn = np.concatenate([done.splats.gaussian_ids[a : a + n] for a, n in done.splat_spans])
+        assert flushed or (len(drawn) > 0 and set(drawn.tolist()) <= updated and not updated & behind)
+    assert np.array_equal(*images) and torch.equal(*(rows[candidates] for rows in values))
+    assert not torch.equal(*(rows[~candidates] for rows in values))
 
 
 def test_the_forward_pass_finds_the_blocks_in_which_a_gaussian_has_weight():

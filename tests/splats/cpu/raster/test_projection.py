@@ -5,9 +5,10 @@ import torch
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.camera import pack_camera
+from tdgbench.splats.cpu.raster.parameters import STAGE, collect
 from tdgbench.splats.cpu.raster.projection import footprint_of, screen_radius
 from tdgbench.splats.cpu.raster.source import source_of_arrays
-from tdgbench.splats.cpu.simd.memory import put_column
+from tdgbench.splats.cpu.simd.memory import aligned_floats, put_column
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
@@ -16,8 +17,10 @@ COUNT = 25 * LANES
 
 @kernel()
 def project_all(rows, parameters, camera, out):
+    stage = aligned_floats(STAGE * LANES)
     for k in range(0, rows.shape[0], LANES):
-        footprint = footprint_of(parameters, rows, k, camera)
+        collect(parameters, rows, k, 1, stage)
+        footprint = footprint_of(stage, False, camera)
         (x, y, z), (a, b, c) = footprint.point, footprint.covariance
         u, v = x * footprint.rz * camera.fx + camera.cx, y * footprint.rz * camera.fy + camera.cy
         put_column(out, k, 8, 0, u)

@@ -2,23 +2,33 @@ import numpy as np
 import pytest
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster.sorting import ONE_THREAD_BELOW, sort_by_key
+from tdgbench.splats.cpu.raster.sorting import SHORT, Lists, Sorted, sort_tiles
 
 
-@pytest.mark.parametrize("count", [0, 1, 5000, ONE_THREAD_BELOW + 1001])
+@pytest.mark.parametrize("counts", [[0], [1, 0, 2], [SHORT, SHORT + 1, 0, 5000, 3], [700] * 40])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_sort_is_stable_and_right(count, threads):
+@pytest.mark.parametrize("far", [50, 1e9])
+def test_every_tile_is_sorted_stably(counts, threads, far):
     rng = np.random.default_rng(0)
-    depths = np.round(rng.uniform(0.2, 50, count + 100), 1).astype(np.float32)
-    keys, values = depths.view(np.uint32).copy(), np.arange(count + 100, dtype=np.int32)
-    spare = [(np.empty_like(keys), np.empty_like(values)) for _ in range(2)]
-    half = count // 2
-    pieces = [(0, half), (half + 100, count + 100)]  # with a gap
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    total = int(starts[-1])
+    depths = np.round(rng.uniform(0.2, 50, total), 1).astype(np.float32)
+    depths[::97] = far
+    splat_ids, slots = (rng.permutation(total).astype(np.int32) for _ in range(2))
+    out = Sorted(np.full(total, -1, np.int32), np.full(total, -1, np.int32))
     try:
         pool.set_threads(threads)
-        sorted_keys, order = sort_by_key(pieces, keys, values, spare)
+        sort_tiles(starts, Lists(depths.view(np.uint32), splat_ids, slots), out)
     finally:
         pool.set_threads(None)
-    given = np.concatenate([values[a:b] for a, b in pieces])
-    assert np.array_equal(order, given[np.argsort(depths[given], kind="stable")])
-    assert np.array_equal(sorted_keys, depths.view(np.uint32)[order])
+    tile = np.repeat(np.arange(len(counts)), counts)
+    order = np.lexsort((np.arange(total), depths, tile))
+    assert np.array_equal(out.splat_ids, splat_ids[order]) and np.array_equal(out.slots, slots[order])
+
+
+def test_depths_that_differ_in_every_bit():
+    keys = np.random.default_rng(1).integers(0, 2**32, 3000, dtype=np.uint32)
+    ids = np.arange(3000, dtype=np.int32)
+    out = Sorted(np.empty(3000, np.int32), np.empty(3000, np.int32))
+    sort_tiles(np.array([0, 3000]), Lists(keys, ids, ids), out)
+    assert np.array_equal(out.splat_ids, np.argsort(keys, kind="stable"))

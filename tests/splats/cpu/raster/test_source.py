@@ -26,7 +26,7 @@ def test_arrays_are_read_where_they_are():
 def test_rows_are_read_where_they_are():
     rng = np.random.default_rng(0)
     values, bounds = rng.random((7, 16), F), rng.random((7, 4), F)
-    source = source_of_rows(values, bounds, 0.5, 0.25, None)
+    source = source_of_rows(values, bounds, 0.5, 0.25)
     means, quats, scales, opacities, colors, raw = source.parameters
     assert raw and numbers(means, 3, 3) == values[3, :3].tolist()
     assert numbers(quats, 3, 4) == values[3, QUATS_AT : QUATS_AT + 4].tolist()

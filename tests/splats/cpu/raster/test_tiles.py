@@ -1,7 +1,9 @@
 import numpy as np
+import pytest
 import torch
 
 from tdgbench.splats import rasterization
+from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.splats.cpu.raster.forward_passes import rendered
@@ -30,6 +32,24 @@ def test_every_touched_tile_is_listed_from_near_to_far():
         needed |= {(int(y // TILE * tiles_x + x // TILE), i) for y, x in zip(ys, xs, strict=True)}
     assert needed <= listed
     assert len(listed) < 1.25 * len(needed)  # and the lists are tight
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_gaussians_of_equal_depth_keep_their_order(threads):
+    """Three depths only, and lists too long for a sort by insertion."""
+    parameters, (view, K) = random_gaussians(4000, 7, None, 1), turned_camera(40, 40)
+    parameters[0][:, 2] = torch.tensor([2.0, 3.0, 1.5])[torch.arange(4000) % 3]
+    try:
+        pool.set_threads(threads)
+        found = rendered(parameters, (torch.eye(4).expand_as(view), K), 40, 40)
+    finally:
+        pool.set_threads(None)
+    longest = 0
+    for first, last in zip(found.tiles.starts, found.tiles.starts[1:], strict=False):
+        ids = found.splats.gaussian_ids[found.tiles.splat_ids[first:last]]
+        assert np.array_equal(ids, ids[np.lexsort((ids, parameters[0][ids, 2].numpy()))])
+        longest = max(longest, len(ids))
+    assert longest > 300
 
 
 def test_no_two_pairs_share_a_slot():

@@ -77,3 +77,27 @@ def test_work_is_handed_out_once():
     taken = [np.zeros(10_000, np.int64) for _ in range(3)]
     pool.run(take, [(counter, out) for out in taken])
     assert np.array_equal(np.sort(np.concatenate(taken)), np.arange(30_000))
+
+
+@kernel()
+def fours(values, index, out):
+    for c, register in enumerate(memory.load_fours(values, index)):
+        memory.store(out, c * LANES, register)
+
+
+def test_columns_of_rows_of_four():
+    values, out = np.arange(6 * LANES, dtype=F), empty_aligned((4 * LANES,), F)
+    fours(values, 5, out)
+    assert np.array_equal(out.reshape(4, LANES), values[5 : 5 + 4 * LANES].reshape(LANES, 4).T)
+
+
+@kernel()
+def whole(values, out):
+    memory.store_whole(out, 3, memory.load(values, 0))
+
+
+def test_whole_numbers():
+    values, out = empty_aligned((LANES,), F), np.zeros(LANES + 4, np.int32)
+    values[:] = np.arange(LANES) - 4
+    whole(values, out)
+    assert np.array_equal(out[3 : 3 + LANES], np.arange(LANES) - 4) and out[:3].tolist() == [0, 0, 0] and out[-1] == 0

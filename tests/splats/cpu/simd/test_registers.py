@@ -57,3 +57,15 @@ def test_the_sign_of_zero_is_set():
     out = aligned(np.ones(LANES, F))
     zeros_sign(out)
     assert (out == 0).all() and np.signbit(out).all()
+
+
+@kernel()
+def nonzero(a, out):
+    memory.store(out, 0, simd.select(simd.is_nonzero(memory.load(a, 0)), F(1), F(0)))
+
+
+def test_nothing_but_zeros_is_zero():
+    a, out = aligned(np.zeros(LANES, F)), aligned(np.full(LANES, 7, F))
+    a[1:6] = [-0.0, np.nan, 1e-45, -np.inf, 2.0]
+    nonzero(a, out)
+    assert out[:6].tolist() == [0, 0, 1, 1, 1, 1] and not out[6:].any()

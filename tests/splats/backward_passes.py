@@ -1,0 +1,51 @@
+"""Backward passes over a state in training, whose gradients nobody has read yet."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.backend import StateOptions
+from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.pending import PendingGradients
+from tdgbench.splats.render import render_state
+from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import Pinhole
+from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
+
+COUNT, WIDTH, HEIGHT = 120, 50, 40
+
+
+class BackwardPass(NamedTuple):
+    """Images, and what a step needs."""
+
+    outputs: list[Tensor]  # image, depth, transmittance
+    gradients: Gradients | PendingGradients
+    optimizer: Adam
+
+    @property
+    def state(self) -> TrainingState:
+        return self.optimizer.state
+
+
+def cloud(channels: int, degree: int, dtype=torch.float32, count: int = COUNT) -> Gaussians:
+    means, quats, scales, opacities, sh = random_gaussians(count, 4, degree, channels)
+    return Gaussians(means, scales.log(), quats, opacities.logit(), sh).map(lambda t: t.to(dtype))
+
+
+def backward_pass(given: Gaussians, backend: str, used_degree: int) -> BackwardPass:
+    """Of a loss with random slopes, the same ones for every backend."""
+    state = TrainingState(given)
+    view, K = (t[0] for t in turned_camera(WIDTH, HEIGHT))
+    collected = []
+    optimizer = Adam(state, RATES, 1.0)
+    options = StateOptions(used_degree, depth=True, tolerance=optimizer.tolerance(1))
+    rendered = render_state(state, optimizer, Pinhole(view, K, WIDTH, HEIGHT), options, collected.append, backend)
+    outputs = rendered.image, rendered.depth, rendered.transmittance
+    g = torch.Generator().manual_seed(0)
+    loss = sum((o * torch.randn(o.shape, generator=g, dtype=torch.float64).to(o)).sum() for o in outputs)
+    loss.backward()
+    (gradients,) = collected
+    return BackwardPass([o.detach().double() for o in outputs], gradients, optimizer)
