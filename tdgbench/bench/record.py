@@ -156,6 +156,7 @@ class Record:
     ceiling: CeilingRecord | None = None  # PSNR that no model of the scene can exceed, and why
     ceiling_unknown: str = ""  # why it is n/a; empty if it is known or was not asked for
     seconds: dict[str, Seconds] = field(default_factory=dict)
+    train_processor_seconds: Seconds | None = None  # of all threads: less than wall time depends on other work
     gaussians: dict[str, Count] = field(default_factory=dict)
     density: dict[str, dict[str, Count]] = field(default_factory=dict)  # Gaussians cloned, split, pruned; by model
     peak_rss_mb: Megabytes | None = None  # of the process that finished the cell

@@ -229,6 +229,7 @@ class CellRun(SetupObserver):
         record.resumed = log.resumed
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
+        record.train_processor_seconds = round(log.processor_seconds, 3)
         note_training(self.skips, self.scene, method, training.context.budget, log)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in self.skips.all()]
         record.gaussians = {name: len(model) for name, model in method.models().items()}

@@ -119,7 +119,8 @@ class Checkpoint:
             self._load_state(before)
             raise
         at = saved["iterations"]
-        return TrainingLog(lines, saved["seconds"], at, saved["ended"], [*saved["resumed"], at])
+        resumed = [*saved["resumed"], at]
+        return TrainingLog(lines, saved["seconds"], saved["processor_seconds"], at, saved["ended"], resumed)
 
     def _load_state(self, saved: dict[str, Any]) -> None:
         self._context.load_state_dict(saved["context"])
@@ -160,6 +161,7 @@ def _progress(log: TrainingLog) -> dict[str, Any]:
     return {
         "iterations": log.iterations,
         "seconds": log.seconds,
+        "processor_seconds": log.processor_seconds,
         "ended": log.ended,
         "resumed": log.resumed,
         "lines": [asdict(line) for line in log.lines],

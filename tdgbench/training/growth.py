@@ -44,7 +44,7 @@ class Significance:
     def __init__(
         self, rule: GrowthRule, views: list[View], modality: Modality, curriculum: Curriculum, backend: str
     ) -> None:
-        """views: of the training; a round looks at some of them, at the curriculum's resolution."""
+        """views: of the training; a round looks at some of those that the curriculum shows, at its resolution."""
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
 
     @cached_property
@@ -65,9 +65,9 @@ class Significance:
 
     def chosen(self, turn: int) -> list[View]:
         """The views of a round: evenly spread, one further in every round."""
-        count = len(self.views)
-        looks = min(self.rule.views, count)
-        return [self.views[(turn + i * count // looks) % count] for i in range(looks)]
+        views = [view for view in self.views if self.curriculum.shows(view)]
+        looks = min(self.rule.views, len(views))
+        return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
 
     def _look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         """Footprints in what a view shows and the Gaussians do not, as a mean over the channels."""

@@ -60,6 +60,7 @@ class TrainingLog:
 
     lines: list[LogLine] = field(default_factory=list)
     seconds: float = 0.0
+    processor_seconds: float = 0.0  # of all threads of the process
     iterations: int = 0
     ended: bool = False
     resumed: list[int] = field(default_factory=list)  # iterations after which a checkpoint was loaded
@@ -89,7 +90,7 @@ def train(
     log = log or TrainingLog()
     every = max(1, iterations // LOG_LINES)
     smoothed = log.lines[-1].psnr if log.lines else None
-    clock = Clock(log.seconds)
+    clock = Clock(log)
     remaining = range(0) if log.ended else range(log.iterations + 1, iterations + 1)
     for iteration in remaining:
         models = method.models()
@@ -100,9 +101,10 @@ def train(
         on_plateau = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
         ends = iteration == iterations or (on_plateau and all(m.has_recovered(iteration) for m in models.values()))
         if on_model is not None:
-            log.iterations, log.seconds, log.ended = iteration, clock.seconds(), ends
+            log.iterations, log.ended = iteration, ends
+            clock.stop()
             on_model(log)
-            clock = Clock(log.seconds)
+            clock = Clock(log)
         if not ends:
             _update(step, models, iteration)
         if iteration % every == 0 or iteration == 1 or ends:
@@ -111,28 +113,33 @@ def train(
             psnr = _psnr(step)
             smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
             gaussians = sum(len(model) for model in models.values())
-            line = LogLine(iteration, clock.seconds(), loss, smoothed, gaussians, step.terms)
+            clock.stop()
+            line = LogLine(iteration, log.seconds, loss, smoothed, gaussians, step.terms)
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
-        log.iterations, log.seconds, log.ended = iteration, clock.seconds(), ends
+        log.iterations, log.ended = iteration, ends
+        clock.stop()
         if on_step is not None:
             on_step(log)
-            clock = Clock(log.seconds)
+            clock = Clock(log)
         if ends:
             break
     return log
 
 
 class Clock:
-    """Seconds of training, added to those before."""
+    """Runs from its making on, and adds its time to that of a log."""
 
-    def __init__(self, before: float) -> None:
-        self._start = time.perf_counter() - before
+    def __init__(self, log: TrainingLog) -> None:
+        self._log = log
+        self._start = time.perf_counter() - log.seconds
+        self._processor_start = time.process_time() - log.processor_seconds
 
-    def seconds(self) -> float:
-        """Seconds so far."""
-        return time.perf_counter() - self._start
+    def stop(self) -> None:
+        """Put the seconds so far into the log; the clock runs on."""
+        self._log.seconds = time.perf_counter() - self._start
+        self._log.processor_seconds = time.process_time() - self._processor_start
 
 
 def _finite_loss(step: Step, models: dict[str, SplatModel], iteration: int) -> float:

@@ -44,6 +44,7 @@ def test_a_cell_writes_all_its_files(run, method):
     assert 5 < record["scores"]["psnr"] < 60 and 0 < record["scores"]["depth_abs_rel"] < 1
     assert record["scores"]["lpips"] is None and "lpips" in record["missing"]
     assert record["seconds"]["train"] > 0 and record["peak_rss_mb"] > 50
+    assert record["train_processor_seconds"] > 0
     assert 5 < record["train_scores"]["psnr"] < 60 and 0 < record["train_scores"]["ssim"] < 1
     assert record["environment"]["packages"]["torch"] and record["environment"]["threads"] >= 1
     assert (record["prior"] is None) == (method != "tdg")

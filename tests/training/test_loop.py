@@ -1,3 +1,4 @@
+import itertools
 import time
 
 import numpy as np
@@ -73,12 +74,14 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
     told = []
 
     def look(log):
-        told.append((log.iterations, log.seconds))
+        told.append((log.iterations, log.seconds, log.processor_seconds))
         time.sleep(0.05)
 
     log = train(method, 5, on_step=look)
-    assert [iteration for iteration, _ in told] == [1, 2, 3, 4, 5]
+    assert [iteration for iteration, *_ in told] == [1, 2, 3, 4, 5]
     assert told[-1][1] <= log.seconds < told[-1][1] + 0.05
+    busy = [0.0, *(processor for *_, processor in told)]
+    assert all(before < after for before, after in itertools.pairwise(busy)) and log.processor_seconds >= busy[-1]
 
 
 def test_a_model_without_gaussians_stops(small_scene):
