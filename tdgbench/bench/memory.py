@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
 from pathlib import Path
 
 import torch
+
+from tdgbench.splats.cpu.scratch import release
 
 STATUS = Path("/proc/self/status")
 SAMPLE_SECONDS = 0.02
@@ -14,7 +17,7 @@ ROUNDING_MB = 16.0
 
 
 class PeakMemory:
-    """Context that measures peak memory.
+    """Context that measures peak memory. It begins by giving back what cells before it left.
 
     mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most memory of the current GPU
     that torch reserved, MB; None unless `on_gpu`.
@@ -32,6 +35,8 @@ class PeakMemory:
         self._sampler: threading.Thread | None = None
 
     def __enter__(self) -> PeakMemory:
+        gc.collect()
+        release()
         if self._on_gpu:
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):

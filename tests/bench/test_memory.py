@@ -2,11 +2,14 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 
 from tdgbench.bench import memory
 from tdgbench.bench.memory import PeakMemory
+from tdgbench.splats.cpu import scratch
+from tdgbench.splats.cpu.scratch import Workspace
 from tests.helpers.paths import ROOT
 
 MEGABYTES = 200
@@ -34,6 +37,16 @@ def test_measures_a_peak_and_not_the_one_before():
     if quiet is None:
         pytest.skip("this platform does not report the memory of a process")
     assert busy > quiet + 0.8 * MEGABYTES
+
+
+def test_scratch_memory_of_the_cell_before_is_given_back():
+    Workspace().take("test", MEGABYTES * 2**20, np.uint8)[:] = 1
+    with PeakMemory() as second:
+        left = sum(len(buffers) for buffers in scratch._free.values())
+    assert left == 0
+    if second.mb is not None:
+        Workspace().take("test", MEGABYTES * 2**20, np.uint8)[:] = 1
+        assert memory._read("VmRSS") > second.mb + 0.8 * MEGABYTES
 
 
 def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
