@@ -34,18 +34,24 @@ class Refinement:
     """Adam's learning rates of a camera, which fall log-linearly over the training."""
 
     offset_rate: NonNegativeFloat  # image values, at the start
-    gain_rate: NonNegativeFloat
-    vignette_rate: NonNegativeFloat  # image values, standard deviation over the image
+    gain_rate: NonNegativeFloat  # after `offsets_alone`
+    vignette_rate: NonNegativeFloat  # image values, standard deviation over the image; after `offsets_alone`
+    offsets_alone: Annotated[float, Field(ge=0, lt=1)]  # share of the training before gains and vignette are learned
     final: Share  # of the rates, at the end
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
 
     def slowdown(self, progress: float) -> float:
         """Factor of the rates when a share of the training is over.
 
-        >>> round(Refinement(0.02, 0.02, 0.0005, final=0.01, decay=0.0).slowdown(0.5), 6)
+        >>> round(Refinement(0.02, 0.02, 0.0005, offsets_alone=0.5, final=0.01, decay=0.0).slowdown(0.5), 6)
         0.1
         """
         return float(self.final ** min(progress, 1.0))
+
+    def of_the_rest(self, progress: float) -> float:
+        """Factor of the rates of gains and vignette. While the scene lacks its background, they would stand for it."""
+        since = (progress - self.offsets_alone) / (1 - self.offsets_alone)
+        return self.slowdown(since) if since >= 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -140,11 +146,14 @@ class RefinedCamera(IdealCamera):
                 )
             return
         rules = self.refinement
-        factor = slowdown * rules.slowdown(iteration / self.iterations)
-        rates = factor * torch.tensor([rules.offset_rate, rules.gain_rate], dtype=torch.float64)
+        progress = iteration / self.iterations
+        offset, rest = slowdown * rules.slowdown(progress), slowdown * rules.of_the_rest(progress)
+        rates = torch.tensor([offset * rules.offset_rate, rest * rules.gain_rate], dtype=torch.float64)
+        of_vignette = torch.tensor(rest * rules.vignette_rate, dtype=torch.float64)
         for index, sums in pending:
             self.views.step(index, torch.tensor([sums.offset, sums.gain], dtype=torch.float64), rates, rules.decay)
-            self.vignette.step(0, sums.vignette, torch.tensor(factor * rules.vignette_rate), rules.decay)
+            if of_vignette > 0:
+                self.vignette.step(0, sums.vignette, of_vignette, rules.decay)
         first = self.is_first
         self.views.values[first] -= self.views.values[first].mean(dim=0)
 

@@ -60,7 +60,7 @@ def test_images_stay_where_the_camera_is_unknown(small_scene):
 
 
 def test_facts_are_in_the_unit_of_the_scene(small_gray_scene):
-    options = CameraOptions(refine=Refinement(0.02, 0.02, 0.0005, 0.01, 0.01))
+    options = CameraOptions(refine=Refinement(0.02, 0.02, 0.0005, 0.5, 0.01, 0.01))
     camera = camera_of(small_gray_scene, options, 10, [])
     camera.views.values[0, 0], camera.views.values[1, 0] = 0.1, -0.1
     span = small_gray_scene.temperature.max - small_gray_scene.temperature.min

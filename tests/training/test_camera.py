@@ -11,7 +11,7 @@ from tdgbench.training.loop import stopping_of, train
 from tests.helpers.drift import drift, with_response
 from tests.helpers.training import digest, ready_to_train
 
-RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, final=0.01, decay=0.01)
+RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0.0, final=0.01, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
 
 
