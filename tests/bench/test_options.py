@@ -101,11 +101,15 @@ def test_every_choice_of_every_group_is_allowed(number):
     check_options(config(*(f"{group}={found[number % len(found)]}" for group, found in choices.items())))
 
 
-def test_an_option_of_a_refined_camera_that_is_not_allowed():
-    assert error_of("camera=refined", "camera.refine.final=1.5").startswith(
-        "camera.refine.final=1.5: must be at most 1"
-    )
-    assert error_of("camera=both", "camera.refine.decay=-1") == "camera.refine.decay=-1: must be at least 0"
+@pytest.mark.parametrize(
+    ("choice", "override", "message"),
+    [
+        ("refined", "camera.refine.final=1.5", "must be at most 1"),
+        ("both", "camera.refine.decay=-1", "must be at least 0"),
+    ],
+)
+def test_an_option_of_a_refined_camera_that_is_not_allowed(choice, override, message):
+    assert error_of(f"camera={choice}", override).startswith(f"{override}: {message}")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
