@@ -48,7 +48,7 @@ class MSMG:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
         image = self.rgb.render(rgb_view.camera).image
         loss_rgb = photometric(image, rgb_tensor(rgb_view, image.device), self.lambda_ssim)
-        render = self.thermal.render(thermal_view.camera)
+        render = self.thermal.show(thermal_view)
         device = render.image.device
         target, valid = thermal_tensor(thermal_view, device), valid_tensor(thermal_view, device)
         loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)

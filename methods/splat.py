@@ -36,7 +36,7 @@ class Splat:
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.model.render(view.camera)
+        render = self.model.show(view)
         device = render.image.device
         target, valid = thermal_tensor(view, device), valid_tensor(view, device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)

@@ -69,7 +69,7 @@ class TDg:
         view = self.views.next()
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
-        render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
+        render = self.model.show(view, depth=needs_depth and self.depth == "written")
         device = render.image.device
         target, valid = thermal_tensor(view, device), valid_tensor(view, device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)

@@ -113,6 +113,12 @@ def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
     return allowed
 
 
+def _with_target(options: dict[str, Any]) -> dict[str, Any]:
+    if "_target_" not in options:
+        raise ValueError("needs a _target_, the class of the options; choose camera=refined, and set options in it")
+    return options
+
+
 class _Group(BaseModel):
     model_config = ConfigDict(**STRICT, extra="forbid")
 
@@ -152,6 +158,11 @@ class _Backend(_Group):
     name: Annotated[str, AfterValidator(_backend)]
 
 
+class _Camera(_PlugIn):
+    estimate: bool
+    refine: Annotated[dict[str, Any], AfterValidator(_with_target)] | None
+
+
 class _Log(_PlugIn):
     writer: dict[str, Any] | None
 
@@ -181,6 +192,7 @@ class _Options(_Group):
     budget: dict[str, Any]
     metrics: dict[str, Any]
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
+    camera: _Camera
     log: _Log
     job: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]

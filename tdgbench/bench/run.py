@@ -23,6 +23,7 @@ from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
+from tdgbench.bench.response import Facts, refined_facts
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
@@ -36,7 +37,7 @@ from tdgbench.splats.ply import save_ply
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, stopping_of, train
-from tdgbench.training.method import Method, training_device
+from tdgbench.training.method import Context, Method, training_device
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 
@@ -75,6 +76,10 @@ class CellRun(SetupObserver):
 
     def count(self, done: int, total: int) -> None:
         self.progress.count(done, total)
+
+    def note_camera(self, facts: Facts, notes: list[str]) -> None:
+        self.record.camera["estimated"] = facts
+        self.record.notes += notes
 
     def note_prior(self, description: dict[str, object]) -> None:
         self.record.prior = description
@@ -120,6 +125,7 @@ class CellRun(SetupObserver):
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
         )  # fmt: skip
+        self.scene = training.context.scene  # its training views may be corrected
         if self.cfg.ceiling:
             with self.stage("ceiling"):
                 self._estimate_ceiling()
@@ -227,6 +233,7 @@ class CellRun(SetupObserver):
         record, method, log = self.record, self.method, self.log
         record.masked = {"train": masked_share(self.scene.train), "test": masked_share(self.scene.test)}
         record.resumed = log.resumed
+        self._describe_camera(training.context)
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
@@ -234,6 +241,13 @@ class CellRun(SetupObserver):
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in self.skips.all()]
         record.gaussians = {name: len(model) for name, model in method.models().items()}
         record.density = {name: model.work.density() for name, model in method.models().items()}
+
+    def _describe_camera(self, context: Context) -> None:
+        facts = refined_facts(context.camera, context.scene)
+        if facts:
+            self.record.camera["refined"] = facts
+        if context.camera.reason:
+            self.record.notes.append(f"camera: none is refined: {context.camera.reason}")
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -1,4 +1,4 @@
-"""Set a training up: images, depth priors, initial points, models, compiled kernels."""
+"""Set a training up: images, thermal camera, depth priors, initial points, models, compiled kernels."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
+from tdgbench.bench.response import Facts, correct_training_views
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.training.camera import CameraOptions
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -30,11 +32,14 @@ class SetupObserver:
     """Receives the progress and the facts of a set-up; this one ignores them."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Context of a stage: images, prior, init or compile."""
+        """Context of a stage: images, camera, prior, init or compile."""
         return nullcontext()
 
     def count(self, done: int, total: int) -> None:
         """Called after each of the stage's views."""
+
+    def note_camera(self, facts: Facts, notes: list[str]) -> None:
+        """Called once the thermal camera is estimated, if it is, with facts and notes for the record."""
 
     def note_prior(self, description: dict[str, object]) -> None:
         """Called once the depth priors are known, with their estimator's identity, kind and source."""
@@ -53,7 +58,7 @@ def set_up(
     observer: SetupObserver | None = None,
     compiles: bool = True,
 ) -> Training:
-    """Make a method ready to train on a scene.
+    """Make a method ready to train on a scene; with `camera=estimated` its training views are corrected first.
 
     method: instance to set up, by default the configured one. skips: by default all are allowed. prior_cache: folder
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
@@ -65,11 +70,16 @@ def set_up(
     method = instantiate(cfg.method.method) if method is None else method
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
+    camera: CameraOptions = instantiate(cfg.camera)
+    if camera.estimate:
+        with observer.stage("camera"):
+            scene, facts, notes = correct_training_views(scene)
+        observer.note_camera(facts, notes)
     priors = _estimate_priors(cfg, scene, skips, prior_cache, observer) if method.needs_prior else {}
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera)
         observer.note_points(init.describe(scene))
         method.setup(context)
     if compiles:

@@ -21,6 +21,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
+from tdgbench.training.camera import IdealCamera
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.evidence import Evidence, Footprints, look_at
 from tdgbench.training.images import Modality
@@ -42,10 +43,20 @@ class Significance:
     """Decides by a rule which Gaussians of a model grow."""
 
     def __init__(
-        self, rule: GrowthRule, views: list[View], modality: Modality, curriculum: Curriculum, backend: str
+        self,
+        rule: GrowthRule,
+        views: list[View],
+        modality: Modality,
+        curriculum: Curriculum,
+        backend: str,
+        camera: IdealCamera | None = None,
     ) -> None:
-        """views: of the training; a round looks at some of those that the curriculum shows, at its resolution."""
+        """views: of the training; a round looks at some of those that the curriculum shows, at its resolution.
+
+        camera: through which the renders are compared with them.
+        """
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
+        self.camera = camera or IdealCamera()
 
     @cached_property
     def noise(self) -> float:
@@ -73,5 +84,5 @@ class Significance:
         """Footprints in what a view shows and the Gaussians do not, as a mean over the channels."""
         camera = Pinhole.of(view.camera).to(gaussians.means)
         image = render_view(gaussians.activated(degree), camera, backend=self.backend).image
-        residual = (self.modality.tensor(view, image.device) - image).mean(dim=-1)
+        residual = (self.modality.tensor(view, image.device) - self.camera.compare(view, image)).mean(dim=-1)
         return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)

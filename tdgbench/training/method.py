@@ -16,10 +16,11 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
+from tdgbench.training.camera import CameraOptions, IdealCamera, camera_of
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import THERMAL, Modality
-from tdgbench.training.model import SplatModel
+from tdgbench.training.model import SplatModel, ViewRules
 from tdgbench.training.pixels import schedule
 from tdgbench.training.skips import Skips
 from tdgbench.training.targets import ViewTensors
@@ -72,7 +73,9 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
+    camera_options: CameraOptions = field(default_factory=CameraOptions)
     curriculum: Curriculum = field(init=False)
+    camera: IdealCamera = field(init=False)  # of the thermal images
     _generators: list[torch.Generator] = field(default_factory=list, repr=False)
     _orders: list[ViewOrder] = field(default_factory=list, repr=False)
 
@@ -84,6 +87,8 @@ class Context:
         if budget is not None and budget.settling is not None and skips.settling.allowed:
             held = budget.settling.hold_out(views)
         self.curriculum = Curriculum(steps, held)
+        iterations = 0 if budget is None else budget.iterations
+        self.camera = camera_of(self.scene, self.camera_options, iterations, held)
 
     def generator(self) -> torch.Generator:
         """A new random stream; equal seeds give equal streams in the order of the calls."""
@@ -101,12 +106,15 @@ class Context:
         """Model at the initial points, to train on images with this many channels."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
+        camera = self.camera if modality is THERMAL else IdealCamera()
         significance = None
         if self.budget.growth is not None and self.skips.growth.allowed:
-            significance = Significance(self.budget.growth, self.scene.train, modality, self.curriculum, self.backend)
+            significance = Significance(
+                self.budget.growth, self.scene.train, modality, self.curriculum, self.backend, camera
+            )  # fmt: skip
+        rules = ViewRules(self.curriculum, camera, significance)
         return SplatModel(
-            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, significance,
-            self.curriculum,
+            start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, rules
         )  # fmt: skip
 
     def view_order(self, views: list[View] | None = None) -> ViewOrder:
@@ -115,11 +123,12 @@ class Context:
         return self._orders[-1]
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the random streams and view orders, without models."""
+        """State of the random streams, view orders, curriculum and camera, without models."""
         return {
             "generators": [generator.get_state() for generator in self._generators],
             "orders": [order.state_dict() for order in self._orders],
             "curriculum": self.curriculum.state_dict(),
+            "camera": self.camera.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -129,6 +138,7 @@ class Context:
         for order, state in zip(self._orders, saved["orders"], strict=True):
             order.load_state_dict(state)
         self.curriculum.load_state_dict(saved["curriculum"])
+        self.camera.load_state_dict(saved["camera"])
 
 
 @dataclass
@@ -137,7 +147,7 @@ class Step:
 
     loss: Tensor  # scalar
     terms: dict[str, float]  # by name, for the log
-    thermal: Render
+    thermal: Render  # as the thermal camera shows it
     target: Tensor  # (H, W, C): the image that `thermal` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 
@@ -155,14 +165,15 @@ class Method(Protocol):
     def step(self, iteration: int) -> Step:
         """Loss of an iteration (1-based), with the thermal render that it used.
 
-        Masked pixels (`valid_tensor`) must have no part in the loss.
+        Masked pixels (`valid_tensor`) must have no part in the loss. Training views are rendered with
+        `SplatModel.show`, so that the thermal camera has its part in it.
         """
 
     def models(self) -> dict[str, SplatModel]:
         """The models in training by modality; `thermal` is scored."""
 
     def render(self, camera: Camera) -> Render:
-        """Thermal image and depth from a camera, without gradients."""
+        """Temperatures as a thermal image, and depth, from a camera, without gradients: `SplatModel.render`."""
 
 
 def training_device(backend: str) -> torch.device:

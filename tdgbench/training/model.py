@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import torch
 
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.blending import AS_3DGS
@@ -21,6 +21,7 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
+from tdgbench.training.camera import IdealCamera
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.growth import Significance
 from tdgbench.training.skips import Skips
@@ -57,6 +58,18 @@ class Work:
         return {"cloned": self.cloned, "split": self.split, "pruned": self.pruned}
 
 
+@dataclass(frozen=True)
+class ViewRules:
+    """How a model meets its training views.
+
+    camera: what shows its renders in them. significance: what decides by them which Gaussians grow; None: 3DGS's rule.
+    """
+
+    curriculum: Curriculum = field(default_factory=Curriculum)
+    camera: IdealCamera = field(default_factory=IdealCamera)
+    significance: Significance | None = None
+
+
 class SplatModel:
     """Gaussians in training, with their optimiser and density control."""
 
@@ -68,13 +81,10 @@ class SplatModel:
         backend: str,
         generator: torch.Generator,
         skips: Skips | None = None,
-        significance: Significance | None = None,
-        curriculum: Curriculum | None = None,
+        rules: ViewRules | None = None,
     ) -> None:
-        """extent: of the scene, world units. generator: draws the children of split Gaussians.
-
-        significance: what decides which Gaussians grow; None: 3DGS's rule.
-        """
+        """extent: of the scene, world units. generator: draws the children of split Gaussians."""
+        rules = rules or ViewRules()
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -83,8 +93,7 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.significance = significance
-        self.curriculum = curriculum or Curriculum()
+        self.significance, self.curriculum, self.camera = rules.significance, rules.curriculum, rules.camera
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -117,6 +126,11 @@ class SplatModel:
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
         options = StateOptions(self.degree, depth, self._blending, tolerance)
         return render_state(self.state, self.optimizer, Pinhole.of(camera), options, collect, self.backend)
+
+    def show(self, view: View, *, depth: bool = False) -> Render:
+        """Render a training view as the thermal camera shows it: what a loss compares with the view's image."""
+        render = self.render(view.camera, depth=depth)
+        return replace(render, image=self.camera.show(view, render.image))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
@@ -165,16 +179,18 @@ class SplatModel:
         return self.significance.judge(self.gaussians, self.degree, iteration // rules.every)
 
     def finish(self, iteration: int) -> str | None:
-        """End an iteration, after the backward pass: density control, then an Adam step.
+        """End an iteration, after the backward pass: density control, then an Adam step of Gaussians and camera.
 
-        There is no step after a round of density control, and none for opacities after their reset. Returns the name of
-        a parameter whose gradient is not finite, or None; Adam has then used it.
+        Gaussians have no step after a round of density control, and none for opacities after their reset. Returns the
+        name of a parameter whose gradient is not finite, or None; Adam has then used it.
         """
         views, self._views = self._views, []
         gradients, watch = self._gradients_of(views, iteration)
         verdict = self._judge(iteration)
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
+        if views:
+            self.camera.step(iteration, self.optimizer.slowdown)
         bad = None
         if gradients is not None and not change.densified:
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)

@@ -11,7 +11,7 @@ from tdgbench.experiments.experiment import experiment_of
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
-GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "log")
+GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "camera", "log")
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 WRONG = [
     ("data.width=0", "data.width=0: must be at least 1"),
@@ -44,6 +44,10 @@ WRONG = [
     ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
     ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
     ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),
+    ("camera.estimate=3", "camera.estimate=3: must be true or false"),
+    ("camera.refine=3", "camera.refine=3: must be a group of options"),
+    ("camera.refine={decay: 0.1}", "camera.refine: needs a _target_"),
+    ("+camera.nosuch=3", "camera.nosuch=3: is no option; there are estimate, refine"),
     ("skip.gray=3", "skip.gray=3: must be true or false"),
     ("+skip.night=true", "skip: there is no skip night; there are gray, rgb"),
     ("method.method.lambda_depth=inf", "method.method.lambda_depth=inf: must be finite"),
@@ -95,6 +99,17 @@ def test_every_choice_of_every_group_is_allowed(number):
     choices = {group: sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml")) for group in GROUPS}
     assert max(map(len, choices.values())) == 7
     check_options(config(*(f"{group}={found[number % len(found)]}" for group, found in choices.items())))
+
+
+@pytest.mark.parametrize(
+    ("choice", "override", "message"),
+    [
+        ("refined", "camera.refine.final=1.5", "must be at most 1"),
+        ("both", "camera.refine.decay=-1", "must be at least 0"),
+    ],
+)
+def test_an_option_of_a_refined_camera_that_is_not_allowed(choice, override, message):
+    assert error_of(f"camera={choice}", override).startswith(f"{override}: {message}")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

@@ -27,10 +27,13 @@ class KilledError(Exception):
 def set_up(scene, name: str):
     """A method that is ready to train, its context and a plateau that is watched but never reached.
 
-    name: of the method; `lean` is 3DGS with the lean budget, and what stops it.
+    name: of the method; `lean` is 3DGS with the lean budget, and what stops it; `refined` is that with a camera.
     """
-    if name == "lean":
-        method, context = ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
+    if name in ("lean", "refined"):
+        camera = "refined" if name == "refined" else "ideal"
+        method, context = ready_to_train(
+            scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}", f"camera={camera}"
+        )
         return method, context, stopping_of(method, context)
     often = (
         "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
@@ -52,15 +55,21 @@ def digest(method) -> str:
     return content.hexdigest()
 
 
+def plain(state):
+    """A state with lists in the place of tensors."""
+    return {k: plain(v) if isinstance(v, dict) else v.tolist() for k, v in state.items()}
+
+
 def timeless(log: TrainingLog):
     return log.iterations, [(n.iteration, n.loss, n.psnr, n.gaussians, n.terms) for n in log.lines]
 
 
-@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean"])
+@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean", "refined"])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
-    method, _, plateau = set_up(small_gray_scene, name)
+    method, context, plateau = set_up(small_gray_scene, name)
     calm = train(method, ITERATIONS, plateau=plateau)
     wanted = digest(method)
+    camera = plain(context.camera.state_dict())
     log = TrainingLog()
     stops = [1, 9, 10, 26, 47, ITERATIONS]
     for stop in stops:
@@ -83,6 +92,7 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
     assert log.resumed == stops[:-1]
     assert timeless(log) == timeless(calm)
     assert digest(method) == wanted
+    assert plain(context.camera.state_dict()) == camera
     # once it has ended, nothing is left to do
     method, context, plateau = set_up(small_gray_scene, name)
     ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, plateau)

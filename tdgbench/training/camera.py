@@ -1,0 +1,221 @@
+"""The thermal camera in training: what it shows of a scene's temperatures in a training view.
+
+shown = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y), in image values. That is gain_v · T plus an offset
+of view v, as in `tdgbench.thermal.camera`. A refined camera learns these few numbers together with the scene.
+
+Temperatures and responses are not observable apart. So mean offset and mean gain of the training views stay 0 and 1,
+and the vignette's mean 0: the scene's mean temperature does not move. Views that are held out at first are left out of
+these means; such a view gets the gain and offset that fit it best in closed form, until it is trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field, NonNegativeFloat
+from torch import Tensor
+
+from tdgbench.scenes import Scene, View
+from tdgbench.scenes.images import is_gray
+from tdgbench.text import some
+from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.training.response import Response, Sums, best_fit, shown
+
+BETA1, BETA2, EPS = 0.9, 0.99, 1e-15  # of Adam; a view is seen rarely, so that 3DGS's β2 would forget too slowly
+Share = Annotated[float, Field(gt=0, le=1)]
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Adam's learning rates of a camera, which fall log-linearly over the training."""
+
+    offset_rate: NonNegativeFloat  # image values, at the start
+    gain_rate: NonNegativeFloat  # after `offsets_alone`
+    vignette_rate: NonNegativeFloat  # image values, standard deviation over the image; after `offsets_alone`
+    offsets_alone: Annotated[float, Field(ge=0, lt=1)]  # share of the training before gains and vignette are learned
+    final: Share  # of the rates, at the end
+    decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
+
+    def slowdown(self, progress: float) -> float:
+        """Factor of the rates when a share of the training is over.
+
+        >>> round(Refinement(0.02, 0.02, 0.0005, offsets_alone=0.5, final=0.01, decay=0.0).slowdown(0.5), 6)
+        0.1
+        """
+        return float(self.final ** min(progress, 1.0))
+
+    def of_the_rest(self, progress: float) -> float:
+        """Factor of the rates of gains and vignette. While the scene lacks its background, they would stand for it."""
+        since = (progress - self.offsets_alone) / (1 - self.offsets_alone)
+        return self.slowdown(since) if since >= 0 else 0.0
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """What is done about the thermal camera's errors; see `conf/camera/`."""
+
+    estimate: bool = False  # before training, from sparse points; training views are then corrected
+    refine: Refinement | None = None  # during training
+
+
+class IdealCamera:
+    """Shows temperatures as they are. reason: why no other camera is trained; empty if none was asked for."""
+
+    def __init__(self, reason: str = "") -> None:
+        self.reason = reason
+
+    def show(self, view: View, image: Tensor) -> Tensor:
+        """What the camera shows of a render (H, W, C) of a training view, for a loss; call it once per render."""
+        return image
+
+    def compare(self, view: View, image: Tensor) -> Tensor:
+        """`show` without a gradient, and without effect on training; also for views that are held out."""
+        return image
+
+    def step(self, iteration: int, slowdown: float = 1.0) -> None:
+        """Improve the camera after the backward pass of an iteration (1-based). slowdown: factor of all rates."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
+        return {}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+
+
+class _Gradient(NamedTuple):
+    view: int
+    sums: Sums
+
+
+class RefinedCamera(IdealCamera):
+    """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU."""
+
+    def __init__(self, views: Sequence[View], refinement: Refinement, iterations: int, held: Sequence[View]) -> None:
+        """views: of the training, `held` of which are not trained on at first."""
+        super().__init__()
+        self.refinement, self.iterations = refinement, iterations
+        self.names = list(dict.fromkeys(view.name for view in views))
+        self._index = {name: index for index, name in enumerate(self.names)}
+        later = {view.name for view in held}
+        self.is_first = torch.tensor([name not in later for name in self.names])
+        self.reference = _mean_value(views)
+        self.views = _Learned(len(self.names), 2)  # offset, gain − 1
+        self.vignette = _Learned(1, len(TERMS))
+        self._pending: list[_Gradient] = []
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """(V,) image values, at the reference."""
+        return self.views.values[:, 0].numpy().copy()
+
+    @property
+    def gains(self) -> np.ndarray:
+        """(V,)."""
+        return 1.0 + self.views.values[:, 1].numpy()
+
+    def map(self, width: int, height: int) -> np.ndarray:
+        """Vignette (height, width) of an image, image values."""
+        return evaluate(self.vignette.values[0].numpy(), width, height)
+
+    def show(self, view: View, image: Tensor) -> Tensor:
+        index = self._index[view.name]
+        if not self.is_first[index] and not self.views.steps[index]:
+            response = self._fitted(view, image.detach())
+            self.views.values[index] = torch.tensor([response.offset, response.gain - 1.0], dtype=torch.float64)
+        return shown(image, self._response(index), lambda sums: self._pending.append(_Gradient(index, sums)))
+
+    @torch.no_grad()
+    def compare(self, view: View, image: Tensor) -> Tensor:
+        index = self._index[view.name]
+        response = self._response(index) if self.views.steps[index] else self._fitted(view, image)
+        return response.of(image)
+
+    def step(self, iteration: int, slowdown: float = 1.0) -> None:
+        """Raises RuntimeError if no training view was shown so far: the method does not use the camera."""
+        pending, self._pending = self._pending, []
+        if not pending:
+            if not self.views.steps.any():
+                raise RuntimeError(
+                    "the method compares its renders without the thermal camera; render training views with "
+                    "model.show(view), or set camera=ideal"
+                )
+            return
+        rules = self.refinement
+        progress = iteration / self.iterations
+        offset, rest = slowdown * rules.slowdown(progress), slowdown * rules.of_the_rest(progress)
+        rates = torch.tensor([offset * rules.offset_rate, rest * rules.gain_rate], dtype=torch.float64)
+        of_vignette = torch.tensor(rest * rules.vignette_rate, dtype=torch.float64)
+        for index, sums in pending:
+            self.views.step(index, torch.tensor([sums.offset, sums.gain], dtype=torch.float64), rates, rules.decay)
+            if of_vignette > 0:
+                self.vignette.step(0, sums.vignette, of_vignette, rules.decay)
+        first = self.is_first
+        self.views.values[first] -= self.views.values[first].mean(dim=0)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        self.views.load_state_dict(saved["views"])
+        self.vignette.load_state_dict(saved["vignette"])
+
+    def _response(self, index: int) -> Response:
+        offset, gain = self.views.values[index].tolist()
+        return Response(offset, 1.0 + gain, self.reference, self.vignette.values[0])
+
+    def _fitted(self, view: View, image: Tensor) -> Response:
+        """The response with the gain and offset that fit a view best, and the vignette so far."""
+        ideal = Response(0.0, 1.0, self.reference, self.vignette.values[0])
+        target = torch.from_numpy(view.thermal).to(image)
+        valid = None if view.valid is None else torch.from_numpy(view.valid).to(image.device)
+        return best_fit(image, target, valid, ideal)
+
+
+class _Learned:
+    """Rows (R, P) of parameters that start at 0, with Adam's moments; a step moves one row."""
+
+    def __init__(self, rows: int, parameters: int) -> None:
+        self.values, self._first, self._second = torch.zeros(3, rows, parameters, dtype=torch.float64)
+        self.steps = torch.zeros(rows, dtype=torch.int64)
+
+    def step(self, row: int, gradient: Tensor, rates: Tensor, decay: float) -> None:
+        """Adam's step of a row by its gradient (P,), with rates (P,) or (), and decoupled decay."""
+        self.steps[row] += 1
+        count = int(self.steps[row])
+        values, first, second = self.values[row], self._first[row], self._second[row]
+        first.lerp_(gradient, 1 - BETA1)
+        second.lerp_(gradient.square(), 1 - BETA2)
+        size = (second / (1 - BETA2**count)).sqrt_().add_(EPS)
+        values.mul_(1 - decay * rates).sub_(rates * first / (1 - BETA1**count) / size)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"values": self.values, "first": self._first, "second": self._second, "steps": self.steps}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        for mine, name in ((self.values, "values"), (self._first, "first"), (self._second, "second")):
+            mine.copy_(saved[name])
+        self.steps.copy_(saved["steps"])
+
+
+def camera_of(scene: Scene, options: CameraOptions, iterations: int, held: Sequence[View]) -> IdealCamera:
+    """The camera that a training of a scene uses. held: training views that are not trained on at first."""
+    if options.refine is None:
+        return IdealCamera()
+    colored = [view.name for view in scene.train if not is_gray(view.thermal)]
+    if colored:
+        return IdealCamera(
+            f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
+            "give gray images, or data.thermal=radiometric"
+        )
+    return RefinedCamera(scene.train, options.refine, iterations, held)
+
+
+def _mean_value(views: Sequence[View]) -> float:
+    """Mean over the valid pixels of views with valid pixels."""
+    values = [view.thermal if view.valid is None else view.thermal[view.valid] for view in views]
+    return float(np.mean([one.mean(dtype=np.float64) for one in values if one.size]))
