@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,27 +10,43 @@ import numpy as np
 from tdgbench.scenes import Scene
 from tdgbench.thermal import ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.estimate import units
-from tdgbench.training.camera import IdealCamera, RefinedCamera
+from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera
 
-TINY = 1e-9  # °C or image values; a smaller term was not estimated
+SUMMARY_SIZE = 64, 48  # px, of the vignette whose span is told
 Facts = dict[str, Any]
 
 
-class Corrected(NamedTuple):
-    """A scene with corrected training views; facts for the record; notes."""
+class Prepared(NamedTuple):
+    """A scene to train on, what is to be done about its camera, facts for the record, notes."""
 
     scene: Scene
+    options: CameraOptions
     facts: Facts
     notes: list[str]
 
 
-def correct_training_views(scene: Scene) -> Corrected:
-    """Correct the training views by the estimated camera; if it cannot be estimated, a note says why and none is."""
+def prepare(scene: Scene, options: CameraOptions) -> Prepared:
+    """Estimate the camera; correct the training views if that is asked for.
+
+    Only terms that the estimate supports are refined: in a capture that has no drift, they would learn the errors of an
+    unfinished scene. Where the camera cannot be estimated, images stay as they are and all terms are refined.
+    """
+    if not options.estimate and options.refine is None:
+        return Prepared(scene, options, {}, [])
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
-        return Corrected(scene, {"unknown": found.reason}, [f"camera: images stay as they are: {found.reason}"])
-    better = corrected(scene, found)
-    return Corrected(better, _estimated(found), [f"camera: {note}" for note in better.notes[len(scene.notes) :]])
+        notes = [f"camera: images stay as they are: {found.reason}"] if options.estimate else []
+        return Prepared(scene, options, {"unknown": found.reason}, notes)
+    notes = []
+    if options.refine is not None:
+        terms = [term for term in options.refine.terms if term in found.terms]
+        options = replace(options, refine=replace(options.refine, terms=terms) if terms else None)
+        if not terms:
+            notes.append("camera: nothing is refined: sparse points show no drift between views and no vignette")
+    if options.estimate:
+        before, scene = len(scene.notes), corrected(scene, found)
+        notes += [f"camera: {note}" for note in scene.notes[before:]]
+    return Prepared(scene, options, _estimated(found), notes)
 
 
 def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
@@ -43,14 +60,9 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
 
 
 def _estimated(camera: ThermalCamera) -> Facts:
-    vignette = camera.map(64, 48)
-    parts = {
-        "offsets": camera.offsets, "gains": camera.gains - 1, "vignette": vignette, "columns": camera.columns,
-        "rows": camera.rows,
-    }  # fmt: skip
-    terms = [name for name, values in parts.items() if values is not None and np.abs(values).max() > TINY]
     return {
-        "unit": camera.unit, "terms": terms, **_summary(camera.offsets, camera.gains, vignette),
+        "unit": camera.unit, "terms": list(camera.terms),
+        **_summary(camera.offsets, camera.gains, camera.map(*SUMMARY_SIZE)),
         "residual_before": round(camera.residual_before, 5), "residual_after": round(camera.residual_after, 5),
     }  # fmt: skip
 

@@ -246,8 +246,11 @@ class CellRun(SetupObserver):
         facts = refined_facts(context.camera, context.scene)
         if facts:
             self.record.camera["refined"] = facts
+        unchecked = self.record.camera.get("estimated", {}).get("unknown")
         if context.camera.reason:
             self.record.notes.append(f"camera: none is refined: {context.camera.reason}")
+        elif facts and unchecked:
+            self.record.notes.append(f"camera: refined whether or not the capture needs it: {unchecked}")
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
-from tdgbench.bench.response import Facts, correct_training_views
+from tdgbench.bench.response import Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.training.camera import CameraOptions
@@ -71,9 +71,9 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    if camera.estimate:
+    if camera.estimate or camera.refine is not None:
         with observer.stage("camera"):
-            scene, facts, notes = correct_training_views(scene)
+            scene, camera, facts, notes = prepare(scene, camera)
         observer.note_camera(facts, notes)
     priors = _estimate_priors(cfg, scene, skips, prior_cache, observer) if method.needs_prior else {}
     backend = training_backend(cfg.backend.name)

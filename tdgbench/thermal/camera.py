@@ -30,7 +30,8 @@ class ThermalCamera:
     vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
-    sightings: (V,) points that a view sees.
+    sightings: (V,) points that a view sees. terms: those that held-out views support, of vignette, offsets, gains and
+    pattern; the others are those of an ideal camera.
     """
 
     unit: str  # "°C" or "image"
@@ -47,6 +48,7 @@ class ThermalCamera:
     residual_before: float
     residual_after: float
     sightings: np.ndarray
+    terms: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def of_view(self, name: str) -> tuple[float, float]:

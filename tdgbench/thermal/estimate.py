@@ -90,6 +90,7 @@ def _estimate(train: Sequence[View], seen: Sightings, unit: tuple[str, float, fl
         residual_before=found.fit.before,
         residual_after=found.fit.after,
         sightings=counts,
+        terms=tuple(name for name, used in terms._asdict().items() if used),
         notes=tuple(_notes(train, counts, terms, gain_errors / GAIN_PRIOR[name])),
     )
 

@@ -11,8 +11,8 @@ these means; such a view gets the gain and offset that fit it best in closed for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -27,11 +27,13 @@ from tdgbench.training.response import Response, Sums, best_fit, shown
 
 BETA1, BETA2, EPS = 0.9, 0.99, 1e-15  # of Adam; a view is seen rarely, so that 3DGS's β2 would forget too slowly
 Share = Annotated[float, Field(gt=0, le=1)]
+Term = Literal["vignette", "offsets", "gains"]
+ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Adam's learning rates of a camera, which fall log-linearly over the training."""
+    """What is learned of a camera, and Adam's learning rates, which fall log-linearly over the training."""
 
     offset_rate: NonNegativeFloat  # image values, at the start
     gain_rate: NonNegativeFloat  # after `offsets_alone`
@@ -39,6 +41,7 @@ class Refinement:
     offsets_alone: Annotated[float, Field(ge=0, lt=1)]  # share of the training before gains and vignette are learned
     final: Share  # of the rates, at the end
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
+    terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
 
     def slowdown(self, progress: float) -> float:
         """Factor of the rates when a share of the training is over.
@@ -148,8 +151,12 @@ class RefinedCamera(IdealCamera):
         rules = self.refinement
         progress = iteration / self.iterations
         offset, rest = slowdown * rules.slowdown(progress), slowdown * rules.of_the_rest(progress)
-        rates = torch.tensor([offset * rules.offset_rate, rest * rules.gain_rate], dtype=torch.float64)
-        of_vignette = torch.tensor(rest * rules.vignette_rate, dtype=torch.float64)
+        learned = {name: float(name in rules.terms) for name in ALL_TERMS}
+        rates = torch.tensor(
+            [learned["offsets"] * offset * rules.offset_rate, learned["gains"] * rest * rules.gain_rate],
+            dtype=torch.float64,
+        )
+        of_vignette = torch.tensor(learned["vignette"] * rest * rules.vignette_rate, dtype=torch.float64)
         for index, sums in pending:
             self.views.step(index, torch.tensor([sums.offset, sums.gain], dtype=torch.float64), rates, rules.decay)
             if of_vignette > 0:
@@ -171,9 +178,11 @@ class RefinedCamera(IdealCamera):
     def _fitted(self, view: View, image: Tensor) -> Response:
         """The response with the gain and offset that fit a view best, and the vignette so far."""
         ideal = Response(0.0, 1.0, self.reference, self.vignette.values[0])
+        if "offsets" not in self.refinement.terms:
+            return ideal
         target = torch.from_numpy(view.thermal).to(image)
         valid = None if view.valid is None else torch.from_numpy(view.valid).to(image.device)
-        return best_fit(image, target, valid, ideal)
+        return best_fit(image, target, valid, ideal, fits_gain="gains" in self.refinement.terms)
 
 
 class _Learned:
