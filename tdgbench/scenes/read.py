@@ -68,8 +68,8 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         for name in names
     }
     views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
-    depth = [view.true_depth_path for view in views.values() if view.true_depth_path is not None]
-    files = [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *depth]
+    truth = [path for view in views.values() for path in (view.true_depth_path, view.true_temperature_path) if path]
+    files = [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *truth]
     scene = Scene(
         name=description.scene,
         dataset=description.dataset,
@@ -178,7 +178,7 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
 def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -> View:
     """A view without its thermal image and mask."""
     name = source.posed.name
-    depth = folder / "depth" / f"{name}.npy"
+    depth, degC = (folder / truth / f"{name}.npy" for truth in ("depth", "temperature"))
     photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
@@ -187,6 +187,7 @@ def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -
         load_rgb=None if photo is None else partial(_load_rgb, photo),
         thermal_path=source.path,
         true_depth_path=regular_file(depth) if is_there(depth) else None,
+        true_temperature_path=regular_file(degC) if is_there(degC) else None,
     )
 
 

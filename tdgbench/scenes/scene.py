@@ -80,6 +80,7 @@ class View:
     thermal_path: Path | None = None
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
+    true_temperature_path: Path | None = None  # .npy (H, W), °C without errors of the camera; of synthetic scenes
 
     @cached_property
     def thermal(self) -> np.ndarray:
@@ -113,12 +114,23 @@ class View:
     @cached_property
     def true_depth(self) -> np.ndarray | None:
         """(H, W) float32, z in world units; None if unknown. Raises SceneError for a file that is no depth map."""
-        if self.true_depth_path is None:
-            return None
-        depth = read_array(self.true_depth_path)
-        if depth.ndim != 2 or not np.isfinite(depth).all():
-            raise SceneError(f"{self.true_depth_path} is no depth map: it must hold finite numbers of shape (H, W)")
-        return depth
+        return None if self.true_depth_path is None else _read_map(self.true_depth_path, "depth map")
+
+    @cached_property
+    def true_temperature(self) -> np.ndarray | None:
+        """(H, W) float32, °C as an ideal camera without noise measures them; None if unknown.
+
+        Raises SceneError for a file that is no map of temperatures.
+        """
+        path = self.true_temperature_path
+        return None if path is None else _read_map(path, "map of temperatures")
+
+
+def _read_map(path: Path, what: str) -> np.ndarray:
+    values = read_array(path)
+    if values.ndim != 2 or not np.isfinite(values).all():
+        raise SceneError(f"{path} is no {what}: it must hold finite numbers of shape (H, W)")
+    return values
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Write a world as a scene on disk, in the RGBT-Scenes layout with a COLMAP model and the true depth."""
+"""Write a world as a scene on disk, in the RGBT-Scenes layout with a COLMAP model, true depth and true temperatures."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ class Shot:
 def write_scene(world: World, folder: Path, shot: Shot) -> None:
     """Render the images and write the scene; the folder appears when it is complete.
 
-    Images and true depth are those of the true cameras, the COLMAP model has the given ones; its points are where they
-    are. Errors have random numbers of their own. The errors of the thermal camera are written beside the scene.
+    Images, true depth and true temperatures are those of the true cameras, the COLMAP model has the given ones; its
+    points are where they are. Errors have random numbers of their own. The errors of the thermal camera are written
+    beside the scene.
     """
     rng = np.random.default_rng(shot.seed)
     cameras = shot.cameras(world, rng)
@@ -55,7 +56,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
     private = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     part = private / folder.name  # its permissions follow the umask; those of `private` do not
     try:
-        for sub in ("rgb", "depth"):
+        for sub in ("rgb", "depth", "temperature"):
             (part / sub).mkdir(parents=True)
         thermal = ThermalFiles(part, world, shot.errors.camera.files)
         names, images = [], []
@@ -67,6 +68,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
             noise = rng.normal(0, shot.errors.noise_degC, degC.shape)
             thermal.view(name, camera.shown(degC, index, noise))
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))
+            np.save(part / "temperature" / f"{name}.npy", degC.astype(np.float32))
             names.append(name)
             images.append((rgb, depth))
         cloud = _sparse_points(cameras, images, round(shot.points * world.point_share), rng)

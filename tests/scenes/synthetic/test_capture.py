@@ -6,7 +6,7 @@ from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalEr
 from tests.helpers.scenes import small_dataset
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
-DEFAULT = {"orbit": "e8f57fcbf50ecdaa", "turntable": "0226cd150bd92687"}  # fingerprints before errors were options
+DEFAULT = {"orbit": "a98e98017c8c6548", "turntable": "095fc74e63a14771"}  # fingerprints without options of errors
 
 CAMERA = {"camera": ThermalErrors(gain=0.05)}
 
