@@ -11,6 +11,7 @@ setup(
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
         "tdgbench.report": ["*.j2"],
+        "tdgbench.experiments.thermal_camera": ["*.j2"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
     },

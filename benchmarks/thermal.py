@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tdgbench.scenes import FolderDataset, ReadOptions, Scene, TemperatureRange, View
+from tdgbench.scenes import FolderDataset, ReadOptions, Scene, View
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
-from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.scenes.synthetic.drifting import drifting
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
 from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
 
@@ -113,7 +112,7 @@ def _drifting(
     start = time.perf_counter()
     camera = _estimated(scene)
     seconds = time.perf_counter() - start
-    true, found = truth_in_gauge(truth, camera), errors_of(camera, truth)
+    true, found = truth_in_gauge(truth, camera.views, camera.reference), errors_of(camera, truth)
     summary: dict[str, Any] = {"scene": scene.name, "seed": seed, "seconds": seconds}
     for name, error in (("offset", found.offsets), ("gain", found.gains), ("vignette", found.vignette)):
         summary |= {f"{name}_rms": float(np.sqrt(np.mean(error**2))), f"{name}_worst": float(np.abs(error).max())}
@@ -132,30 +131,6 @@ def _drifting(
         }
     )  # fmt: skip
     return summary, table
-
-
-def drifting(clean: Scene, errors: ThermalErrors, seed: int) -> tuple[Scene, CameraTruth]:
-    """The scene as a camera with the given errors shows it, and that camera. The range grows, so nothing is clipped."""
-    views = clean.views
-    size, span = (views[0].camera.width, views[0].camera.height), (clean.temperature.min, clean.temperature.max)
-    camera = errors.drawn(size, span, np.zeros(len(views)), [seed])
-    shown = {view.name: _shown(view, clean, camera, index) for index, view in enumerate(views)}
-    low, high = min(one.min() for one in shown.values()) - 1, max(one.max() for one in shown.values()) + 1
-
-    def seen(view: View) -> View:
-        image = ((shown[view.name] - low) / (high - low)).astype(np.float32)[..., None]
-        return replace(view, load_thermal=lambda: image)
-
-    scene = replace(
-        clean, train=[seen(view) for view in clean.train], test=[seen(view) for view in clean.test],
-        temperature=TemperatureRange(float(low), float(high)),
-    )  # fmt: skip
-    return scene, CameraTruth([view.name for view in views], camera)
-
-
-def _shown(view: View, scene: Scene, camera: TrueCamera, index: int) -> np.ndarray:
-    degC = _degC(view, scene)
-    return camera.shown(degC, index, np.zeros_like(degC))
 
 
 def _degC(view: View, scene: Scene) -> np.ndarray:

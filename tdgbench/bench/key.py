@@ -19,7 +19,7 @@ _OF_RECORDS = ("made_from",)  # key of a prior's file that describes it
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     """Part of the configuration that a result depends on, as JSON can hold it."""
     plain: dict[str, Any] = as_json(OmegaConf.to_container(cfg, resolve=True))
-    loader = {k: v for k, v in plain["dataset"]["loader"].items() if k != "root"}
+    loader = _without_root(plain["dataset"]["loader"])
     metrics = {**plain["metrics"], "lpips": {k: v for k, v in plain["metrics"]["lpips"].items() if k != "download"}}
     return {
         "dataset": loader,
@@ -33,6 +33,11 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "camera": plain["camera"],
         "seed": plain["seed"],
     }
+
+
+def _without_root(loader: dict[str, Any]) -> dict[str, Any]:
+    """A loader's options without its folder; also of a loader inside of it."""
+    return {k: _without_root(v) if k == "dataset" else v for k, v in loader.items() if k != "root"}
 
 
 def as_json(value: Any) -> Any:

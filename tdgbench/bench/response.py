@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,9 +11,11 @@ import numpy as np
 from tdgbench.scenes import Scene
 from tdgbench.thermal import ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.estimate import units
+from tdgbench.thermal.polynomials import evaluate
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera
 
-SUMMARY_SIZE = 64, 48  # px, of the vignette whose span is told
+SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
+DIGITS = 6
 Facts = dict[str, Any]
 
 
@@ -53,25 +56,35 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
     """What training learned about the camera, in °C where the scene has temperatures; empty if it learned nothing."""
     if not isinstance(camera, RefinedCamera):
         return {"unknown": camera.reason} if camera.reason else {}
-    unit, scale, _ = units(scene)
-    first = scene.train[0].camera
-    vignette = scale * camera.map(first.width, first.height)
-    return {"unit": unit, **_summary(scale * camera.offsets, camera.gains, vignette)}
+    unit, scale, zero = units(scene)
+    return {
+        "unit": unit, "terms": list(camera.refinement.terms),
+        **_numbers(
+            camera.names, scale * camera.reference + zero, scale * camera.offsets, camera.gains,
+            scale * camera.vignette.values[0].numpy(),
+        ),
+    }  # fmt: skip
 
 
 def _estimated(camera: ThermalCamera) -> Facts:
     return {
         "unit": camera.unit, "terms": list(camera.terms),
-        **_summary(camera.offsets, camera.gains, camera.map(*SUMMARY_SIZE)),
+        **_numbers(camera.views, camera.reference, camera.offsets, camera.gains, camera.vignette),
         "residual_before": round(camera.residual_before, 5), "residual_after": round(camera.residual_after, 5),
     }  # fmt: skip
 
 
-def _summary(offsets: np.ndarray, gains: np.ndarray, vignette: np.ndarray) -> Facts:
-    """Offsets (V,) and vignette (H, W) in the scene's unit."""
+def _numbers(
+    views: Sequence[str], reference: float, offsets: np.ndarray, gains: np.ndarray, vignette: np.ndarray
+) -> Facts:
+    """Offsets and gains (V,) of views at a reference, coefficients (K,) of the vignette; all in the scene's unit."""
     return {
-        "offset_rms": round(float(np.sqrt(np.mean(offsets**2))), 5),
-        "offset_range": [round(float(offsets.min()), 5), round(float(offsets.max()), 5)],
-        "gain_range": [round(float(gains.min()), 5), round(float(gains.max()), 5)],
-        "vignette_span": round(float(np.ptp(vignette)), 5),
-    }
+        "views": list(views), "reference": round(float(reference), DIGITS),
+        "offsets": _rounded(offsets), "gains": _rounded(gains), "vignette": _rounded(vignette),
+        "offset_rms": round(float(np.sqrt(np.mean(offsets**2))), DIGITS),
+        "vignette_span": round(float(np.ptp(evaluate(vignette, *SPAN_SIZE))), DIGITS),
+    }  # fmt: skip
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(value), DIGITS) for value in values]

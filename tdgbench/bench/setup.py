@@ -93,8 +93,9 @@ def set_up(
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
     """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
-    if not skips.gray.allowed and loader.options.channels == "auto":
-        loader.options.channels = 3
+    options = loader.dataset.options if "dataset" in loader else loader.options  # of a data set that another one reads
+    if not skips.gray.allowed and options.channels == "auto":
+        options.channels = 3
     return loader
 
 

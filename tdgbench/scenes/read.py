@@ -18,13 +18,14 @@ from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
 from tdgbench.scenes.measured import Source, ThermalImages, resample
 from tdgbench.scenes.options import Description, ReadOptions
-from tdgbench.scenes.scene import Camera, Scene, View
+from tdgbench.scenes.scene import Camera, Scene, View, read_map
 from tdgbench.scenes.splits import split_names
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
 from tdgbench.text import some
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
+TRUE = "temperature"  # folder of true temperatures
 LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 
 
@@ -68,7 +69,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         for name in names
     }
     views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
-    truth = [path for view in views.values() for path in (view.true_depth_path, view.true_temperature_path) if path]
+    truth = [path for name in names for path in (_truth(folder, "depth", name), _truth(folder, TRUE, name)) if path]
     files = [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *truth]
     scene = Scene(
         name=description.scene,
@@ -178,7 +179,7 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
 def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -> View:
     """A view without its thermal image and mask."""
     name = source.posed.name
-    depth, degC = (folder / truth / f"{name}.npy" for truth in ("depth", "temperature"))
+    degC = _truth(folder, TRUE, name)
     photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
@@ -186,9 +187,15 @@ def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -
         load_thermal=partial(_refuse, name),
         load_rgb=None if photo is None else partial(_load_rgb, photo),
         thermal_path=source.path,
-        true_depth_path=regular_file(depth) if is_there(depth) else None,
-        true_temperature_path=regular_file(degC) if is_there(degC) else None,
+        true_depth_path=_truth(folder, "depth", name),
+        load_true_temperature=None if degC is None else partial(read_map, degC, "map of temperatures"),
     )
+
+
+def _truth(folder: Path, kind: str, name: str) -> Path | None:
+    """File of what is known of a view of a made scene."""
+    path = folder / kind / f"{name}.npy"
+    return regular_file(path) if is_there(path) else None
 
 
 def _refuse(name: str) -> np.ndarray:

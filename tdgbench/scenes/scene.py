@@ -80,7 +80,7 @@ class View:
     thermal_path: Path | None = None
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
-    true_temperature_path: Path | None = None  # .npy (H, W), °C without errors of the camera; of synthetic scenes
+    load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of made scenes
 
     @cached_property
     def thermal(self) -> np.ndarray:
@@ -114,7 +114,7 @@ class View:
     @cached_property
     def true_depth(self) -> np.ndarray | None:
         """(H, W) float32, z in world units; None if unknown. Raises SceneError for a file that is no depth map."""
-        return None if self.true_depth_path is None else _read_map(self.true_depth_path, "depth map")
+        return None if self.true_depth_path is None else read_map(self.true_depth_path, "depth map")
 
     @cached_property
     def true_temperature(self) -> np.ndarray | None:
@@ -122,11 +122,11 @@ class View:
 
         Raises SceneError for a file that is no map of temperatures.
         """
-        path = self.true_temperature_path
-        return None if path is None else _read_map(path, "map of temperatures")
+        return None if self.load_true_temperature is None else self.load_true_temperature()
 
 
-def _read_map(path: Path, what: str) -> np.ndarray:
+def read_map(path: Path, what: str) -> np.ndarray:
+    """Finite numbers (H, W) of a .npy file. Raises SceneError, which says what they should be."""
     values = read_array(path)
     if values.ndim != 2 or not np.isfinite(values).all():
         raise SceneError(f"{path} is no {what}: it must hold finite numbers of shape (H, W)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,18 +28,18 @@ class Errors(NamedTuple):
     pattern: np.ndarray
 
 
-def truth_in_gauge(truth: CameraTruth, camera: ThermalCamera) -> Truth:
-    """The true response of the estimated camera's views, with mean offset 0 and mean gain 1 at its reference."""
-    true, views = truth.camera, truth.index(list(camera.views))
-    gains = true.gains[views]
-    offsets = true.offsets[views] + (gains - 1) * (camera.reference - true.reference) + true.vignette.mean()
+def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
+    """The true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
+    true, index = truth.camera, truth.index(list(views))
+    gains = true.gains[index]
+    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
     response = in_gauge(Response(offsets + true.pattern.mean(), gains))
     return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> Errors:
     """Errors of an estimate in °C."""
-    true = truth_in_gauge(truth, camera)
+    true = truth_in_gauge(truth, camera.views, camera.reference)
     height, width = true.vignette.shape
     return Errors(
         camera.offsets - true.response.offsets,

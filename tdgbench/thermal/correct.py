@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from typing import Literal
 
@@ -29,7 +30,8 @@ def corrected(scene: Scene, camera: ThermalCamera, test: TestViews = "as_is") ->
 
     test: what test views get. Their offsets and gains are unknown: `as_is` leaves them as they are, `shared` removes
     what the training views tell about all views, vignette and fixed pattern. The scene keeps its range; values outside
-    are clipped, and a note says how many. Raises SceneError for training views that the camera does not know.
+    are clipped, and a note says how many. Its fingerprint is another one, so that nothing made from its images before,
+    like depth priors, is taken for it. Raises SceneError for training views that the camera does not know.
     """
     unknown = [view.name for view in scene.train if view.name not in camera.views]
     if unknown:
@@ -50,8 +52,16 @@ def corrected(scene: Scene, camera: ThermalCamera, test: TestViews = "as_is") ->
         f"{clipped:.2%} of the corrected pixels are outside of the image's range and clipped",
     ]
     return replace(
-        scene, train=[_replaced(*one) for one in train], test=tested, notes=[*scene.notes, *notes]
+        scene, train=[_replaced(*one) for one in train], test=tested, notes=[*scene.notes, *notes],
+        fingerprint=_fingerprint(scene, camera, test),
     )  # fmt: skip
+
+
+def _fingerprint(scene: Scene, camera: ThermalCamera, test: TestViews) -> str:
+    digest = hashlib.sha256(f"{scene.fingerprint} {test} {camera.reference}".encode())
+    for array in (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows):
+        digest.update(b"none" if array is None else array.tobytes())
+    return digest.hexdigest()[: len(scene.fingerprint)]
 
 
 def _values(view: View, scene: Scene) -> np.ndarray:

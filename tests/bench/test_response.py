@@ -121,6 +121,9 @@ def test_facts_are_in_the_unit_of_the_scene(small_gray_scene):
     span = small_gray_scene.temperature.max - small_gray_scene.temperature.min
     assert isinstance(small_gray_scene.temperature, TemperatureRange)
     facts = refined_facts(camera, small_gray_scene)
-    assert facts["unit"] == "°C" and facts["offset_range"] == pytest.approx([-0.1 * span, 0.1 * span], abs=1e-4)
+    assert facts["unit"] == "°C" and facts["offsets"][:3] == pytest.approx([0.1 * span, -0.1 * span, 0], abs=1e-4)
+    assert facts["views"] == [view.name for view in small_gray_scene.train] and set(facts["gains"]) == {1.0}
+    at_reference = small_gray_scene.temperature.min + span * camera.reference
+    assert facts["reference"] == pytest.approx(at_reference, abs=1e-4) and len(facts["vignette"]) == len(TERMS)
     assert facts["offset_rms"] == pytest.approx(0.1 * span * np.sqrt(2 / len(small_gray_scene.train)), abs=1e-4)
     assert refined_facts(IdealCamera(), small_gray_scene) == {}

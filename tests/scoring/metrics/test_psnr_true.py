@@ -47,7 +47,7 @@ def test_views_that_drift_apart_are_worse(small_gray_scene):
 
 def test_it_is_not_measured_without_truth(small_gray_scene, small_scene):
     with pytest.raises(NotApplicableError, match="no true temperatures"):
-        unknown = [replace(view, true_temperature_path=None) for view in small_gray_scene.test]
+        unknown = [replace(view, load_true_temperature=None) for view in small_gray_scene.test]
         scores(replace(small_gray_scene, test=unknown), as_images(small_gray_scene))
     with pytest.raises(NotApplicableError, match="pseudo-colour"):
         scores(small_scene, {view.name: view.thermal for view in small_scene.test})

@@ -1,0 +1,95 @@
+"""A cell's thermal camera, as its record tells it, beside the true one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tdgbench.bench.record import Record
+from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.thermal.accuracy import truth_in_gauge
+from tdgbench.thermal.camera import Response, in_gauge
+from tdgbench.thermal.polynomials import TERMS, evaluate
+
+
+class Found(NamedTuple):
+    """Response of training views (V,) at a reference; coefficients (K,) of the vignette. In °C."""
+
+    views: list[str]
+    reference: float
+    response: Response
+    vignette: np.ndarray
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A found camera and the true one in its gauge: offsets and gains (V,), vignettes (H, W) in °C."""
+
+    scene: str
+    capture: str
+    method: str
+    camera: str
+    seed: int
+    views: list[str]
+    found: Response
+    true: Response
+    found_vignette: np.ndarray
+    true_vignette: np.ndarray
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Root mean square and largest errors."""
+        parts = {
+            "offset_degC": self.found.offsets - self.true.offsets, "gain": self.found.gains - self.true.gains,
+            "vignette_degC": self.found_vignette - self.true_vignette,
+        }  # fmt: skip
+        return {
+            f"{name}_{kind}": float(value)
+            for name, error in parts.items()
+            for kind, value in (("rms", np.sqrt(np.mean(error**2))), ("worst", np.abs(error).max()))
+        }
+
+
+def compare(record: Record, capture: str, camera: str, truth: CameraTruth) -> Comparison | None:
+    """The comparison of a cell; None where its scene has no temperatures, or the true camera stretches each image.
+
+    A cell whose camera is ideal is compared, too: its errors are the drift itself.
+    """
+    if record.temperature is None or truth.camera.limits is not None:
+        return None
+    found = _found(record) or _ideal(record, truth)
+    true = truth_in_gauge(truth, found.views, found.reference)
+    height, width = true.vignette.shape
+    return Comparison(
+        record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
+        true.response, evaluate(found.vignette, width, height), true.vignette,
+    )  # fmt: skip
+
+
+def _found(record: Record) -> Found | None:
+    """The camera that training assumed: that of the correction and what was refined after it."""
+    corrected = record.camera.get("estimated", {}) if record.setting("camera.estimate") else {}
+    parts = [_read(facts) for facts in (corrected, record.camera.get("refined", {})) if "offsets" in facts]
+    if not parts:
+        return None
+    first, rest = parts[0], parts[1:]
+    for second in rest:  # the view shows first(second(T)); vignettes are small beside the gains' 1
+        inner, shift = second.response, first.reference - second.reference
+        gains = first.response.gains * inner.gains
+        offsets = first.response.offsets + first.response.gains * (inner.offsets + (inner.gains - 1) * shift)
+        first = Found(first.views, first.reference, Response(offsets, gains), first.vignette + second.vignette)
+    return first
+
+
+def _read(facts: dict[str, Any]) -> Found:
+    arrays = {name: np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette")}
+    response = Response(arrays["offsets"], arrays["gains"])
+    return Found(list(facts["views"]), float(facts["reference"]), response, arrays["vignette"])
+
+
+def _ideal(record: Record, truth: CameraTruth) -> Found:
+    views = list(truth.names)
+    nothing = Response(np.zeros(len(views)), np.ones(len(views)))
+    return Found(views, truth.camera.reference, nothing, np.zeros(len(TERMS)))

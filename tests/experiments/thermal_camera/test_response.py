@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from tdgbench.bench.record import Record
+from tdgbench.experiments.thermal_camera.response import compare
+from tdgbench.scenes.synthetic import ThermalErrors
+from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.thermal.polynomials import TERMS
+
+NAMES = [f"view{index}" for index in range(12)]
+ERRORS = ThermalErrors(walk_degC=3.0, gain=0.05)
+
+
+def truth(**errors) -> CameraTruth:
+    camera = (ThermalErrors(**errors) if errors else ERRORS).drawn((40, 30), (10.0, 30.0), np.zeros(12), [0])
+    return CameraTruth(NAMES, camera)
+
+
+def record(estimate=True, **camera) -> Record:
+    return Record(
+        "splat", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], camera=camera,
+        config={"camera": {"estimate": estimate}},
+    )  # fmt: skip
+
+
+def facts(offsets, gains, reference=20.0, views=NAMES):
+    return {"views": views, "reference": reference, "offsets": list(offsets), "gains": list(gains),
+            "vignette": [0.0] * len(TERMS)}  # fmt: skip
+
+
+def test_a_camera_that_is_found_has_no_errors():
+    true = truth()
+    found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
+    errors = compare(record(estimated=found), "drift", "estimated", true).errors
+    assert max(errors.values()) < 1e-9
+
+
+def test_a_refined_camera_acts_before_the_correction():
+    """value = first(second(T)), each with a reference of its own."""
+    true = truth()
+    camera = true.camera
+    second = np.linspace(0.97, 1.03, 12)
+    first = camera.gains / second
+    shift, at = np.linspace(-0.4, 0.4, 12), 12.0
+    # camera: T → r + g (T − r) + o; with second: T → at + s (T − at) + shift, the first one does the rest
+    inner = at + second * (camera.reference - at) + shift
+    offsets = camera.reference + camera.offsets - (camera.reference + first * (inner - camera.reference))
+    one = record(estimated=facts(offsets, first, camera.reference), refined=facts(shift, second, at))
+    errors = compare(one, "drift", "both", true).errors
+    assert max(errors.values()) < 1e-9
+
+
+def test_an_estimate_that_was_not_used_does_not_count():
+    true = truth()
+    found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
+    one = compare(record(estimate=False, estimated=found), "drift", "refined", true)
+    assert one.errors["offset_degC_worst"] == pytest.approx(np.abs(one.true.offsets).max()) and one.views == NAMES
+
+
+def test_without_temperatures_there_is_nothing_to_compare():
+    one = record(estimated={"unknown": "no points"})
+    one.temperature = None
+    assert compare(one, "agc", "ideal", truth(encoding="agc")) is None

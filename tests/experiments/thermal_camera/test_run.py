@@ -1,0 +1,74 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from tdgbench.experiments.thermal_camera.run import ThermalCameraExperiment
+from tests.helpers.configs import config
+from tests.helpers.scenes import small_dataset
+
+SMALL = (
+    "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=2500",
+    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false",
+)  # fmt: skip
+FEW = ("~job.methods.tdg", "~job.methods.tdg_released", "~job.methods.msmg", "~job.captures.noise")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("thermal_camera")
+    cfg = config("+experiment=thermal_camera", *SMALL, *FEW, f"data.root={folder}", f"results={folder / 'results'}")
+    ThermalCameraExperiment().run(cfg)
+    return folder / "results" / "thermal_camera"
+
+
+def test_every_combination_has_a_row(finished):
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
+    assert list(table["capture"].unique()) == ["clean", "drift", "vignette", "agc"]
+    assert list(table["camera"].unique()) == ["ideal", "estimated", "refined", "both"] and len(table) == 16
+    assert table["psnr_true"].notna().all() and table["psnr_affine"].notna().all()
+    cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
+    assert len(cells) == 16 and list(cells["camera_seconds"] > 0) == list(cells["camera"] != "ideal")
+
+
+def test_parameters_are_compared_with_the_true_ones(finished):
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "camera"])
+    worst = table["offset_degC_worst"]
+    assert worst["drift", "ideal"] > 1 and worst["drift", "estimated"] < 0.1
+    assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
+    assert worst["clean", "estimated"] == pytest.approx(0, abs=1e-6)
+    assert np.isnan(worst["agc", "ideal"]) and np.isnan(table.loc[("agc", "ideal"), "mae_degC"])
+
+
+def test_a_clean_capture_has_the_same_result_with_every_camera(finished):
+    cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
+    clean = cells[cells["capture"] == "clean"]
+    assert clean["psnr_true"].nunique() == 1
+    assert clean[clean["camera"] == "refined"]["notes"].str.contains("nothing is refined").all()
+
+
+def test_pictures_and_page(finished):
+    for name in ("scores.png", "cameras.png"):
+        assert (finished / name).stat().st_size > 10_000
+    html = (finished / "thermal_camera.html").read_text()
+    assert html.count("data:image/png") == 2 and "<td>drift</td><td>splat</td><td>both</td>" in html
+
+
+def test_a_second_run_changes_nothing(finished, capsys):
+    before = (finished / "thermal_camera.csv").read_text()
+    root = finished.parents[1]
+    cfg = config("+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}")
+    ThermalCameraExperiment().run(cfg)
+    assert (finished / "thermal_camera.csv").read_text() == before
+    assert capsys.readouterr().err.count("done") == 0
+
+
+def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):
+    small_dataset(data_root).load("orbit")
+    only = [f"~job.cameras.{name}" for name in ("estimated", "refined", "both")] + ["~job.captures.agc"]
+    cfg = config(
+        "+experiment=thermal_camera", *FEW, *only, "budget=demo", "budget.iterations=4", "dataset=folder",
+        f"data.root={small_dataset(data_root).folder('orbit')}", "job.scenes=[null]", f"results={tmp_path}",
+    )  # fmt: skip
+    with pytest.raises(SystemExit):
+        ThermalCameraExperiment().run(cfg)
+    assert "pseudo-colour" in capsys.readouterr().out

@@ -1,0 +1,85 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hydra.utils import instantiate
+
+from tdgbench.bench.key import relevant_config
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.synthetic import ThermalErrors
+from tdgbench.scenes.synthetic.drifting import DriftingDataset, drifting
+from tests.helpers.configs import config
+from tests.helpers.scenes import small_dataset
+
+ERRORS = ThermalErrors(walk_degC=2.0, gain=0.05, vignette_degC=1.5)
+
+
+def in_degC(view, scene):
+    return scene.temperature.min + (scene.temperature.max - scene.temperature.min) * view.thermal[..., 0]
+
+
+def dataset(data_root, errors=ERRORS, **options) -> DriftingDataset:
+    return DriftingDataset(small_dataset(data_root), errors, **options)
+
+
+def test_every_view_shows_the_true_temperatures_with_the_camera_s_errors(data_root):
+    made = dataset(data_root)
+    scene, camera = made.load("turntable"), made.truth("turntable").camera
+    clean = small_dataset(data_root).load("turntable")
+    for index, (view, before) in enumerate(zip(scene.views, clean.views, strict=True)):
+        degC = in_degC(before, clean)
+        expected = camera.gains[index] * (degC - camera.reference) + camera.reference
+        expected += camera.offsets[index] + camera.vignette
+        assert in_degC(view, scene) == pytest.approx(expected, abs=1e-4)
+        assert np.array_equal(view.true_temperature, before.true_temperature)
+    values = np.array([view.thermal for view in scene.views])
+    assert values.min() > 0 and values.max() < 1 and np.ptp(camera.offsets) > 1
+
+
+def test_where_no_truth_is_known_the_given_images_are_it(data_root):
+    clean = small_dataset(data_root).load("turntable")
+    clean.train = [replace(view, load_true_temperature=None) for view in clean.train]
+    scene, _ = drifting(clean, ERRORS, 0)
+    assert scene.train[0].true_temperature == pytest.approx(in_degC(clean.train[0], clean), abs=1e-4)
+
+
+def test_another_seed_or_error_is_another_scene(data_root):
+    names = [{}, {"seed": 1}, {"noise_degC": 0.1}]
+    scenes = [dataset(data_root, **one).load("turntable") for one in names]
+    assert len({scene.fingerprint for scene in scenes}) == 3
+    assert dataset(data_root).outline("turntable").scene.fingerprint == scenes[0].fingerprint
+    assert not np.array_equal(scenes[0].train[0].thermal, scenes[1].train[0].thermal)
+    assert np.array_equal(dataset(data_root).load("turntable").train[0].thermal, scenes[0].train[0].thermal)
+
+
+def test_noise_is_that_asked_for(data_root):
+    quiet, noisy = (dataset(data_root, ThermalErrors(), noise_degC=noise).load("turntable") for noise in (0.0, 0.5))
+    pairs = zip(quiet.views, noisy.views, strict=True)
+    difference = np.concatenate([in_degC(b, noisy) - in_degC(a, quiet) for a, b in pairs])
+    assert difference.std() == pytest.approx(0.5, rel=0.03)
+
+
+def test_gain_control_loses_the_temperatures(data_root):
+    scene = dataset(data_root, replace(ERRORS, encoding="agc")).load("turntable")
+    assert scene.temperature is None and scene.train[0].true_temperature is not None
+    assert all(view.thermal.min() == 0 and view.thermal.max() == 1 for view in scene.views)
+    assert np.allclose(scene.train[0].thermal * 255, np.round(scene.train[0].thermal * 255), atol=1e-4)
+
+
+def test_what_has_no_temperatures_is_an_error(data_root):
+    with pytest.raises(SceneError, match="orbit has pseudo-colour"):
+        dataset(data_root).load("orbit")
+    scene = small_dataset(data_root).load("turntable")
+    with pytest.raises(SceneError, match=r"set data\.temperature=\[MIN,MAX\]"):
+        drifting(replace(scene, temperature=None), ERRORS, 0)
+
+
+def test_a_capture_is_read_with_the_options_of_dataset_folder(data_root):
+    folder = small_dataset(data_root).folder("turntable")
+    small_dataset(data_root).load("turntable")
+    cfg = config("dataset=drifting", f"data.root={folder}", "seed=3", "data.width=24", "method=splat")
+    scene = instantiate(cfg.dataset.loader).load(None)
+    assert scene.train[0].thermal.shape == (18, 24, 1) and scene.temperature.max > 42
+    other = config("dataset=drifting", "data.root=elsewhere", "seed=3", "data.width=24", "method=splat")
+    method = instantiate(cfg.method.method)
+    assert relevant_config(cfg, method) == relevant_config(other, method)
