@@ -28,6 +28,15 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
         "job.budgets.short.iterations=12",
         "job.budgets.lean.iterations=12",
     ),
+    "thermal_camera": (
+        "~job.methods.tdg",
+        "~job.methods.tdg_released",
+        "~job.methods.msmg",
+        "~job.captures.noise",
+        "~job.captures.agc",
+        "budget=demo",
+        "budget.iterations=12",
+    ),
     "error_time": ("job.parts=[growth]", "job.largest=1600", "job.width=48", "job.height=36", "job.repetitions=1"),
 }
 

@@ -52,7 +52,7 @@ class Refinement:
         return float(self.final ** min(progress, 1.0))
 
     def of_the_rest(self, progress: float) -> float:
-        """Factor of the rates of gains and vignette. While the scene lacks its background, they would stand for it."""
+        """Factor of the rates of gains and vignette."""
         since = (progress - self.offsets_alone) / (1 - self.offsets_alone)
         return self.slowdown(since) if since >= 0 else 0.0
 
