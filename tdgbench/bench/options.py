@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFl
 
 from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, not_finite, signature_problems
 from tdgbench.bench.suggest import choices, option_meant
+from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
 from tdgbench.training.skips.registry import find_skips
 
@@ -181,6 +182,11 @@ class _Data(_Group):
     fillers: Any
 
 
+class _Contrast(_Group):
+    training: Contrast
+    prior: Contrast
+
+
 class _Options(_Group):
     """`conf/config.yaml`."""
 
@@ -193,6 +199,7 @@ class _Options(_Group):
     metrics: dict[str, Any]
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
     camera: _Camera
+    contrast: _Contrast
     log: _Log
     job: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]

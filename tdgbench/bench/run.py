@@ -125,7 +125,8 @@ class CellRun(SetupObserver):
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
         )  # fmt: skip
-        self.scene = training.context.scene  # its training views may be corrected
+        self.scene = training.context.scene  # its thermal images may be changed
+        self._describe_images()
         if self.cfg.ceiling:
             with self.stage("ceiling"):
                 self._estimate_ceiling()
@@ -221,12 +222,22 @@ class CellRun(SetupObserver):
         """Put facts about the scene, its metrics and its backend into the record."""
         record, scene = self.record, self.scene
         record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
-        span = scene.temperature
-        record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
         record.convention = self.scorer.convention
         record.views = {"train": len(scene.train), "test": len(scene.test)}
         if self.cfg.backend.name == "auto" and auto().line:
             record.notes.append(f"backend: {auto().line}")
+
+    def _describe_images(self) -> None:
+        """Put what is known of the images that are trained on and scored into the record."""
+        span, contrast = self.scene.temperature, self.cfg.contrast
+        self.record.temperature = None if span is None or self.scene.channels != 1 else [span.min, span.max]
+        if contrast.training != "none":
+            self.record.notes.append(
+                f"contrast: images are trained on and scored with contrast.training={contrast.training}"
+            )
+        if self.method.needs_prior and contrast.prior != "none" and self.cfg.prior.get("made_from") != "thermal images":
+            name = self.cfg.prior.name
+            self.record.notes.append(f"contrast: contrast.prior does nothing, as {name} is not made from images")
 
     def _describe_training(self, training: Training) -> None:
         """Put facts about the finished training into the record."""

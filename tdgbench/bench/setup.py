@@ -15,6 +15,7 @@ from tdgbench.bench.init import InitialPoints
 from tdgbench.bench.response import Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.thermal.contrast import with_contrast
 from tdgbench.training.camera import CameraOptions
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
@@ -58,7 +59,7 @@ def set_up(
     observer: SetupObserver | None = None,
     compiles: bool = True,
 ) -> Training:
-    """Make a method ready to train on a scene; with `camera=estimated` its training views are corrected first.
+    """Make a method ready to train on a scene, whose thermal images are changed first by `camera` and `contrast`.
 
     method: instance to set up, by default the configured one. skips: by default all are allowed. prior_cache: folder
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
@@ -75,7 +76,9 @@ def set_up(
         with observer.stage("camera"):
             scene, camera, facts, notes = prepare(scene, camera)
         observer.note_camera(facts, notes)
-    priors = _estimate_priors(cfg, scene, skips, prior_cache, observer) if method.needs_prior else {}
+    given = with_contrast(scene, cfg.contrast.prior) if method.needs_prior else scene
+    priors = _estimate_priors(cfg, given, skips, prior_cache, observer) if method.needs_prior else {}
+    scene = with_contrast(scene, cfg.contrast.training)
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)

@@ -1,0 +1,145 @@
+"""Contrast of thermal images: what is done to all of a scene's images before training, or before depth is estimated.
+
+TDg names temporally consistent normalisation and CLAHE as future work. `percentile`, `clahe` and `bbhe` look at each
+image alone, `sequence` and `cdf` at the training views together. All but `sequence` lose the temperatures.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
+from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.options import Contrast
+from tdgbench.text import some
+
+TAILS = (1.0, 99.0)  # percentiles that become 0 and 1
+CLIP_LIMIT = 0.01  # of CLAHE, scikit-image's default: share of a tile's pixels in one bin
+BINS = 256  # of the histograms
+QUANTILES = np.linspace(0, 1, BINS + 1)
+SMALLEST = 1e-6  # image values; a smaller range is not stretched
+Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]  # image (H, W) and its valid values (N,), to an image (H, W)
+
+
+def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
+    """The scene with another contrast in all its thermal images, of training and test views alike.
+
+    Masked pixels have no part in it. The scene has a fingerprint of its own, and temperatures only where the contrast
+    keeps them. Raises SceneError for images in pseudo-colour.
+    """
+    if contrast == "none":
+        return scene
+    colored = [view.name for view in scene.views if not is_gray(view.thermal)]
+    if colored:
+        raise SceneError(
+            f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose channels are no contrast; give "
+            "gray images, or contrast.training=none contrast.prior=none"
+        )
+    temperature = None
+    if contrast == "sequence":
+        low, high = _common_tails(scene.train)
+        curve: Curve = _stretch(low, high)
+        if scene.temperature is not None:
+            zero, span = scene.temperature.min, scene.temperature.max - scene.temperature.min
+            temperature = TemperatureRange(zero + span * low, zero + span * high)
+    elif contrast == "cdf":
+        curve = _to_quantiles(midway([_values(view) for view in scene.train]))
+    else:
+        curve = {"percentile": _percentile, "clahe": _clahe, "bbhe": _bbhe}[contrast]
+
+    def changed(view: View) -> View:
+        return replace(view, load_thermal=lambda: _changed(view, curve))
+
+    digest = hashlib.sha256(f"{scene.fingerprint} contrast {contrast}".encode()).hexdigest()
+    return replace(
+        scene, train=[changed(view) for view in scene.train], test=[changed(view) for view in scene.test],
+        temperature=temperature, fingerprint=digest[: len(scene.fingerprint)],
+    )  # fmt: skip
+
+
+def _changed(view: View, curve: Curve) -> np.ndarray:
+    """(H, W, C) float32 in [0, 1]; 0 at masked pixels. A view without a valid pixel stays as it is."""
+    values = _values(view)
+    if not values.size:
+        return view.thermal
+    image = curve(view.thermal.mean(axis=2, dtype=np.float64), values).clip(0, 1)
+    if view.valid is not None:
+        image = np.where(view.valid, image, 0.0)
+    return np.repeat(image.astype(np.float32)[..., None], view.thermal.shape[2], axis=2)
+
+
+def _values(view: View) -> np.ndarray:
+    """Valid values (N,)."""
+    image = view.thermal.mean(axis=2, dtype=np.float64)
+    return image.ravel() if view.valid is None else image[view.valid]
+
+
+def _common_tails(views: Sequence[View]) -> tuple[float, float]:
+    values = np.concatenate([_values(view) for view in views])
+    low, high = np.percentile(values, TAILS)
+    return float(low), max(float(high), float(low) + SMALLEST)
+
+
+def _stretch(low: float, high: float) -> Curve:
+    return lambda image, _: (image - low) / (high - low)
+
+
+def _percentile(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+    low, high = np.percentile(values, TAILS)
+    return (image - low) / max(high - low, SMALLEST)
+
+
+def _clahe(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Contrast-limited adaptive histogram equalisation (Zuiderveld 1994), by scikit-image.
+
+    Values beyond those of valid pixels, which are masked, count as the nearest valid ones.
+    """
+    from skimage.exposure import equalize_adapthist  # here, as it takes a third of a second to import
+
+    low, high = float(values.min()), float(values.max())
+    if high - low < SMALLEST:
+        return image
+    equalized: np.ndarray = equalize_adapthist((image.clip(low, high) - low) / (high - low), clip_limit=CLIP_LIMIT)
+    return equalized
+
+
+def _bbhe(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Brightness-preserving bi-histogram equalisation (Kim 1997): values below and above the mean apart.
+
+    Each part is spread over the range between the ends of the image's values and their mean.
+    """
+    low, mean, high = float(values.min()), float(values.mean()), float(values.max())
+    below, above = values[values <= mean], values[values > mean]
+    dark = _equalized(image, below, low, mean)
+    return np.where(image <= mean, dark, _equalized(image, above, mean, high)) if above.size else dark
+
+
+def _equalized(image: np.ndarray, values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Image values by the share of the values below them, from `low` to `high`."""
+    counts, edges = np.histogram(values, BINS, (low, max(high, low + SMALLEST)))
+    shares = np.concatenate([[0], np.cumsum(counts)]) / counts.sum()
+    return low + (high - low) * np.interp(image, edges, shares)
+
+
+def midway(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Quantiles (BINS + 1,) that lie midway between those of several images' values (Delon 2004): their mean.
+
+    >>> midway([np.array([0.0, 0.2]), np.array([0.4, 0.6])])[[0, -1]].tolist()
+    [0.2, 0.4]
+    """
+    return np.mean([np.quantile(one, QUANTILES) for one in values if one.size], axis=0)
+
+
+def _to_quantiles(target: np.ndarray) -> Curve:
+    """Gives each image the quantiles `target`: histograms become alike over time."""
+
+    def curve(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+        own = np.quantile(values, QUANTILES)
+        rising = np.concatenate([[True], np.diff(own) > 0])  # equal quantiles, of a flat area, become one
+        return np.interp(image, own[rising], target[rising])
+
+    return curve

@@ -1,0 +1,44 @@
+import pytest
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import read_all
+from tdgbench.verify import verify
+from tests.helpers.configs import SMALL, config
+
+
+@pytest.fixture
+def record_of(data_root, tmp_path):
+    def run(*overrides):
+        cfg = config(
+            *SMALL, "budget=demo", "budget.iterations=30", "scene=turntable", f"data.root={data_root}",
+            f"results={tmp_path}", *overrides,
+        )  # fmt: skip
+        outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 30))
+        assert outcome.status == "ok", outcome
+        (record,) = read_all(tmp_path / "single")
+        assert verify(tmp_path / "single") == (1, [])
+        return record
+
+    return run
+
+
+def test_training_and_test_images_are_changed(record_of):
+    before = record_of("method=splat")
+    after = record_of("method=splat", "contrast.training=clahe")
+    assert after.key != before.key and after.scores["psnr"] != before.scores["psnr"]
+    assert before.temperature and after.temperature is None and after.scores["mae_degC"] is None
+    assert "contrast: images are trained on and scored with contrast.training=clahe" in after.notes
+    kept = record_of("method=splat", "contrast.training=sequence")
+    assert kept.temperature is not None and kept.scores["mae_degC"] is not None
+
+
+def test_the_prior_s_images_are_changed_alone(record_of):
+    plain, changed = (record_of("method=tdg", "prior=synthetic", *more) for more in ([], ["contrast.prior=cdf"]))
+    assert changed.key != plain.key and changed.temperature == plain.temperature
+    assert "contrast: contrast.prior does nothing, as synthetic is not made from images" in changed.notes
+
+
+def test_a_method_without_prior_does_not_depend_on_its_contrast(record_of):
+    assert record_of("method=splat").key == record_of("method=splat", "contrast.prior=cdf", "overwrite=always").key
