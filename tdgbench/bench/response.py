@@ -61,7 +61,7 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
         "unit": unit, "terms": list(camera.refinement.terms),
         **_numbers(
             camera.names, scale * camera.reference + zero, scale * camera.offsets, camera.gains,
-            scale * camera.vignette.values[0].numpy(),
+            scale * camera.vignette.values[0],
         ),
     }  # fmt: skip
 

@@ -16,7 +16,7 @@ from tdgbench.bench.response import Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal.contrast import with_contrast
-from tdgbench.training.camera import CameraOptions
+from tdgbench.training.camera import CameraOptions, RefinedCamera
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -89,7 +89,8 @@ def set_up(
         with observer.stage("compile"):
             channels = {scene.channels, *([3] if method.needs_rgb else [])}
             masked = any(view.valid is not None for view in scene.train)
-            compile_kernels(channels, budget, backend, masked)
+            responds = isinstance(context.camera, RefinedCamera)
+            compile_kernels(channels, budget, backend, masked=masked, responds=responds)
     return Training(method, context)
 
 

@@ -105,7 +105,7 @@ class RefinedCamera(IdealCamera):
         self.names = list(dict.fromkeys(view.name for view in views))
         self._index = {name: index for index, name in enumerate(self.names)}
         later = {view.name for view in held}
-        self.is_first = torch.tensor([name not in later for name in self.names])
+        self.is_first = np.array([name not in later for name in self.names])
         self.reference = _mean_value(views)
         self.views = _Learned(len(self.names), 2)  # offset, gain − 1
         self.vignette = _Learned(1, len(TERMS))
@@ -114,22 +114,22 @@ class RefinedCamera(IdealCamera):
     @property
     def offsets(self) -> np.ndarray:
         """(V,) image values, at the reference."""
-        return self.views.values[:, 0].numpy().copy()
+        return self.views.values[:, 0].copy()
 
     @property
     def gains(self) -> np.ndarray:
         """(V,)."""
-        return 1.0 + self.views.values[:, 1].numpy()
+        return 1.0 + self.views.values[:, 1]
 
     def map(self, width: int, height: int) -> np.ndarray:
         """Vignette (height, width) of an image, image values."""
-        return evaluate(self.vignette.values[0].numpy(), width, height)
+        return evaluate(self.vignette.values[0], width, height)
 
     def show(self, view: View, image: Tensor) -> Tensor:
         index = self._index[view.name]
         if not self.is_first[index] and not self.views.steps[index]:
             response = self._fitted(view, image.detach())
-            self.views.values[index] = torch.tensor([response.offset, response.gain - 1.0], dtype=torch.float64)
+            self.views.values[index] = response.offset, response.gain - 1.0
         return shown(image, self._response(index), lambda sums: self._pending.append(_Gradient(index, sums)))
 
     @torch.no_grad()
@@ -152,17 +152,14 @@ class RefinedCamera(IdealCamera):
         progress = iteration / self.iterations
         offset, rest = slowdown * rules.slowdown(progress), slowdown * rules.of_the_rest(progress)
         learned = {name: float(name in rules.terms) for name in ALL_TERMS}
-        rates = torch.tensor(
-            [learned["offsets"] * offset * rules.offset_rate, learned["gains"] * rest * rules.gain_rate],
-            dtype=torch.float64,
-        )
-        of_vignette = torch.tensor(learned["vignette"] * rest * rules.vignette_rate, dtype=torch.float64)
+        rates = np.array([learned["offsets"] * offset * rules.offset_rate, learned["gains"] * rest * rules.gain_rate])
+        of_vignette = np.full(len(TERMS), learned["vignette"] * rest * rules.vignette_rate)
         for index, sums in pending:
-            self.views.step(index, torch.tensor([sums.offset, sums.gain], dtype=torch.float64), rates, rules.decay)
-            if of_vignette > 0:
-                self.vignette.step(0, sums.vignette, of_vignette, rules.decay)
+            self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
+            if of_vignette[0] > 0:
+                self.vignette.step(0, sums.vignette.numpy(), of_vignette, rules.decay)
         first = self.is_first
-        self.views.values[first] -= self.views.values[first].mean(dim=0)
+        self.views.values[first] -= self.views.values[first].mean(axis=0)
 
     def state_dict(self) -> dict[str, Any]:
         return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict()}
@@ -173,11 +170,11 @@ class RefinedCamera(IdealCamera):
 
     def _response(self, index: int) -> Response:
         offset, gain = self.views.values[index].tolist()
-        return Response(offset, 1.0 + gain, self.reference, self.vignette.values[0])
+        return Response(offset, 1.0 + gain, self.reference, torch.from_numpy(self.vignette.values[0]))
 
     def _fitted(self, view: View, image: Tensor) -> Response:
         """The response with the gain and offset that fit a view best, and the vignette so far."""
-        ideal = Response(0.0, 1.0, self.reference, self.vignette.values[0])
+        ideal = Response(0.0, 1.0, self.reference, torch.from_numpy(self.vignette.values[0]))
         if "offsets" not in self.refinement.terms:
             return ideal
         target = torch.from_numpy(view.thermal).to(image)
@@ -186,29 +183,31 @@ class RefinedCamera(IdealCamera):
 
 
 class _Learned:
-    """Rows (R, P) of parameters that start at 0, with Adam's moments; a step moves one row."""
+    """Rows (R, P) of parameters that start at 0, with Adam's moments, float64; a step moves one row."""
 
     def __init__(self, rows: int, parameters: int) -> None:
-        self.values, self._first, self._second = torch.zeros(3, rows, parameters, dtype=torch.float64)
-        self.steps = torch.zeros(rows, dtype=torch.int64)
+        self.values, self._first, self._second = np.zeros((3, rows, parameters))
+        self.steps = np.zeros(rows, np.int64)
 
-    def step(self, row: int, gradient: Tensor, rates: Tensor, decay: float) -> None:
-        """Adam's step of a row by its gradient (P,), with rates (P,) or (), and decoupled decay."""
+    def step(self, row: int, gradient: np.ndarray, rates: np.ndarray, decay: float) -> None:
+        """Adam's step of a row by its gradient (P,), with rates (P,), and decoupled decay."""
         self.steps[row] += 1
         count = int(self.steps[row])
         values, first, second = self.values[row], self._first[row], self._second[row]
-        first.lerp_(gradient, 1 - BETA1)
-        second.lerp_(gradient.square(), 1 - BETA2)
-        size = (second / (1 - BETA2**count)).sqrt_().add_(EPS)
-        values.mul_(1 - decay * rates).sub_(rates * first / (1 - BETA1**count) / size)
+        first += (1 - BETA1) * (gradient - first)
+        second += (1 - BETA2) * (gradient**2 - second)
+        size = np.sqrt(second / (1 - BETA2**count)) + EPS
+        values *= 1 - decay * rates
+        values -= rates * first / (1 - BETA1**count) / size
 
     def state_dict(self) -> dict[str, Any]:
-        return {"values": self.values, "first": self._first, "second": self._second, "steps": self.steps}
+        arrays = {"values": self.values, "first": self._first, "second": self._second, "steps": self.steps}
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         for mine, name in ((self.values, "values"), (self._first, "first"), (self._second, "second")):
-            mine.copy_(saved[name])
-        self.steps.copy_(saved["steps"])
+            mine[:] = saved[name].numpy()
+        self.steps[:] = saved["steps"].numpy()
 
 
 def camera_of(scene: Scene, options: CameraOptions, iterations: int, held: Sequence[View]) -> IdealCamera:

@@ -1,7 +1,7 @@
 """Response of a thermal camera to a rendered image, with its gradients in closed form.
 
 The vignette is a sum of products of polynomials in x and y. So its map, and the sums of an image's gradient with all of
-them, are two small matrix products each; everything else is one pass over the image.
+them, need a few numbers for each row and column. Fused kernels compute those of float32 on the CPU, torch the others.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import torch
 from numpy.polynomial.legendre import legvander
 from torch import Tensor
 
+from tdgbench.splats.cpu.losses.response import respond, respond_backward
 from tdgbench.thermal.polynomials import DEGREE, TERMS
 
 MOST_SIZES = 64  # of images, whose polynomials are kept
@@ -49,24 +50,51 @@ class Response:
 
     def of(self, image: Tensor) -> Tensor:
         """What the camera shows of an image (H, W, C), the same response in all channels."""
-        return torch.add(self.added(image)[..., None], image, alpha=self.gain)
+        if not is_fast(image):
+            return torch.add(self.added(image)[..., None], image, alpha=self.gain)
+        height, width, channels = image.shape
+        polynomials = _polynomials(width, height, image.dtype, image.device)
+        rows = (polynomials.down @ self._weights(polynomials.means).to(image)).numpy()
+        shown = respond(flat_rows(image), self.gain, rows, _columns(width, height, channels))
+        return torch.from_numpy(shown).view(image.shape)
 
     def added(self, image: Tensor) -> Tensor:
         """What is added to gain · T in an image of this size, (H, W)."""
         across, down, means = _polynomials(image.shape[1], image.shape[0], image.dtype, image.device)
+        return down @ self._weights(means).to(image) @ across.T
+
+    def _weights(self, means: Tensor) -> Tensor:
+        """Weights of the products of polynomials in what is added, by the degrees in y and x; the first is constant."""
         weights = torch.zeros(DEGREE + 1, DEGREE + 1, dtype=torch.float64)
         weights[DOWN, ACROSS] = self.vignette
-        constant = self.offset + (1 - self.gain) * self.reference - float((weights * means).sum())
-        return (down @ weights.to(image) @ across.T).add_(constant)
+        weights[0, 0] = self.offset + (1 - self.gain) * self.reference - float((weights * means).sum())
+        return weights
 
-    def gradient(self, image: Tensor, grad: Tensor) -> Sums:
-        """Sums for the gradient (H, W, C) of a loss by what is shown of an image (H, W, C)."""
-        across, down, means = _polynomials(image.shape[1], image.shape[0], image.dtype, image.device)
-        flat = grad[..., 0] if grad.shape[2] == 1 else grad.sum(dim=2)
-        total = float(flat.sum())
-        by_degrees = (down.T @ (flat @ across)).to("cpu", torch.float64) - total * means
-        by_gain = float((grad * image).sum()) - self.reference * total
-        return Sums(total, by_gain, by_degrees[DOWN, ACROSS])
+    def gradient(self, image: Tensor, grad: Tensor) -> tuple[Tensor, Sums]:
+        """Gradient by an image (H, W, C), and sums, for the gradient (H, W, C) of a loss by what is shown of it."""
+        height, width, channels = image.shape
+        across, down, means = _polynomials(width, height, image.dtype, image.device)
+        if is_fast(image) and is_fast(grad):
+            columns = _columns(width, height, channels)
+            by_image, sums = respond_backward(flat_rows(image), flat_rows(grad), self.gain, columns)
+            result = torch.from_numpy(by_image).view(image.shape)
+            total, by_value = float(sums[:, 0].sum()), float(sums[:, -1].sum())
+            by_degrees = down.double().T @ torch.from_numpy(sums[:, :-1])
+        else:
+            flat = grad[..., 0] if channels == 1 else grad.sum(dim=2)
+            result, total, by_value = self.gain * grad, float(flat.sum()), float((grad * image).sum())
+            by_degrees = (down.T @ (flat @ across)).to("cpu", torch.float64)
+        return result, Sums(total, by_value - self.reference * total, (by_degrees - total * means)[DOWN, ACROSS])
+
+
+def is_fast(image: Tensor) -> bool:
+    """Whether kernels compute the response to an image."""
+    return image.device.type == "cpu" and image.dtype == torch.float32
+
+
+def flat_rows(image: Tensor) -> np.ndarray:
+    """An image (H, W, C) as the kernels take it, (H, W · C)."""
+    return np.ascontiguousarray(image.detach().numpy()).reshape(image.shape[0], -1)
 
 
 def shown(image: Tensor, response: Response, collect: Callable[[Sums], None]) -> Tensor:
@@ -110,8 +138,16 @@ class _Shown(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad):
         (image,) = ctx.saved_tensors
-        ctx.collect(ctx.response.gradient(image, grad))
-        return ctx.response.gain * grad, None, None
+        by_image, sums = ctx.response.gradient(image, grad)
+        ctx.collect(sums)
+        return by_image, None, None
+
+
+@lru_cache(maxsize=MOST_SIZES)
+def _columns(width: int, height: int, channels: int) -> np.ndarray:
+    """The polynomials at an image's columns, as the kernels take them: (DEGREE + 1, W · C)."""
+    across = _polynomials(width, height, torch.float32, torch.device("cpu")).across.numpy()
+    return np.ascontiguousarray(across.T.repeat(channels, axis=1))
 
 
 @lru_cache(maxsize=MOST_SIZES)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tdgbench.splats.cpu import pool
 from tdgbench.thermal.polynomials import TERMS, evaluate
 from tdgbench.training.response import Response, Sums, best_fit, shown
 
@@ -54,9 +55,11 @@ def test_gradients_are_those_of_finite_differences(size):
     assert float(leaf.grad[3, 5, -1]) == pytest.approx(by_pixel, rel=1e-6)
 
 
-def test_sums_in_float32_are_those_in_float64():
-    image, grad, one = random(0, 120, 160, 1), random(1, 120, 160, 1) - 0.5, response()
-    exact, single = one.gradient(image, grad), one.gradient(image.float(), grad.float())
+@pytest.mark.parametrize("size", [(120, 160, 1), (31, 45, 3)])
+def test_kernels_in_float32_are_torch_in_float64(size):
+    image, grad, one = random(0, *size), random(1, *size) - 0.5, response()
+    (by_image, exact), (fast, single) = one.gradient(image, grad), one.gradient(image.float(), grad.float())
+    assert torch.allclose(fast, by_image.float(), atol=1e-6)
     assert single.offset == pytest.approx(exact.offset, abs=1e-2)
     assert single.gain == pytest.approx(exact.gain, abs=1e-2)
     assert torch.allclose(single.vignette, exact.vignette, atol=2e-2)
@@ -80,3 +83,14 @@ def test_no_fit_turns_hot_into_cold_and_an_image_of_one_value_has_no_gain():
     assert best_fit(image, -image, None, ideal).gain == 0.0
     flat = best_fit(torch.full((8, 8, 1), 0.25), torch.full((8, 8, 1), 0.5), None, ideal)
     assert (flat.gain, flat.offset) == (1.0, pytest.approx(0.25))
+
+
+def test_the_kernels_give_the_same_bytes_on_any_number_of_threads():
+    image, grad, one = random(0, 37, 29, 1).float(), random(1, 37, 29, 1).float(), response()
+    found = []
+    for threads in (1, 2, 5):
+        pool.set_threads(threads)
+        by_image, sums = one.gradient(image, grad)
+        found.append([one.of(image), by_image, torch.tensor([sums.offset, sums.gain, *sums.vignette])])
+    pool.set_threads(None)
+    assert all(torch.equal(a, b) for other in found[1:] for a, b in zip(found[0], other, strict=True))
