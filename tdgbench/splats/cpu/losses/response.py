@@ -18,6 +18,7 @@ F, U = np.float32, np.uint64
 ZERO = F(0)
 TERMS = 5  # rows of `columns`; the first is 1 everywhere
 SUMS = TERMS + 1
+VALUES_OF_A_THREAD = 2**17  # for fewer, to wake another thread takes longer than the work
 
 
 def respond(image: np.ndarray, gain: float, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -42,7 +43,8 @@ def respond_backward(
 
 
 def _bands(image: np.ndarray) -> list[tuple[int, int]]:
-    return pool.chunks(len(image), min(len(image), pool.get_threads()))
+    worth = max(1, image.size // VALUES_OF_A_THREAD)
+    return pool.chunks(len(image), min(len(image), pool.get_threads(), worth))
 
 
 @kernel()
