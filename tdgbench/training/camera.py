@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import Field, NonNegativeFloat
+from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
 from tdgbench.scenes import Scene, View
@@ -26,35 +26,37 @@ from tdgbench.thermal.polynomials import TERMS, evaluate
 from tdgbench.training.response import Response, Sums, best_fit, shown
 
 BETA1, BETA2, EPS = 0.9, 0.99, 1e-15  # of Adam; a view is seen rarely, so that 3DGS's β2 would forget too slowly
-Share = Annotated[float, Field(gt=0, le=1)]
 Term = Literal["vignette", "offsets", "gains"]
 ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """What is learned of a camera, and Adam's learning rates, which fall log-linearly over the training."""
+    """What is learned of a camera, and Adam's learning rates, which fall with the rounds of all views.
+
+    A rate is 1 / (1 + rounds / half) of its start: trainings of any length average over what they have seen.
+    """
 
     offset_rate: NonNegativeFloat  # image values, at the start
     gain_rate: NonNegativeFloat  # after `offsets_alone`
     vignette_rate: NonNegativeFloat  # image values, standard deviation over the image; after `offsets_alone`
-    offsets_alone: Annotated[float, Field(ge=0, lt=1)]  # share of the training before gains and vignette are learned
-    final: Share  # of the rates, at the end
+    offsets_alone: NonNegativeFloat  # rounds before gains and vignette are learned
+    half: PositiveFloat  # rounds after which a rate is half of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
 
-    def slowdown(self, progress: float) -> float:
-        """Factor of the rates when a share of the training is over.
+    def rate(self, term: Term, rounds: float) -> float:
+        """Learning rate of a term after so many rounds.
 
-        >>> round(Refinement(0.02, 0.02, 0.0005, offsets_alone=0.5, final=0.01, decay=0.0).slowdown(0.5), 6)
-        0.1
+        >>> rules = Refinement(0.02, 0.02, 0.0005, offsets_alone=20, half=10, decay=0.0)
+        >>> rules.rate("offsets", 10), rules.rate("gains", 10), rules.rate("gains", 30)
+        (0.01, 0.0, 0.01)
         """
-        return float(self.final ** min(progress, 1.0))
-
-    def of_the_rest(self, progress: float) -> float:
-        """Factor of the rates of gains and vignette."""
-        since = (progress - self.offsets_alone) / (1 - self.offsets_alone)
-        return self.slowdown(since) if since >= 0 else 0.0
+        since = rounds if term == "offsets" else rounds - self.offsets_alone
+        if term not in self.terms or since < 0:
+            return 0.0
+        start = {"offsets": self.offset_rate, "gains": self.gain_rate, "vignette": self.vignette_rate}[term]
+        return start / (1 + since / self.half)
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class IdealCamera:
         """`show` without a gradient, and without effect on training; also for views that are held out."""
         return image
 
-    def step(self, iteration: int, slowdown: float = 1.0) -> None:
-        """Improve the camera after the backward pass of an iteration (1-based). slowdown: factor of all rates."""
+    def step(self, slowdown: float = 1.0) -> None:
+        """Improve the camera after a backward pass. slowdown: factor of all rates."""
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
@@ -98,10 +100,10 @@ class _Gradient(NamedTuple):
 class RefinedCamera(IdealCamera):
     """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU."""
 
-    def __init__(self, views: Sequence[View], refinement: Refinement, iterations: int, held: Sequence[View]) -> None:
+    def __init__(self, views: Sequence[View], refinement: Refinement, held: Sequence[View]) -> None:
         """views: of the training, `held` of which are not trained on at first."""
         super().__init__()
-        self.refinement, self.iterations = refinement, iterations
+        self.refinement = refinement
         self.names = list(dict.fromkeys(view.name for view in views))
         self._index = {name: index for index, name in enumerate(self.names)}
         later = {view.name for view in held}
@@ -138,7 +140,7 @@ class RefinedCamera(IdealCamera):
         response = self._response(index) if self.views.steps[index] else self._fitted(view, image)
         return response.of(image)
 
-    def step(self, iteration: int, slowdown: float = 1.0) -> None:
+    def step(self, slowdown: float = 1.0) -> None:
         """Raises RuntimeError if no training view was shown so far: the method does not use the camera."""
         pending, self._pending = self._pending, []
         if not pending:
@@ -148,12 +150,9 @@ class RefinedCamera(IdealCamera):
                     "model.show(view), or set camera=ideal"
                 )
             return
-        rules = self.refinement
-        progress = iteration / self.iterations
-        offset, rest = slowdown * rules.slowdown(progress), slowdown * rules.of_the_rest(progress)
-        learned = {name: float(name in rules.terms) for name in ALL_TERMS}
-        rates = np.array([learned["offsets"] * offset * rules.offset_rate, learned["gains"] * rest * rules.gain_rate])
-        of_vignette = np.full(len(TERMS), learned["vignette"] * rest * rules.vignette_rate)
+        rules, rounds = self.refinement, float(self.views.steps.mean())
+        rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
+        of_vignette = np.full(len(TERMS), slowdown * rules.rate("vignette", rounds))
         for index, sums in pending:
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
             if of_vignette[0] > 0:
@@ -210,7 +209,7 @@ class _Learned:
         self.steps[:] = saved["steps"].numpy()
 
 
-def camera_of(scene: Scene, options: CameraOptions, iterations: int, held: Sequence[View]) -> IdealCamera:
+def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> IdealCamera:
     """The camera that a training of a scene uses. held: training views that are not trained on at first."""
     if options.refine is None:
         return IdealCamera()
@@ -220,7 +219,7 @@ def camera_of(scene: Scene, options: CameraOptions, iterations: int, held: Seque
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
             "give gray images, or data.thermal=radiometric"
         )
-    return RefinedCamera(scene.train, options.refine, iterations, held)
+    return RefinedCamera(scene.train, options.refine, held)
 
 
 def _mean_value(views: Sequence[View]) -> float:

@@ -190,7 +190,7 @@ class SplatModel:
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
         if views:
-            self.camera.step(iteration, self.optimizer.slowdown)
+            self.camera.step(self.optimizer.slowdown)
         bad = None
         if gradients is not None and not change.densified:
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)

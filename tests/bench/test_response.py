@@ -20,7 +20,7 @@ STILL = (
     "dataset.loader.points=2500", "dataset.loader.errors.camera.encoding=degC",
 )  # fmt: skip
 DRIFT = (*STILL, "dataset.loader.errors.camera.walk_degC=4", "dataset.loader.errors.camera.shutter_views=6")
-REFINE = Refinement(0.02, 0.02, 0.0005, 0.5, 0.01, 0.01)
+REFINE = Refinement(0.02, 0.02, 0.0005, 20, 10, 0.01)
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_a_capture_without_points_is_refined_with_a_note(record_of, tmp_path, mo
 
 def test_facts_are_in_the_unit_of_the_scene(small_gray_scene):
     options = CameraOptions(refine=REFINE)
-    camera = camera_of(small_gray_scene, options, 10, [])
+    camera = camera_of(small_gray_scene, options, [])
     camera.views.values[0, 0], camera.views.values[1, 0] = 0.1, -0.1
     span = small_gray_scene.temperature.max - small_gray_scene.temperature.min
     assert isinstance(small_gray_scene.temperature, TemperatureRange)
