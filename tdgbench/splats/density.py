@@ -110,12 +110,6 @@ class DensityControl:
         self.grad_sum, self.view_counts, self.max_radii = self.state.values.new_zeros(3, len(self.state))
 
     @torch.no_grad()
-    def observe(self, gradients: Gradients, width: int, height: int) -> None:
-        """Accumulate the visible Gaussians and the gradients of a view of width × height px."""
-        self.observe_visible(gradients)
-        self.observe_gradients(gradients, width, height)
-
-    @torch.no_grad()
     def observe_visible(self, view: Gradients | PendingGradients) -> None:
         """Count a view for its visible Gaussians, and update their largest radii."""
         if self._is_fast:

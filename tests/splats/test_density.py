@@ -38,7 +38,9 @@ def look(density: DensityControl, hot=(), radii=5) -> None:
     for index in hot:
         grads[index] = torch.tensor([0.6 * 2e-4 / 50, 0.8 * 2e-4 / 25]) * 1.001
     radii = torch.full((5,), radii, dtype=torch.int32) if isinstance(radii, int) else torch.tensor(radii).int()
-    density.observe(Gradients.dense(like.new_zeros(5, 16), grads, radii), 100, 50)
+    gradients = Gradients.dense(like.new_zeros(5, 16), grads, radii)
+    density.observe_visible(gradients)
+    density.observe_gradients(gradients, 100, 50)
 
 
 def control(rules, hot=(), radii=5, state=None) -> DensityControl:
