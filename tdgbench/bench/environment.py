@@ -17,13 +17,16 @@ from tdgbench.splats.cpu.simd.registers import LANES
 
 ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pycolmap", "lpips", "hydra-core", "gsplat")
-HASHED_PACKAGES = (
+HASHED = (  # folders and files
     "tdgbench/scenes",
     "tdgbench/priors",
     "tdgbench/ceiling",
     "tdgbench/splats",
     "tdgbench/training",
     "tdgbench/scoring",
+    "tdgbench/thermal",
+    "tdgbench/bench/response.py",
+    "tdgbench/bench/setup.py",
     "methods",
 )
 
@@ -52,8 +55,9 @@ def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
 def code_version() -> str:
     """Hash of the source files that a result depends on."""
     digest = hashlib.sha256()
-    for package in HASHED_PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
+    for name in HASHED:
+        place = ROOT / name
+        for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
             digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

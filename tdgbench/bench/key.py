@@ -39,7 +39,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
 
 def _without_root(loader: dict[str, Any]) -> dict[str, Any]:
     """A loader's options without its folder; also of a loader inside of it."""
-    return {k: _without_root(v) if k == "dataset" else v for k, v in loader.items() if k != "root"}
+    return {k: _without_root(v) if k == "inner" else v for k, v in loader.items() if k != "root"}
 
 
 def as_json(value: Any) -> Any:

@@ -35,6 +35,7 @@ ADDED_LATER = (
     "density",
     "masked",
     "of_environment",
+    "train_processor_seconds",
 )  # fields that records of this schema may lack
 SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
 STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")

@@ -42,10 +42,12 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
         return Prepared(scene, options, {"unknown": found.reason}, notes)
     notes = []
     if options.refine is not None:
-        terms = [term for term in options.refine.terms if term in found.terms]
+        wanted_terms = options.refine.terms
+        terms = [term for term in wanted_terms if term in found.terms]
         options = replace(options, refine=replace(options.refine, terms=terms) if terms else None)
         if not terms:
-            notes.append("camera: nothing is refined: sparse points show no drift between views and no vignette")
+            wanted = ", ".join(wanted_terms) or "any of no terms"
+            notes.append(f"camera: nothing is refined: sparse points do not support {wanted}")
     if options.estimate:
         before, scene = len(scene.notes), corrected(scene, found)
         notes += [f"camera: {note}" for note in scene.notes[before:]]

@@ -235,7 +235,11 @@ class CellRun(SetupObserver):
             self.record.notes.append(
                 f"contrast: images are trained on and scored with contrast.training={contrast.training}"
             )
-        if self.method.needs_prior and contrast.prior != "none" and self.cfg.prior.get("made_from") != "thermal images":
+        if contrast.prior != "none" and not self.method.needs_prior:
+            self.record.notes.append(
+                f"contrast: contrast.prior does nothing, as {self.record.method} has no depth prior"
+            )
+        elif contrast.prior != "none" and self.cfg.prior.get("made_from") != "thermal images":
             name = self.cfg.prior.name
             self.record.notes.append(f"contrast: contrast.prior does nothing, as {name} is not made from images")
 

@@ -76,8 +76,11 @@ def set_up(
         with observer.stage("camera"):
             scene, camera, facts, notes = prepare(scene, camera)
         observer.note_camera(facts, notes)
-    given = with_contrast(scene, cfg.contrast.prior) if method.needs_prior else scene
-    priors = _estimate_priors(cfg, given, skips, prior_cache, observer) if method.needs_prior else {}
+    priors = {}
+    if method.needs_prior:
+        is_of_images = cfg.prior.get("made_from") == "thermal images"
+        given = with_contrast(scene, cfg.contrast.prior) if is_of_images else scene
+        priors = _estimate_priors(cfg, given, skips, prior_cache, observer)
     scene = with_contrast(scene, cfg.contrast.training)
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
@@ -97,7 +100,7 @@ def set_up(
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
     """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
-    options = loader.dataset.options if "dataset" in loader else loader.options  # of a data set that another one reads
+    options = loader.inner.options if "inner" in loader else loader.options  # of a data set that another one reads
     if not skips.gray.allowed and options.channels == "auto":
         options.channels = 3
     return loader

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.scenes.images import is_gray
@@ -22,14 +23,14 @@ CLIP_LIMIT = 0.01  # of CLAHE, scikit-image's default: share of a tile's pixels 
 BINS = 256  # of the histograms
 QUANTILES = np.linspace(0, 1, BINS + 1)
 SMALLEST = 1e-6  # image values; a smaller range is not stretched
-Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]  # image (H, W) and its valid values (N,), to an image (H, W)
+Curve = Callable[[np.ndarray, np.ndarray | None], np.ndarray]  # image (H, W) and its mask, to an image (H, W)
 
 
 def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
     """The scene with another contrast in all its thermal images, of training and test views alike.
 
-    Masked pixels have no part in it. The scene has a fingerprint of its own, and temperatures only where the contrast
-    keeps them. Raises SceneError for images in pseudo-colour.
+    Masked pixels have no part in it. The scene has a fingerprint of its own, and temperatures, also true ones, only
+    where the contrast keeps them. Raises SceneError for images in pseudo-colour.
     """
     if contrast == "none":
         return scene
@@ -52,7 +53,9 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
         curve = {"percentile": _percentile, "clahe": _clahe, "bbhe": _bbhe}[contrast]
 
     def changed(view: View) -> View:
-        return replace(view, load_thermal=lambda: _changed(view, curve))
+        image = _changed(view, curve)
+        truth = view.load_true_temperature if contrast == "sequence" else None
+        return replace(view, load_thermal=lambda: image, load_true_temperature=truth)
 
     digest = hashlib.sha256(f"{scene.fingerprint} contrast {contrast}".encode()).hexdigest()
     return replace(
@@ -63,10 +66,9 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
 
 def _changed(view: View, curve: Curve) -> np.ndarray:
     """(H, W, C) float32 in [0, 1]; 0 at masked pixels. A view without a valid pixel stays as it is."""
-    values = _values(view)
-    if not values.size:
+    if view.valid is not None and not view.valid.any():
         return view.thermal
-    image = curve(view.thermal.mean(axis=2, dtype=np.float64), values).clip(0, 1)
+    image = curve(view.thermal.mean(axis=2, dtype=np.float64), view.valid).clip(0, 1)
     if view.valid is not None:
         image = np.where(view.valid, image, 0.0)
     return np.repeat(image.astype(np.float32)[..., None], view.thermal.shape[2], axis=2)
@@ -74,8 +76,11 @@ def _changed(view: View, curve: Curve) -> np.ndarray:
 
 def _values(view: View) -> np.ndarray:
     """Valid values (N,)."""
-    image = view.thermal.mean(axis=2, dtype=np.float64)
-    return image.ravel() if view.valid is None else image[view.valid]
+    return _at(view.thermal.mean(axis=2, dtype=np.float64), view.valid)
+
+
+def _at(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    return image.ravel() if valid is None else image[valid]
 
 
 def _common_tails(views: Sequence[View]) -> tuple[float, float]:
@@ -88,30 +93,34 @@ def _stretch(low: float, high: float) -> Curve:
     return lambda image, _: (image - low) / (high - low)
 
 
-def _percentile(image: np.ndarray, values: np.ndarray) -> np.ndarray:
-    low, high = np.percentile(values, TAILS)
+def _percentile(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    low, high = np.percentile(_at(image, valid), TAILS)
     return (image - low) / max(high - low, SMALLEST)
 
 
-def _clahe(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _clahe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """Contrast-limited adaptive histogram equalisation (Zuiderveld 1994), by scikit-image.
 
-    Values beyond those of valid pixels, which are masked, count as the nearest valid ones.
+    In the place of masked pixels stand the nearest valid ones.
     """
     from skimage.exposure import equalize_adapthist  # here, as it takes a third of a second to import
 
-    low, high = float(values.min()), float(values.max())
+    if valid is not None:
+        nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+        image = image[tuple(nearest)]
+    low, high = float(image.min()), float(image.max())
     if high - low < SMALLEST:
         return image
-    equalized: np.ndarray = equalize_adapthist((image.clip(low, high) - low) / (high - low), clip_limit=CLIP_LIMIT)
+    equalized: np.ndarray = equalize_adapthist((image - low) / (high - low), clip_limit=CLIP_LIMIT)
     return equalized
 
 
-def _bbhe(image: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _bbhe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """Brightness-preserving bi-histogram equalisation (Kim 1997): values below and above the mean apart.
 
     Each part is spread over the range between the ends of the image's values and their mean.
     """
+    values = _at(image, valid)
     low, mean, high = float(values.min()), float(values.mean()), float(values.max())
     below, above = values[values <= mean], values[values > mean]
     dark = _equalized(image, below, low, mean)
@@ -137,9 +146,9 @@ def midway(values: Sequence[np.ndarray]) -> np.ndarray:
 def _to_quantiles(target: np.ndarray) -> Curve:
     """Gives each image the quantiles `target`: histograms become alike over time."""
 
-    def curve(image: np.ndarray, values: np.ndarray) -> np.ndarray:
-        own = np.quantile(values, QUANTILES)
-        rising = np.concatenate([[True], np.diff(own) > 0])  # equal quantiles, of a flat area, become one
-        return np.interp(image, own[rising], target[rising])
+    def curve(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+        own, place = np.unique(np.quantile(_at(image, valid), QUANTILES), return_inverse=True)
+        wanted = np.bincount(place, target) / np.bincount(place)  # a mean over equal quantiles, as of a flat area
+        return np.interp(image, own, wanted)
 
     return curve

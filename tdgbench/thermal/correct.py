@@ -84,4 +84,5 @@ def _image(view: View, values: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def _replaced(view: View, image: np.ndarray) -> View:
-    return replace(view, load_thermal=lambda: image.clip(0, 1))
+    clipped = image.clip(0, 1)
+    return replace(view, load_thermal=lambda: clipped)

@@ -34,29 +34,29 @@ ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
 class Refinement:
     """What is learned of a camera, and Adam's learning rates, which fall with the rounds of all views.
 
-    A rate is 1 / (1 + rounds / half) of its start: trainings of any length average over what they have seen.
+    A rate is 1 / (1 + rounds / pace)² of its start, whatever the length of the training.
     """
 
     offset_rate: NonNegativeFloat  # image values, at the start
     gain_rate: NonNegativeFloat  # after `offsets_alone`
     vignette_rate: NonNegativeFloat  # image values, standard deviation over the image; after `offsets_alone`
     offsets_alone: NonNegativeFloat  # rounds before gains and vignette are learned
-    half: PositiveFloat  # rounds after which a rate is half of that at its start
+    pace: PositiveFloat  # rounds after which a rate is a quarter of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
 
     def rate(self, term: Term, rounds: float) -> float:
         """Learning rate of a term after so many rounds.
 
-        >>> rules = Refinement(0.02, 0.02, 0.0005, offsets_alone=20, half=10, decay=0.0)
+        >>> rules = Refinement(0.02, 0.02, 0.0005, offsets_alone=20, pace=10, decay=0.0)
         >>> rules.rate("offsets", 10), rules.rate("gains", 10), rules.rate("gains", 30)
-        (0.01, 0.0, 0.01)
+        (0.005, 0.0, 0.005)
         """
         since = rounds if term == "offsets" else rounds - self.offsets_alone
         if term not in self.terms or since < 0:
             return 0.0
         start = {"offsets": self.offset_rate, "gains": self.gain_rate, "vignette": self.vignette_rate}[term]
-        return start / (1 + since / self.half)
+        return start / (1 + since / self.pace) ** 2
 
 
 @dataclass(frozen=True)

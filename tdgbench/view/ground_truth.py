@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
@@ -24,8 +25,10 @@ def training_views(record: Record, root: Path) -> dict[str, View]:
     targets = list(_targets(loader))
     if not targets or not known_targets().issuperset(targets):
         raise ValueError("its data set is not one of tdgbench's")
+    if record.setting("camera.estimate") or record.setting("contrast.training") not in (None, "none"):
+        raise ValueError("it was trained on images that camera or contrast changed, which are not stored")
     try:
-        dataset = instantiate({**loader, "root": str(root)})
+        dataset = instantiate(_with_root(loader, str(root)))
         if isinstance(dataset, SyntheticDataset) and not dataset.folder(record.scene).exists():
             raise ValueError(f"{dataset.folder(record.scene)} is not there")
         scene = dataset.load(record.scene)
@@ -41,6 +44,13 @@ def known_targets() -> frozenset[str]:
     """What data sets in `conf/` name. A record may come from anywhere: nothing else that it names is run."""
     files = [conf_folder() / "read_options.yaml", *(conf_folder() / "dataset").glob("*.yaml")]
     return frozenset(one for path in files for one in _targets(OmegaConf.to_container(OmegaConf.load(path))))
+
+
+def _with_root(loader: dict[str, Any], root: str) -> dict[str, Any]:
+    """A loader's options with the folder, which goes to the innermost loader."""
+    if "inner" in loader:
+        return {**loader, "inner": _with_root(loader["inner"], root)}
+    return {**loader, "root": root}
 
 
 def _targets(config: object) -> Iterator[str]:

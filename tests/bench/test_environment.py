@@ -1,6 +1,10 @@
 import json
+import subprocess
+import sys
+from pathlib import Path
 
-from tdgbench.bench.environment import code_version, describe_environment
+from tdgbench.bench.environment import HASHED, code_version, describe_environment
+from tests.helpers.paths import ROOT
 
 
 def test_describes_the_machine():
@@ -12,3 +16,14 @@ def test_describes_the_machine():
 
 def test_code_version_is_stable():
     assert code_version() == code_version() and len(code_version()) == 16
+
+
+def test_the_code_that_sets_a_training_up_is_hashed():
+    """Packages whose change must run a cell again: all of tdgbench that a set-up imports, but for its bookkeeping."""
+    program = "import sys, tdgbench.bench.setup; print(*(name for name in sys.modules if name.startswith('tdgbench.')))"
+    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    packages = {name.split(".")[1] for name in run.stdout.split()}
+    bookkeeping = {"bench", "files", "filestate", "resources", "text", "terminal", "signals", "tools"}
+    assert packages - bookkeeping <= {Path(name).name for name in HASHED}
+    assert {"tdgbench/bench/setup.py", "tdgbench/bench/response.py"} <= set(HASHED)
+    assert all((ROOT / name).exists() for name in HASHED)

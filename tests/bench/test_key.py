@@ -1,7 +1,14 @@
+import json
+
+import pytest
+from hydra.utils import instantiate
+
 from methods.splat import Splat
 from tdgbench.bench.key import cell_key, relevant_config, why_differs
 from tdgbench.bench.record import Record
+from tdgbench.bench.setup import loader_of
 from tests.helpers.configs import SMALL, config
+from tests.helpers.paths import ROOT
 
 
 def record(*overrides, method="splat", data="d", code="c"):
@@ -36,3 +43,16 @@ def test_what_changed_is_named():
     assert "seed: 0 → 1" in both and 'init.name: "colmap" → "random"' in both
     assert "init.points.count: nothing → 100000" in both
     assert why_differs(base, record(data="e", code="e")) == ["the scene's files changed", "the code changed"]
+
+
+@pytest.mark.parametrize("dataset", sorted(path.stem for path in (ROOT / "conf" / "dataset").glob("*.yaml")))
+def test_every_data_set_has_a_key_without_its_folder_and_channels_without_the_skip(dataset):
+    """A loader may name a data set (`dataset=paper`), or read another loader's scenes (`dataset=drifting`)."""
+    keys = []
+    for root in ("here", "there"):
+        cfg = config(f"dataset={dataset}", f"data.root={root}", "method=splat")
+        keys.append(relevant_config(cfg, instantiate(cfg.method.method)))
+    assert keys[0] == keys[1] and '"here"' not in json.dumps(keys[0])
+    loader = loader_of(cfg, instantiate(config("skip=none").skip))
+    options = loader.inner.options if "inner" in loader else loader.options
+    assert options.channels == 3

@@ -104,7 +104,7 @@ def test_every_choice_of_every_group_is_allowed(number):
 @pytest.mark.parametrize(
     ("choice", "override", "message"),
     [
-        ("refined", "camera.refine.half=0", "must be above 0"),
+        ("refined", "camera.refine.pace=0", "must be above 0"),
         ("both", "camera.refine.decay=-1", "must be at least 0"),
     ],
 )

@@ -93,7 +93,7 @@ def test_nothing_is_refined_where_nothing_is_supported(small_gray_scene, monkeyp
     monkeypatch.setattr(response, "estimate_camera", lambda scene: estimated(scene, ()))
     found = prepare(small_gray_scene, CameraOptions(refine=REFINE))
     assert found.options.refine is None and found.notes == [
-        "camera: nothing is refined: sparse points show no drift between views and no vignette"
+        "camera: nothing is refined: sparse points do not support vignette, offsets, gains"
     ]
 
 

@@ -5,7 +5,7 @@ import pytest
 from skimage import exposure
 
 from tdgbench.scenes import SceneError
-from tdgbench.thermal.contrast import with_contrast
+from tdgbench.thermal.contrast import _clahe, with_contrast
 from tests.helpers.drift import drift, with_response
 
 ALL = ["percentile", "sequence", "clahe", "bbhe", "cdf"]
@@ -116,3 +116,29 @@ def test_a_flat_image_stays_finite(small_gray_scene, contrast):
 def test_pseudo_colour_is_an_error(small_scene):
     with pytest.raises(SceneError, match="orbit has thermal images in pseudo-colour"):
         with_contrast(small_scene, "clahe")
+
+
+def test_clahe_sees_the_nearest_valid_pixels_in_the_place_of_masked_ones():
+    rng = np.random.default_rng(0)
+    image, valid = rng.uniform(0.3, 0.7, (40, 56)), np.ones((40, 56), bool)
+    valid[:, :20] = False
+    filled = [np.where(valid, image, fill) for fill in (0.0, 1.0)]
+    first, second = (_clahe(one, valid) for one in filled)
+    assert np.array_equal(first, second)
+    nearest = np.where(valid, image, image[:, 20:21])
+    expected = exposure.equalize_adapthist((nearest - nearest.min()) / np.ptp(nearest))
+    assert first[valid] == pytest.approx(expected[valid], abs=1e-9)
+
+
+def test_cdf_gives_equal_values_the_mean_of_their_quantiles(small_gray_scene):
+    """Values that one view clips, and others do not."""
+
+    def clipped(view, share):
+        high = np.quantile(view.thermal, 1 - share)
+        return replace(view, load_thermal=lambda: np.minimum(view.thermal, np.float32(high)))
+
+    views = [clipped(view, 0.4 if index == 0 else 0.05) for index, view in enumerate(small_gray_scene.train)]
+    scene = replace(small_gray_scene, train=views)
+    before, after = gray(scene.train[0]), gray(with_contrast(scene, "cdf").train[0])
+    others = np.mean([np.quantile(gray(view), np.linspace(0, 1, 257)) for view in scene.train], axis=0)
+    assert after[before == before.max()].mean() == pytest.approx(others[-103:].mean(), abs=0.01)

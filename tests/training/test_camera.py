@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 import torch
 
+from tdgbench.bench import response
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.metrics.psnr_affine import psnr_affine
+from tdgbench.thermal import Unknown
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement, camera_of
 from tdgbench.training.loop import stopping_of, train
 from tests.helpers.drift import drift, with_response
 from tests.helpers.training import digest, ready_to_train
 
-RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, half=10, decay=0.01)
+RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, pace=30, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
 
 
@@ -147,11 +149,13 @@ def psnrs(method, views, score):
 
 
 @pytest.mark.slow
-def test_drift_is_learned_and_costs_little(small_gray_scene):
+def test_drift_is_learned_and_costs_little(small_gray_scene, monkeypatch):
+    """Without the estimate before training, which this scene has too few points for."""
+    monkeypatch.setattr(response, "estimate_camera", lambda scene: Unknown("not asked"))
     offsets, gains = drift(8, 0.08), 1 + drift(8, 0.02, seed=3)
     scene, iterations = with_response(small_gray_scene, offsets, gains, bowl=0.01), 1200
     found = {}
-    for choice, one in (("ideal", scene), ("refined", scene), ("clean", small_gray_scene)):
+    for choice, one in (("ideal", scene), ("refined", scene)):
         method, context = ready_to_train(one, "splat", iterations, *(["camera=refined"] if choice == "refined" else []))
         train(method, iterations)
         found[choice] = [psnrs(method, scene.test, score) for score in (psnr, psnr_affine)]

@@ -7,13 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
 
-from tdgbench.bench.record import read_record
+from tdgbench.bench.key import relevant_config
+from tdgbench.bench.record import Record, read_record
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cell
 from tdgbench.view.ground_truth import known_targets, training_views
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
+from tests.helpers.scenes import small_dataset
 
 DATASETS = (ROOT / "conf" / "dataset").glob("*.yaml")
 
@@ -54,3 +57,22 @@ def test_nothing_else_that_a_record_names_is_run(msmg_folder, data_root, tmp_pat
     with pytest.raises(ValueError, match="its data set is not one of tdgbench's"):
         training_views(replace(record, config={"dataset": loader}), data_root)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_images_that_were_changed_for_the_training_are_not_shown(msmg_folder, data_root):
+    record = read_record(msmg_folder)
+    for change in ({"camera": {"estimate": True}}, {"contrast": {"training": "clahe"}}):
+        with pytest.raises(ValueError, match="camera or contrast changed"):
+            training_views(replace(record, config={**record.config, **change}), data_root)
+
+
+def test_the_folder_goes_to_the_innermost_data_set(data_root, tmp_path):
+    folder = small_dataset(data_root).folder("turntable")
+    small_dataset(data_root).load("turntable")
+    cfg = config("dataset=drifting", f"data.root={folder}", "method=splat")
+    dataset = instantiate(cfg.dataset.loader)
+    loader = relevant_config(cfg, instantiate(cfg.method.method))["dataset"]
+    record = Record("splat", "x", "turntable", "colmap", 0, "", "", config={"dataset": loader})
+    record.data = dataset.load(None).fingerprint
+    name = dataset.describe(None).scene
+    assert set(training_views(replace(record, scene=name), folder)) == {v.name for v in dataset.load(None).train}

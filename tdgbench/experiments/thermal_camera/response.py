@@ -52,14 +52,16 @@ class Comparison:
         }
 
 
-def compare(record: Record, capture: str, camera: str, truth: CameraTruth) -> Comparison | None:
+def compare(
+    record: Record, capture: str, camera: str, truth: CameraTruth, train: list[str]
+) -> Comparison | None:  # fmt: skip
     """The comparison of a cell; None where its scene has no temperatures, or the true camera stretches each image.
 
-    A cell whose camera is ideal is compared, too: its errors are the drift itself.
+    A cell whose camera is ideal is compared, too: its errors are the drift itself. train: names of the training views.
     """
     if record.temperature is None or truth.camera.limits is not None:
         return None
-    found = _found(record) or _ideal(record, truth)
+    found = _found(record) or _ideal(train, truth.camera.reference)
     true = truth_in_gauge(truth, found.views, found.reference)
     height, width = true.vignette.shape
     return Comparison(
@@ -89,7 +91,5 @@ def _read(facts: dict[str, Any]) -> Found:
     return Found(list(facts["views"]), float(facts["reference"]), response, arrays["vignette"])
 
 
-def _ideal(record: Record, truth: CameraTruth) -> Found:
-    views = list(truth.names)
-    nothing = Response(np.zeros(len(views)), np.ones(len(views)))
-    return Found(views, truth.camera.reference, nothing, np.zeros(len(TERMS)))
+def _ideal(views: list[str], reference: float) -> Found:
+    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), np.zeros(len(TERMS)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -23,7 +24,7 @@ from tdgbench.experiments.thermal_camera.page import write_page
 from tdgbench.experiments.thermal_camera.response import Comparison, compare
 from tdgbench.experiments.thermal_camera.table import as_text, cell_rows, summary
 from tdgbench.files import write_text
-from tdgbench.scenes import SceneError
+from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
@@ -33,7 +34,7 @@ SUCCESS = ("ok", "kept", "elsewhere")
 
 @dataclass(frozen=True)
 class ThermalCameraOptions:
-    """Options in `cfg.job`: what is combined. The first capture has no errors, the first camera is ideal.
+    """Options in `cfg.job`: what is combined.
 
     captures: errors by name, as `dataset.loader.errors.camera`, and noise_degC. cameras: as in `conf/camera/`.
     """
@@ -57,15 +58,16 @@ class ThermalCameraExperiment(Experiment):
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the table. Raises SystemExit(1) if a cell failed."""
         self.check(cfg)
-        outcomes = list(_run_cells(cfg))
+        done = list(_run_cells(cfg))
         folder, job = Path(cfg.results) / cfg.name, cfg.job
         captures, cameras = list(map(str, job.captures)), list(map(str, job.cameras))
         places = {variant(capture, camera): (capture, camera) for capture in captures for camera in cameras}
-        records = [record for record in read_all(folder) if record.failure is None and record.variant in places]
+        asked = {cell for cell, outcome in done if outcome.status in SUCCESS}
+        records = [one for one in read_all(folder) if one.failure is None and _cell_of(one) in asked]
         if records:
             compared = _comparisons(cfg, records, places)
             cells = cell_rows(records, places, compared)
-            table = summary(cells, captures, cameras)
+            table = summary(cells, captures, cameras, _baseline(cfg))
             write_text(folder / "thermal_camera_cells.csv", as_csv(cells, na_rep="n/a"))
             write_text(folder / "thermal_camera.csv", as_csv(table, na_rep="n/a"))
             draw_scores(table, folder / "scores.png")
@@ -74,8 +76,30 @@ class ThermalCameraExperiment(Experiment):
             for scene, rows in table.groupby("scene", sort=False):
                 show(as_text(rows), console(), f"{scene}: what the thermal camera costs, and what comes back")
             say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}, page: {page}")
-        if any(outcome.status not in SUCCESS for outcome in outcomes):
+        if len(asked) < len(done):
             raise SystemExit(1)
+
+
+class Place(NamedTuple):
+    """What tells a cell of one run from those of others in the same folder."""
+
+    method: str
+    dataset: str
+    scene: str
+    init: str
+    seed: int
+    variant: str
+
+
+def _cell_of(record: Record) -> Place:
+    return Place(record.method, record.dataset, record.scene, record.init, record.seed, record.variant)
+
+
+def _baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
+    """The capture without errors and the camera that does nothing, by their options; None where there is none."""
+    clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
+    ideal = (str(name) for name, one in cfg.job.cameras.items() if not one.estimate and one.refine is None)
+    return next(clean, None), next(ideal, None)
 
 
 def variant(capture: str, camera: str) -> str:
@@ -83,22 +107,25 @@ def variant(capture: str, camera: str) -> str:
     return f"capture={capture},camera={camera}"
 
 
-def _run_cells(cfg: DictConfig) -> Iterator[Outcome]:
+def _run_cells(cfg: DictConfig) -> Iterator[tuple[Place, Outcome]]:
     progress = CellProgress(console(stderr=True), cfg.budget.iterations)
-    for scene in cfg.job.scenes:
-        for seed in cfg.job.seeds:
-            for capture in cfg.job.captures:
-                for method in cfg.job.methods:
-                    for camera in cfg.job.cameras:
-                        cell = cfg.copy()
-                        cell.scene, cell.seed = scene, seed
-                        cell.method, cell.camera = cfg.job.methods[method], cfg.job.cameras[camera]
-                        cell.dataset.loader = _loader(cfg, capture, seed)
-                        outcome = run_cell(cell, variant(str(capture), str(camera)), progress)
-                        say(outcome.line, stderr=True)
-                        if outcome.status not in SUCCESS:
-                            say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
-                        yield outcome
+    job = cfg.job
+    for scene, seed, capture in product(job.scenes, job.seeds, job.captures):
+        loader = _loader(cfg, capture, seed)
+        for method, camera in product(job.methods, job.cameras):
+            cell = cfg.copy()
+            cell.scene, cell.seed = scene, seed
+            cell.method, cell.camera, cell.dataset.loader = job.methods[method], job.cameras[camera], loader
+            name = variant(str(capture), str(camera))
+            outcome = run_cell(cell, name, progress)
+            say(outcome.line, stderr=True)
+            if outcome.status not in SUCCESS:
+                say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
+                yield Place("", "", str(scene), "", seed, name), outcome
+                continue
+            described = instantiate(loader).describe(scene)
+            place = Place(cell.method.name, described.dataset, described.scene, cell.init.name, seed, name)
+            yield place, outcome
 
 
 def _loader(cfg: DictConfig, capture: Any, seed: int) -> DictConfig:
@@ -108,7 +135,7 @@ def _loader(cfg: DictConfig, capture: Any, seed: int) -> DictConfig:
     return OmegaConf.create(
         {
             "_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset",
-            "dataset": OmegaConf.to_container(cfg.dataset.loader, resolve=True),
+            "inner": OmegaConf.to_container(cfg.dataset.loader, resolve=True),
             "errors": {"_target_": "tdgbench.scenes.synthetic.ThermalErrors", **errors},
             "noise_degC": noise,
             "seed": seed,
@@ -117,19 +144,17 @@ def _loader(cfg: DictConfig, capture: Any, seed: int) -> DictConfig:
 
 
 def _comparisons(cfg: DictConfig, records: list[Record], places: dict[str, tuple[str, str]]) -> list[Comparison]:
-    """True and found cameras of the cells that found one in °C."""
-    truths: dict[tuple[str, int, str], CameraTruth | None] = {}
+    """True and found cameras of the cells that have temperatures."""
+    truths: dict[tuple[str, int, str], tuple[CameraTruth, list[str]]] = {}
     found = []
     for record in records:
         capture, camera = places[record.variant]
         key = (record.scene, record.seed, capture)
         if key not in truths:
-            try:
-                truths[key] = instantiate(_loader(cfg, capture, record.seed)).truth(record.scene)
-            except (SceneError, OSError):
-                truths[key] = None  # a scene of an earlier run, which is not there any more
-        truth = truths[key]
-        one = None if truth is None else compare(record, capture, camera, truth)
+            dataset: DriftingDataset = instantiate(_loader(cfg, capture, record.seed))
+            train = [view.name for view in dataset.outline(record.scene).scene.train]
+            truths[key] = dataset.truth(record.scene), train
+        one = compare(record, capture, camera, *truths[key])
         if one is not None:
             found.append(one)
     return found

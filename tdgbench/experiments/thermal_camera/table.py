@@ -51,42 +51,36 @@ def cell_rows(
     return pd.DataFrame(rows)
 
 
-def summary(cells: pd.DataFrame, captures: Sequence[str], cameras: Sequence[str]) -> pd.DataFrame:
-    """Means over the seeds, in the order of captures and cameras, the first of which have no errors and do nothing.
+def summary(
+    cells: pd.DataFrame, captures: Sequence[str], cameras: Sequence[str], baseline: tuple[str | None, str | None]
+) -> pd.DataFrame:
+    """Means over the seeds, in the order of captures and cameras.
 
-    recovered: share of what a capture's errors cost the ideal camera in PSNR to the true temperatures that another
-    camera brings back. psnr_true_error: standard error of the mean; NaN for one seed.
+    baseline: the capture without errors and the ideal camera. recovered: share of what a capture's errors cost the
+    ideal camera in PSNR to the true temperatures that another camera brings back, a mean over the seeds that have all
+    it needs. psnr_true_error: standard error of the mean; NaN for one seed.
     """
+    cells = cells.assign(recovered=_recovered(cells, *baseline))
     numbers = [name for name in cells.columns if name not in (*PLACE, "seed", "notes")]
     groups = cells.groupby(PLACE, sort=False)
     table = groups[numbers].mean().reset_index()
     table.insert(len(PLACE), "seeds", groups["seed"].nunique().to_numpy())
     table[f"{JUDGED}_error"] = groups[JUDGED].sem().to_numpy()
-    score = table.set_index(PLACE)[JUDGED].to_dict()
-    table["recovered"] = [
-        _recovered(score, str(row.scene), str(row.capture), str(row.method), str(row.camera), captures[0], cameras[0])
-        for row in table.itertuples()
-    ]
-    places = {"capture": list(captures), "camera": list(cameras)}
-    methods = list(dict.fromkeys(cells["method"]))
-    order = [
-        (list(dict.fromkeys(cells["scene"])).index(row.scene), places["capture"].index(row.capture),
-         methods.index(row.method), places["camera"].index(row.camera))
-        for row in table.itertuples()
-    ]  # fmt: skip
-    return table.iloc[sorted(range(len(table)), key=order.__getitem__)].reset_index(drop=True)
+    places = [list(dict.fromkeys(cells["scene"])), list(captures), list(dict.fromkeys(cells["method"])), list(cameras)]
+    rank = [tuple(map(list.index, places, row)) for row in table[PLACE].itertuples(index=False)]
+    return table.iloc[sorted(range(len(table)), key=rank.__getitem__)].reset_index(drop=True)
 
 
-def _recovered(
-    score: dict[tuple[str, ...], float], scene: str, capture: str, method: str, camera: str, clean: str, ideal: str
-) -> float:
-    """Share of the lost PSNR that comes back; NaN where little was lost, or a score is missing."""
-    if capture == clean or camera == ideal:
-        return np.nan
-    best = score.get((scene, clean, method, ideal), np.nan)
-    without = score.get((scene, capture, method, ideal), np.nan)
-    lost = best - without
-    return (score[scene, capture, method, camera] - without) / lost if lost >= LOST else np.nan
+def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
+    """Share of the lost PSNR that comes back in each cell; NaN where little was lost, or its seed lacks a cell."""
+    score = cells.set_index([*PLACE, "seed"])[JUDGED].to_dict()
+    found = []
+    for row in cells.itertuples():
+        best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)
+        without = score.get((row.scene, row.capture, row.method, ideal, row.seed), np.nan)
+        is_told = best - without >= LOST and row.capture != clean and row.camera != ideal
+        found.append((getattr(row, JUDGED) - without) / (best - without) if is_told else np.nan)
+    return found
 
 
 def as_text(table: pd.DataFrame) -> pd.DataFrame:

@@ -56,7 +56,8 @@ class SyntheticDataset:
         name = scene_name(name) or next(iter(WORLDS))
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
-        return Description(name, "synthetic", WORLDS[name](self.shot.seed).group)
+        title = "synthetic_degC" if self.shot.errors.camera.encoding == "degC" else "synthetic"
+        return Description(name, title, WORLDS[name](self.shot.seed).group)
 
     def load(self, name: str | int | None) -> Scene:
         return self.outline(name).read()

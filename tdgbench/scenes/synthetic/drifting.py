@@ -26,42 +26,43 @@ NOISE = 1  # number of the random stream; those of the camera are others
 class DriftingDataset:
     """The scenes of a data set, seen by a thermal camera with errors. The camera is drawn for each scene by the seed.
 
-    dataset: whose images are gray and in °C; they are what an ideal camera would show. errors: of the camera;
+    inner: data set whose images are gray and in °C; they are what an ideal camera would show. errors: of the camera;
     `encoding=agc` stretches each image on its own. noise_degC: standard deviation of what every pixel adds.
     """
 
     def __init__(
-        self, dataset: Dataset, errors: ThermalErrors, noise_degC: DegC = 0.0, seed: NonNegativeInt = 0
+        self, inner: Dataset, errors: ThermalErrors, noise_degC: DegC = 0.0, seed: NonNegativeInt = 0
     ) -> None:  # fmt: skip
-        self.dataset, self.errors, self.noise_degC, self.seed = dataset, errors, noise_degC, seed
+        self.inner, self.errors, self.noise_degC, self.seed = inner, errors, noise_degC, seed
 
     def names(self) -> list[str]:
-        return self.dataset.names()
+        return self.inner.names()
 
     def missing(self, names: list[str]) -> list[str]:
-        return self.dataset.missing(names)
+        return self.inner.missing(names)
 
     def explain_missing(self, names: list[str]) -> str:
-        return self.dataset.explain_missing(names)
+        return self.inner.explain_missing(names)
 
     def describe(self, name: str | int | None) -> Description:
-        return self.dataset.describe(name)
+        description = self.inner.describe(name)
+        return replace(description, dataset=f"{description.dataset}_drifting", group="")
 
     def load(self, name: str | int | None) -> Scene:
         return self.outline(name).read()
 
     def outline(self, name: str | int | None) -> Outline:
-        inner = outline_of(self.dataset, name)
+        inner, title = outline_of(self.inner, name), self.describe(name).dataset
 
         def read() -> Scene:
             scene, _ = drifting(inner.read(), self.errors, self.seed, self.noise_degC)
-            return replace(scene, fingerprint=self._fingerprint(scene))
+            return replace(scene, dataset=title, fingerprint=self._fingerprint(scene))
 
-        return Outline(replace(inner.scene, fingerprint=self._fingerprint(inner.scene)), read)
+        return Outline(replace(inner.scene, dataset=title, fingerprint=self._fingerprint(inner.scene)), read)
 
     def truth(self, name: str | int | None) -> CameraTruth:
         """The true camera of a scene."""
-        return drifting(self.dataset.load(name), self.errors, self.seed, self.noise_degC)[1]
+        return drifting(self.inner.load(name), self.errors, self.seed, self.noise_degC)[1]
 
     def _fingerprint(self, scene: Scene) -> str:
         added = json.dumps([asdict(self.errors), self.noise_degC, self.seed], sort_keys=True)
@@ -71,8 +72,9 @@ class DriftingDataset:
 def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float = 0.0) -> tuple[Scene, CameraTruth]:
     """The scene as a camera with the given errors shows it, and that camera.
 
-    The range grows, so that nothing is clipped; with gain control, there is none. The given scene's temperatures become
-    the true ones, unless it has truer ones. Raises SceneError for a scene that is not gray and in °C.
+    The range grows, so that nothing is clipped, unless the encoding is `range`; with gain control, there is none. The
+    given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
+    gray and in °C.
     """
     colored = [view.name for view in clean.views if not is_gray(view.thermal)]
     if clean.temperature is None or colored:
@@ -82,22 +84,26 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     sizes = {(view.camera.width, view.camera.height) for view in views}
     if len(sizes) > 1:
         raise SceneError(f"{clean.name} has images of several sizes: a camera has one vignette; set data.width")
-    given = (clean.temperature.min, clean.temperature.max)
-    camera = errors.drawn(sizes.pop(), given, np.zeros(len(views)), [seed])
+    given = clean.temperature
+    camera = errors.drawn(sizes.pop(), (given.min, given.max), np.zeros(len(views)), [seed])
     rng = np.random.default_rng([seed, NOISE])
-    shown = {}
+    shown = []
     for index, view in enumerate(views):
         degC = _degC(view, clean)
-        shown[view.name] = camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape))
+        shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
+    measured = [one if view.valid is None else one[view.valid] for one, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
-    if errors.files == "agc":
-        ends = [limits(one) for one in shown.values()]
-        images = {name: levels(one, *pair) / 255 for (name, one), pair in zip(shown.items(), ends, strict=True)}
+    if errors.encoding == "agc":
+        ends = [limits(one) for one in measured]
+        values = [levels(one, *pair) / 255 for one, pair in zip(shown, ends, strict=True)]
         camera = replace(camera, limits=np.array(ends))
+    elif errors.encoding == "range":
+        span, values = given, [levels(one, given.min, given.max) / 255 for one in shown]
     else:
-        low, high = (float(end(list(map(end, shown.values())))) for end in (np.min, np.max))
+        low, high = (float(end([end(one) for one in measured if one.size])) for end in (np.min, np.max))
         span = TemperatureRange(low - ROOM, high + ROOM)
-        images = {name: (one - low + ROOM) / (high - low + 2 * ROOM) for name, one in shown.items()}
+        values = [(one - span.min) / (span.max - span.min) for one in shown]
+    images = {view.name: one for view, one in zip(views, values, strict=True)}
 
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)

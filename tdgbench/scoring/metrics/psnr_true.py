@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from tdgbench.scenes import View
 from tdgbench.scenes.images import is_gray
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR
-from tdgbench.scoring.metrics.psnr_affine import Response, best_response
-from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
+from tdgbench.scoring.scored_view import NotApplicableError, RenderedImages, ScoredView, at_valid
 
 MIN_MSE = 10 ** (-MAX_PSNR / 10)
+SMALLEST = 1e-6  # °C
 
 
 def psnr_true(shown: ScoredView) -> float:
-    """PSNR (dB) of a view's render in °C, with the span of the true temperatures of all test views as its peak.
+    """PSNR (dB) of a view's render in °C over its valid pixels; the span of all test views' truth there is the peak.
 
     Zero and scale of the scene's temperatures cannot be known from a camera that drifts. So the one gain and the one
     offset that fit the renders of all test views best are applied first.
@@ -22,28 +23,38 @@ def psnr_true(shown: ScoredView) -> float:
     scene = shown.scene
     if scene is None:
         raise NotApplicableError("training views have no score against true temperatures")
-    truth = {view.name: view.true_temperature for view in scene.test}
-    known = {name: one.astype(np.float64) for name, one in truth.items() if one is not None}
-    if len(known) < len(truth):
-        raise NotApplicableError("the scene has no true temperatures")
+    if any(view.load_true_temperature is None for view in scene.test):
+        raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
     if not all(is_gray(view.thermal) for view in scene.test):
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
-    if any(one.shape != shown.renders[name].image.shape[:2] for name, one in known.items()):
-        raise NotApplicableError("the true temperatures have another size than the images")
-    low, high = min(one.min() for one in known.values()), max(one.max() for one in known.values())
-    response = _of_all({name: _gray(shown.renders[name].image) for name in known}, known)
-    error = response.gain * _gray(shown.rendered.image) + response.offset - known[shown.view.name]
-    mse = float(np.mean(np.square(error))) / (high - low) ** 2
+    sums, low, high = np.zeros(5), np.inf, -np.inf
+    for view in scene.test:  # one after the other: all of them at once are a lot of memory
+        x, y = _pair(view, shown.renders[view.name])
+        if y.size:
+            sums += x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()
+            low, high = min(low, float(y.min())), max(high, float(y.max()))
+    x, y = _pair(shown.view, shown.rendered)
+    if not y.size:
+        raise NotApplicableError(f"no pixel of view {shown.view.name} has a thermal value: its mask leaves none")
+    gain, offset = _line(sums)
+    mse = float(np.mean(np.square(gain * x + offset - y))) / max(high - low, SMALLEST) ** 2
     return -10 * float(np.log10(max(mse, MIN_MSE)))
 
 
-def _gray(image: np.ndarray) -> np.ndarray:
-    """Mean over the channels (H, W) of a render, clipped as its picture is."""
-    return image.clip(0, 1).mean(axis=2, dtype=np.float64)
+def _pair(view: View, rendered: RenderedImages) -> tuple[np.ndarray, np.ndarray]:
+    """Rendered values, clipped as their picture is, and true temperatures (N,) of a view's valid pixels."""
+    image, truth = rendered.image.clip(0, 1).mean(axis=2, dtype=np.float64), view.true_temperature
+    if truth is None or truth.shape != image.shape:
+        raise NotApplicableError("the true temperatures have another size than the images")
+    return at_valid(view.valid, image).ravel(), at_valid(view.valid, truth).ravel().astype(np.float64)
 
 
-def _of_all(images: dict[str, np.ndarray], targets: dict[str, np.ndarray]) -> Response:
-    return best_response(*(np.concatenate([one.ravel() for one in maps.values()]) for maps in (images, targets)))
+def _line(sums: np.ndarray) -> tuple[float, float]:
+    """Gain ≥ 0 and offset of the best line, from count, Σx, Σy, Σxx and Σxy."""
+    count, of_x, of_y, of_xx, of_xy = sums.tolist()
+    spread = of_xx - of_x * of_x / count
+    gain = max((of_xy - of_x * of_y / count) / spread, 0.0) if spread > 0 else 1.0
+    return gain, (of_y - gain * of_x) / count
 
 
 METRIC = ViewMetric(

@@ -4,7 +4,7 @@ import pytest
 
 from tdgbench.experiments.thermal_camera.table import as_text, summary
 
-CAPTURES, CAMERAS = ["clean", "drift"], ["ideal", "both"]
+CAPTURES, CAMERAS, BASELINE = ["clean", "drift"], ["ideal", "both"], ("clean", "ideal")
 SCORES = {("clean", "ideal"): 40.0, ("clean", "both"): 39.0, ("drift", "ideal"): 30.0, ("drift", "both"): 38.0}
 
 
@@ -20,7 +20,7 @@ def cells(scores=SCORES, seeds=(0, 1)) -> pd.DataFrame:
 
 
 def test_recovered_is_the_share_of_what_the_errors_cost():
-    table = summary(cells(), CAPTURES, CAMERAS).set_index(["capture", "camera"])
+    table = summary(cells(), CAPTURES, CAMERAS, BASELINE).set_index(["capture", "camera"])
     assert table.loc[("drift", "both"), "recovered"] == pytest.approx(0.8)
     assert table["recovered"].isna().sum() == 3
     assert table.loc[("drift", "both"), "psnr_true"] == 38.5 and (table["seeds"] == 2).all()
@@ -29,12 +29,21 @@ def test_recovered_is_the_share_of_what_the_errors_cost():
 
 def test_little_lost_has_no_share():
     scores = {**SCORES, ("drift", "ideal"): 39.7}
-    assert summary(cells(scores), CAPTURES, CAMERAS)["recovered"].isna().all()
+    assert summary(cells(scores), CAPTURES, CAMERAS, BASELINE)["recovered"].isna().all()
 
 
 def test_rows_stand_in_the_order_of_captures_and_cameras():
-    table = summary(cells(dict(reversed(SCORES.items()))), CAPTURES, CAMERAS)
+    table = summary(cells(dict(reversed(SCORES.items()))), CAPTURES, CAMERAS, BASELINE)
     assert list(zip(table["capture"], table["camera"], strict=True)) == list(SCORES)
-    shown = as_text(summary(cells(seeds=(0,)), CAPTURES, CAMERAS))
+    shown = as_text(summary(cells(seeds=(0,)), CAPTURES, CAMERAS, BASELINE))
     assert shown["right half"].tolist() == ["n/a"] * 4 and shown["±"].tolist() == ["n/a"] * 4
     assert shown["recovered"].tolist() == ["n/a"] * 3 + ["80%"]
+
+
+def test_a_seed_without_its_baseline_has_no_part():
+    some = cells()
+    without = some[~((some["capture"] == "clean") & (some["camera"] == "ideal") & (some["seed"] == 1))].copy()
+    without.loc[(without["capture"] == "drift") & (without["seed"] == 1), "psnr_true"] = 90.0
+    table = summary(without, CAPTURES, CAMERAS, BASELINE).set_index(["capture", "camera"])
+    assert table.loc[("drift", "both"), "recovered"] == pytest.approx(0.8)
+    assert summary(some, CAPTURES, CAMERAS, (None, "ideal"))["recovered"].isna().all()

@@ -83,3 +83,31 @@ def test_a_capture_is_read_with_the_options_of_dataset_folder(data_root):
     other = config("dataset=drifting", "data.root=elsewhere", "seed=3", "data.width=24", "method=splat")
     method = instantiate(cfg.method.method)
     assert relevant_config(cfg, method) == relevant_config(other, method)
+
+
+def test_eight_bits_of_the_given_range(data_root):
+    scene = dataset(data_root, replace(ERRORS, encoding="range")).load("turntable")
+    clean = small_dataset(data_root).load("turntable")
+    assert scene.temperature == clean.temperature and scene.dataset == "synthetic_drifting"
+    assert np.allclose(scene.train[0].thermal * 255, np.round(scene.train[0].thermal * 255), atol=1e-4)
+
+
+def test_masked_pixels_have_no_part_in_range_and_gain(data_root):
+    valid = np.ones((36, 48), bool)
+    valid[:, :8] = False
+    clean = small_dataset(data_root).load("turntable")
+    for encoding in (None, "agc"):
+        found = []
+        for fill in (0.0, 1.0):
+
+            def masked(view, fill=fill):
+                image = np.where(valid[..., None], view.thermal, np.float32(fill))
+                return replace(view, load_thermal=lambda: image, load_valid=lambda: valid)
+
+            given = replace(clean, train=[masked(v) for v in clean.train], test=[masked(v) for v in clean.test])
+            found.append(drifting(given, replace(ERRORS, encoding=encoding), 0)[0])
+        assert found[0].temperature == found[1].temperature
+        assert np.array_equal(found[0].train[0].thermal, found[1].train[0].thermal)
+        if encoding is None:
+            shown = np.array([in_degC(view, found[0])[valid] for view in found[0].views])
+            assert found[0].temperature.min == pytest.approx(shown.min() - 1, abs=1e-3)

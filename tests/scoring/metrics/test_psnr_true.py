@@ -53,3 +53,12 @@ def test_it_is_not_measured_without_truth(small_gray_scene, small_scene):
         scores(small_scene, {view.name: view.thermal for view in small_scene.test})
     with pytest.raises(NotApplicableError, match="another size"):
         scores(small_gray_scene, {view.name: view.thermal[1:] for view in small_gray_scene.test})
+
+
+def test_masked_pixels_have_no_part(small_gray_scene):
+    valid = np.ones((36, 48), bool)
+    valid[:, :8] = False
+    scene = replace(small_gray_scene, test=[replace(view, load_valid=lambda: valid) for view in small_gray_scene.test])
+    images = as_images(small_gray_scene, 0.8, 0.1)
+    spoilt = {name: np.where(valid[..., None], image, np.float32(1)) for name, image in images.items()}
+    assert scores(scene, spoilt) == scores(scene, images) and min(scores(scene, images).values()) > 90
