@@ -52,8 +52,11 @@ class ThermalCameraExperiment(Experiment):
     options = ThermalCameraOptions
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if the cells' prior is not available."""
-        prepare_prior(cfg)
+        """Raises PriorUnavailableError if a method needs a prior that is not available."""
+        for method in cfg.job.methods.values():
+            cell = cfg.copy()
+            cell.method = method
+            prepare_prior(cell)
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the table. Raises SystemExit(1) if a cell failed."""

@@ -1,8 +1,11 @@
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from tdgbench.experiments.thermal_camera.run import ThermalCameraExperiment
+from tdgbench.priors import PriorUnavailableError
 from tests.helpers.configs import config
 from tests.helpers.scenes import small_dataset
 
@@ -72,3 +75,30 @@ def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, d
     with pytest.raises(SystemExit):
         ThermalCameraExperiment().run(cfg)
     assert "pseudo-colour" in capsys.readouterr().out
+
+
+def test_the_prior_is_asked_for_by_methods_that_need_it_alone(monkeypatch):
+    for name in ("transformers", "diffusers"):
+        monkeypatch.setitem(sys.modules, name, None)
+    real = ("+experiment=thermal_camera", "dataset=folder", "prior=marigold")
+    ThermalCameraExperiment().start(config(*real, *FEW))
+    with pytest.raises(PriorUnavailableError, match="marigold"):
+        ThermalCameraExperiment().start(config(*real))
+
+
+def test_records_of_other_runs_have_no_part(finished):
+    """Another seed and another drift in the same folder: rows of the second run alone."""
+    root = finished.parents[1]
+    cfg = config(
+        "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
+        "name=thermal_camera", "job.seeds=[1]", "job.captures.drift.walk_degC=1", "~job.captures.agc",
+        "~job.captures.vignette", "~job.cameras.refined", "~job.cameras.both",
+    )  # fmt: skip
+    before = {path.name: path.read_bytes() for path in finished.iterdir() if path.is_file()}
+    ThermalCameraExperiment().run(cfg)
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
+    assert len(table) == 4 and (table["seeds"] == 1).all()
+    drift = table[(table["capture"] == "drift") & (table["camera"] == "ideal")]
+    assert 0.3 < drift["offset_degC_worst"].item() < 1.1
+    for name, content in before.items():
+        (finished / name).write_bytes(content)
