@@ -10,7 +10,7 @@ from tests.helpers.configs import config
 from tests.helpers.scenes import small_dataset
 
 SMALL = (
-    "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=2500",
+    "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=1500",
     "budget=demo", "budget.iterations=40", "metrics.lpips.download=false",
 )  # fmt: skip
 FEW = ("~job.methods.tdg", "~job.methods.tdg_released", "~job.methods.msmg", "~job.captures.noise")
