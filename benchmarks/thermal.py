@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tdgbench.scenes import FolderDataset, ReadOptions, Scene, View
+from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.drifting import drifting
+from tdgbench.scenes.synthetic.drifting import drifting, in_degC
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
 from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
 
@@ -94,7 +94,7 @@ def _clean(scene: Scene) -> tuple[ThermalCamera, dict[str, Any]]:
     start = time.perf_counter()
     camera = _estimated(scene)
     seconds = time.perf_counter() - start
-    change = [correct_values(_degC(view, scene), view.name, camera) - _degC(view, scene) for view in scene.train]
+    change = [correct_values(in_degC(view, scene), view.name, camera) - in_degC(view, scene) for view in scene.train]
     return camera, {
         "scene": scene.name, "seed": "clean", "seconds": seconds, "estimated": camera.summary,
         "clean_worst": float(np.sqrt(np.mean(np.square(change)))), "notes": "; ".join(camera.notes),
@@ -131,13 +131,6 @@ def _drifting(
         }
     )  # fmt: skip
     return summary, table
-
-
-def _degC(view: View, scene: Scene) -> np.ndarray:
-    """Temperatures (H, W) of a view, °C."""
-    assert scene.temperature is not None, f"{scene.name} has no temperatures"
-    low, high = scene.temperature.min, scene.temperature.max
-    return low + (high - low) * view.thermal.mean(axis=2, dtype=np.float64)
 
 
 def _estimated(scene: Scene) -> ThermalCamera:

@@ -19,6 +19,7 @@ WORDS: dict[Status, str] = {
     "elsewhere": "running in another process",
 }
 COMPLETE: tuple[Status, ...] = ("ok", "kept")  # the cell has a result
+SUCCESS: tuple[Status, ...] = (*COMPLETE, "elsewhere")  # nothing went wrong
 ONCE = "compile"  # stage that only the first cell of a machine spends time in
 
 

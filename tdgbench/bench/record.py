@@ -29,6 +29,7 @@ from tdgbench.text import one_line, shortened
 FILE = "record.json"
 SCHEMA = 1
 ADDED_LATER = (
+    "background",
     "camera",
     "ceiling",
     "ceiling_unknown",
@@ -160,6 +161,7 @@ class Record:
     seconds: dict[str, Seconds] = field(default_factory=dict)
     train_processor_seconds: Seconds | None = None  # of all threads: less than wall time depends on other work
     gaussians: dict[str, Count] = field(default_factory=dict)
+    background: dict[str, list[float]] = field(default_factory=dict)  # (C,) image value, by model; left out: black
     density: dict[str, dict[str, Count]] = field(default_factory=dict)  # Gaussians cloned, split, pruned; by model
     peak_rss_mb: Megabytes | None = None  # of the process that finished the cell
     peak_gpu_mb: Megabytes | None = None  # reserved by torch; None on the CPU

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from PIL import Image
+from torch import Tensor
 
 from tdgbench.bench.masks import write_mask
 from tdgbench.bench.record import Record
@@ -60,9 +61,18 @@ def _write_pair(folder: Path, suffix: str, name: str, image: np.ndarray, target:
 
 
 @torch.no_grad()
-def render_model(gaussians: Gaussians, camera: Camera, *, depth: bool = False, blending: Blending = AS_3DGS) -> Render:
+def render_model(
+    gaussians: Gaussians, camera: Camera, *, depth: bool = False, background: Tensor | None = None,
+    blending: Blending = AS_3DGS,
+) -> Render:  # fmt: skip
     """Render a stored model from a camera, at the model's full SH degree."""
-    return render_view(gaussians.activated(gaussians.sh_degree), Pinhole.of(camera), depth=depth, blending=blending)
+    active = gaussians.activated(gaussians.sh_degree)
+    return render_view(active, Pinhole.of(camera), depth=depth, background=background, blending=blending)
+
+
+def background_of(record: Record, model: str) -> Tensor | None:
+    """(C,) behind a cell's model, `thermal` or `rgb`; None: black."""
+    return torch.tensor(record.background[model]) if model in record.background else None
 
 
 def blending_of(record: Record) -> Blending:

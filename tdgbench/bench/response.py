@@ -34,8 +34,6 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
     Only terms that the estimate supports are refined: in a capture that has no drift, they would learn the errors of an
     unfinished scene. Where the camera cannot be estimated, images stay as they are and all terms are refined.
     """
-    if not options.estimate and options.refine is None:
-        return Prepared(scene, options, {}, [])
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
         notes = [f"camera: images stay as they are: {found.reason}"] if options.estimate else []

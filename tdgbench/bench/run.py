@@ -256,6 +256,8 @@ class CellRun(SetupObserver):
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in self.skips.all()]
         record.gaussians = {name: len(model) for name, model in method.models().items()}
         record.density = {name: model.work.density() for name, model in method.models().items()}
+        behind = {name: model.background for name, model in method.models().items()}
+        record.background = {name: color.tolist() for name, color in behind.items() if color is not None}
 
     def _describe_camera(self, context: Context) -> None:
         facts = refined_facts(context.camera, context.scene)

@@ -17,14 +17,20 @@ NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options
 def option_meant(option: str) -> str:
     """`; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
 
+    An option of other choices than the configured one comes with these.
+
     >>> option_meant("iterations")
     '; did you mean budget.iterations?'
     >>> option_meant("bugdet.iterations")
     '; did you mean budget.iterations?'
+    >>> option_meant("budget.growth.z")
+    '; it belongs to budget=lean'
     >>> option_meant("colour")
     ''
     """
     known, last = option_names(), option.rpartition(".")[2]
+    if known.get(option):
+        return f"; it belongs to {', '.join(known[option])}"
     alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
     return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
 
@@ -49,15 +55,16 @@ def choices(group: str) -> list[str]:
 
 
 @cache
-def option_names() -> tuple[str, ...]:
-    """Dotted names of all options in conf/, of every choice."""
-    folder, names = conf_folder(), dict[str, None]()
+def option_names() -> dict[str, list[str]]:
+    """Dotted names of all options in conf/, with the choices that have them; none for options that are always there."""
+    folder, names = conf_folder(), dict[str, list[str]]()
     for path in sorted(folder.rglob("*.yaml")):
         groups = path.relative_to(folder).parts[:-1]
         if groups[:1] not in [(one,) for one in NO_OPTIONS]:
             content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-            names |= dict.fromkeys(_names(content, "".join(f"{group}." for group in groups)))
-    return tuple(names)
+            for name in _names(content, "".join(f"{group}." for group in groups)):
+                names.setdefault(name, []).extend([f"{'/'.join(groups)}={path.stem}"] if groups else [])
+    return names
 
 
 def _names(content: Any, prefix: str) -> Iterator[str]:

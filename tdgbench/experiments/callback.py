@@ -56,6 +56,7 @@ def _start(cfg: DictConfig) -> None:
             compose_jobs(cfg)
         experiment = experiment_of(names_to_text(cfg))
         experiment.check(cfg)
+        experiment.check_typed(cfg.hydra.overrides.task)
         folder = Path(cfg.results) / cfg.name
         check_results_folder(folder)
         ExperimentCallback.folder, ExperimentCallback.command = folder, command

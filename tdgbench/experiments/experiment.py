@@ -5,9 +5,10 @@ A new experiment is one class that `job._target_` of one file in `conf/experimen
 
 from __future__ import annotations
 
+import re
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -34,9 +35,11 @@ class Experiment(ABC):
     `run` and `end` raise SystemExit(1) if something failed that does not stop the rest.
 
     options: dataclass or function whose signature states the options in `cfg.job`; None: they are not checked.
+    sets: options that the experiment itself sets in each cell, and the option in `cfg.job` that says to what.
     """
 
     options: ClassVar[Callable[..., Any] | None] = None
+    sets: ClassVar[Mapping[str, str]] = {}
 
     def check(self, cfg: DictConfig) -> None:
         """Raise OptionError for options that are not allowed."""
@@ -44,6 +47,17 @@ class Experiment(ABC):
         options = type(self).options
         if options is not None:
             check_experiment_options(cfg, options)
+
+    def check_typed(self, words: Sequence[str]) -> None:
+        """Raise OptionError for typed options, KEY=VALUE, that would change nothing."""
+        problems = []
+        for word in words:
+            key, _, value = word.partition("=")
+            of_job = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
+            if of_job is not None:
+                problems.append(Problem(key, f"is set by the experiment; give {of_job} instead", value))
+        if problems:
+            raise OptionError(problems)
 
     def start(self, cfg: DictConfig) -> None:  # noqa: B027 (optional)
         """Plan. Called once, before the first job; a sweep has one job per combination of swept options."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -15,6 +16,9 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 from tdgbench.scenes.validate import MAX_PIXELS
+
+if TYPE_CHECKING:
+    from tdgbench.scenes.scene import View
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP")  # Pillow's names
@@ -137,6 +141,11 @@ def is_gray(image: np.ndarray) -> bool:
     (True, False)
     """
     return image.shape[2] == 1 or bool((image == image[..., :1]).all())
+
+
+def in_pseudo_colour(views: Iterable[View]) -> list[str]:
+    """Names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
+    return [view.name for view in views if not is_gray(view.thermal)]
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:

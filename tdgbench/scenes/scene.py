@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -149,6 +150,13 @@ class Scene:
     channels: int  # of the thermal images: 1 (gray) or 3 (pseudo-colour)
     notes: list[str] = field(default_factory=list)
     folder: Path | None = None  # of its files
+
+    def fingerprint_with(self, *changes: bytes) -> str:
+        """Fingerprint of the scene with changed images. changes: all that the change depends on."""
+        digest = hashlib.sha256(self.fingerprint.encode())
+        for change in changes:
+            digest.update(b"\0" + change)
+        return digest.hexdigest()[: len(self.fingerprint)]
 
     @property
     def views(self) -> list[View]:

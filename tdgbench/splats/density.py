@@ -155,9 +155,12 @@ class DensityControl:
 
     def is_due(self, iteration: int) -> bool:
         """Whether `update` changes Gaussians at an iteration."""
-        rules = self.rules
-        changes = rules.is_round(iteration, self.iterations) or rules.is_reset(iteration, self.iterations)
-        return self.is_active(iteration) and changes
+        is_reset = self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
+        return self.is_round(iteration) or is_reset
+
+    def is_round(self, iteration: int) -> bool:
+        """Whether `update` clones, splits and prunes at an iteration."""
+        return self.is_active(iteration) and self.rules.is_round(iteration, self.iterations)
 
     @torch.no_grad()
     def update(
@@ -170,13 +173,14 @@ class DensityControl:
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
             return change
-        change.densified = rules.is_round(iteration, self.iterations)
+        change.densified = self.is_round(iteration)
         change.opacity_reset = rules.is_reset(iteration, self.iterations)
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
             release()  # the renders' memory makes room for the new Gaussians, and the memory of these for the renders
-            self._densify_and_prune(change, iteration, generator, verdict)
+            self.state.exchange(*self._removed_and_added(change, iteration, generator, verdict))
+            self._clear()
             release()
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
@@ -184,9 +188,10 @@ class DensityControl:
             optimizer.reset_moments("opacity_logits")
         return change
 
-    def _densify_and_prune(
+    def _removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: Verdict | None
-    ) -> None:
+    ) -> tuple[Tensor, Tensor]:
+        """Rows to remove (n,), ascending, and rows to add (m, columns) in a round of cloning, splitting and pruning."""
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
         by_gradients = self._by_gradients()
@@ -213,8 +218,7 @@ class DensityControl:
         if iteration > rules.opacity_reset_every:
             drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
         change.pruned += int(drop.sum())
-        self.state.exchange(remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added)
-        self._clear()
+        return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
     def _by_gradients(self) -> Verdict:
         """The verdict of 3DGS: Gaussians whose centre has a large gradient in the image grow."""

@@ -16,7 +16,7 @@ class PendingGradients:
 
     def __init__(self, blended: Blended) -> None:
         done = blended.done
-        self._blended, self._computed = blended, None
+        self._blended = blended
         self.projected_spans = done.projected_spans
         self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
         self.columns = blended.columns

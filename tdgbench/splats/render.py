@@ -37,6 +37,9 @@ def render_view(
     """
     if not camera.near_plane > 0:
         raise ValueError(f"near_plane is {camera.near_plane}; it must be above 0")
+    channels = gaussians.colors.shape[-1]
+    if background is not None and background.shape != (channels,):
+        raise ValueError(f"the background has the shape {tuple(background.shape)}; it must be ({channels},)")
     chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
     return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending))
 
@@ -49,6 +52,6 @@ def render_state(
     collect: Collect,
     backend: str = "auto",
 ) -> Render:
-    """Render one view of a state in training, over black; the backward pass calls collect(Gradients)."""
+    """Render one view of a state in training; the backward pass calls collect(Gradients)."""
     chosen = choose_backend(backend, state.values.device, state.values.dtype)
     return load_backend(chosen).render_state(state, optimizer, camera, options, collect)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.rows import permute_rows
-from tdgbench.splats.cpu.scratch import empty_aligned
+from tdgbench.splats.cpu.scratch import empty_aligned, release
 from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
@@ -165,6 +165,7 @@ class TrainingState:
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
+            release()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
 def compact(tensor: Tensor) -> Tensor:

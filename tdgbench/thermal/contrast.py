@@ -6,7 +6,6 @@ image alone, `sequence` and `cdf` at the training views together. All but `seque
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
-from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Contrast
 from tdgbench.text import some
 
@@ -34,7 +33,7 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
     """
     if contrast == "none":
         return scene
-    colored = [view.name for view in scene.views if not is_gray(view.thermal)]
+    colored = in_pseudo_colour(scene.views)
     if colored:
         raise SceneError(
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose channels are no contrast; give "
@@ -57,10 +56,9 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
         truth = view.load_true_temperature if contrast == "sequence" else None
         return replace(view, load_thermal=lambda: image, load_true_temperature=truth)
 
-    digest = hashlib.sha256(f"{scene.fingerprint} contrast {contrast}".encode()).hexdigest()
     return replace(
         scene, train=[changed(view) for view in scene.train], test=[changed(view) for view in scene.test],
-        temperature=temperature, fingerprint=digest[: len(scene.fingerprint)],
+        temperature=temperature, fingerprint=scene.fingerprint_with(b"contrast", contrast.encode()),
     )  # fmt: skip
 
 

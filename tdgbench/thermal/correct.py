@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from typing import Literal
 
@@ -58,10 +57,9 @@ def corrected(scene: Scene, camera: ThermalCamera, test: TestViews = "as_is") ->
 
 
 def _fingerprint(scene: Scene, camera: ThermalCamera, test: TestViews) -> str:
-    digest = hashlib.sha256(f"{scene.fingerprint} {test} {camera.reference}".encode())
-    for array in (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows):
-        digest.update(b"none" if array is None else array.tobytes())
-    return digest.hexdigest()[: len(scene.fingerprint)]
+    arrays = (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows)
+    parts = (b"none" if array is None else array.tobytes() for array in arrays)
+    return scene.fingerprint_with(test.encode(), str(camera.reference).encode(), *parts)
 
 
 def _values(view: View, scene: Scene) -> np.ndarray:

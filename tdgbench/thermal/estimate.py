@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tdgbench.scenes import Scene, View
-from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
@@ -35,7 +35,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
         )
     if len(scene.train) < FEWEST_TRAINING_VIEWS:
         return Unknown(f"{scene.name} has {len(scene.train)} training views; a camera needs {FEWEST_TRAINING_VIEWS}")
-    colored = [view.name for view in scene.train if not is_gray(view.thermal)]
+    colored = in_pseudo_colour(scene.train)
     if colored:
         return Unknown(
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt
 
@@ -25,6 +25,7 @@ class Budget:
     sh_every: PositiveInt  # iterations after which the SH degree in use rises by one
     rates: LearningRates
     density: DensityRules
+    background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
     growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`

@@ -20,7 +20,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
 from tdgbench.scenes import Scene, View
-from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.polynomials import TERMS, evaluate
 from tdgbench.training.response import Response, Sums, best_fit, shown
@@ -213,7 +213,7 @@ def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> Ide
     """The camera that a training of a scene uses. held: training views that are not trained on at first."""
     if options.refine is None:
         return IdealCamera()
-    colored = [view.name for view in scene.train if not is_gray(view.thermal)]
+    colored = in_pseudo_colour(scene.train)
     if colored:
         return IdealCamera(
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import torch
 from pydantic import NonNegativeFloat, PositiveInt
+from torch import Tensor
 
 from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
@@ -50,13 +51,14 @@ class Significance:
         curriculum: Curriculum,
         backend: str,
         camera: IdealCamera | None = None,
+        background: Tensor | None = None,
     ) -> None:
         """views: of the training; a round looks at some of those that the curriculum shows, at its resolution.
 
-        camera: through which the renders are compared with them.
+        camera: through which the renders are compared with them. background: (C,) behind the Gaussians; None: black.
         """
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
-        self.camera = camera or IdealCamera()
+        self.camera, self.background = camera or IdealCamera(), background
 
     @cached_property
     def noise(self) -> float:
@@ -83,6 +85,7 @@ class Significance:
     def _look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         """Footprints in what a view shows and the Gaussians do not, as a mean over the channels."""
         camera = Pinhole.of(view.camera).to(gaussians.means)
-        image = render_view(gaussians.activated(degree), camera, backend=self.backend).image
+        active = gaussians.activated(degree)
+        image = render_view(active, camera, background=self.background, backend=self.backend).image
         residual = (self.modality.tensor(view, image.device) - self.camera.compare(view, image)).mean(dim=-1)
         return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)

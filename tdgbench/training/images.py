@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -28,6 +30,15 @@ class Modality:
         """(H, W) bool; None if every pixel counts."""
         valid = self.valid(view)
         return None if valid is None else torch.from_numpy(valid).to(device)
+
+    def mean(self, views: Sequence[View]) -> np.ndarray:
+        """(C,) float32: the mean of the pixels that count in some view."""
+        total, count = 0.0, 0
+        for view in views:
+            image, valid = self.array(view), self.valid(view)
+            pixels = image.reshape(-1, image.shape[2]) if valid is None else image[valid]
+            total, count = total + pixels.sum(axis=0, dtype=np.float64), count + len(pixels)
+        return np.asarray(total / max(count, 1), np.float32)
 
 
 class RGB(Modality):

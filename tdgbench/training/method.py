@@ -106,12 +106,15 @@ class Context:
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
         camera = self.camera if modality is THERMAL else IdealCamera()
+        background = None
+        if self.budget.background == "mean":
+            background = torch.from_numpy(modality.mean(self.scene.train)).to(self.device)
         significance = None
         if self.budget.growth is not None and self.skips.growth.allowed:
             significance = Significance(
-                self.budget.growth, self.scene.train, modality, self.curriculum, self.backend, camera
+                self.budget.growth, self.scene.train, modality, self.curriculum, self.backend, camera, background
             )  # fmt: skip
-        rules = ViewRules(self.curriculum, camera, significance)
+        rules = ViewRules(self.curriculum, camera, significance, background)
         return SplatModel(
             start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, rules
         )  # fmt: skip

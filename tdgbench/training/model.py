@@ -63,11 +63,13 @@ class ViewRules:
     """How a model meets its training views.
 
     camera: what shows its renders in them. significance: what decides by them which Gaussians grow; None: 3DGS's rule.
+    background: (C,) behind the Gaussians; None: black.
     """
 
     curriculum: Curriculum = field(default_factory=Curriculum)
     camera: IdealCamera = field(default_factory=IdealCamera)
     significance: Significance | None = None
+    background: torch.Tensor | None = None
 
 
 class SplatModel:
@@ -94,6 +96,7 @@ class SplatModel:
         self.skips = skips or Skips()
         self.work = Work()
         self.significance, self.curriculum, self.camera = rules.significance, rules.curriculum, rules.camera
+        self.background = rules.background
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -115,7 +118,7 @@ class SplatModel:
         return state.split(state.values)
 
     def render(self, camera: Camera, *, depth: bool = False) -> Render:
-        """Render at the SH degree in use, over black. The backward pass is observed by density control."""
+        """Render at the SH degree in use, over the background. The backward pass is observed by density control."""
 
         def collect(gradients: Gradients | PendingGradients) -> None:
             self._views.append(_View(gradients, camera.width, camera.height))
@@ -124,7 +127,7 @@ class SplatModel:
                 self.density.observe_visible(gradients)
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
-        options = StateOptions(self.degree, depth, self._blending, tolerance)
+        options = StateOptions(self.degree, depth, self._blending, tolerance, self.background)
         return render_state(self.state, self.optimizer, Pinhole.of(camera), options, collect, self.backend)
 
     def show(self, view: View, *, depth: bool = False) -> Render:
@@ -173,10 +176,9 @@ class SplatModel:
 
     def _judge(self, iteration: int) -> Verdict | None:
         """Verdict of the budget's growth rule, where it has one and a round of density control is due."""
-        rules = self.density.rules
-        if self.significance is None or not rules.is_round(iteration, self.budget.iterations):
+        if self.significance is None or not self.density.is_round(iteration):
             return None
-        return self.significance.judge(self.gaussians, self.degree, iteration // rules.every)
+        return self.significance.judge(self.gaussians, self.degree, iteration // self.density.rules.every)
 
     def finish(self, iteration: int) -> str | None:
         """End an iteration, after the backward pass: density control, then an Adam step of Gaussians and camera.
@@ -185,19 +187,28 @@ class SplatModel:
         name of a parameter whose gradient is not finite, or None; Adam has then used it.
         """
         views, self._views = self._views, []
+        saw_views = bool(views)
         gradients, watch = self._gradients_of(views, iteration)
+        if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
+            gradients = None
+            self._forget(views)
         verdict = self._judge(iteration)
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
-        if views:
+        if saw_views:
             self.camera.step(self.optimizer.slowdown)
         bad = None
-        if gradients is not None and not change.densified:
+        if gradients is not None:
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
-        self.work.touched += sum(view.gradients.touched for view in views)
+        self._forget(views)
         return bad
+
+    def _forget(self, views: list[_View]) -> None:
+        """Count the Gaussians that the views touched, and let go of their memory."""
+        self.work.touched += sum(view.gradients.touched for view in views)
+        views.clear()
 
     def _gradients_of(self, views: list[_View], iteration: int) -> tuple[Gradients | PendingGradients | None, Watch]:
         """Sum of the views' gradients, and the statistics that they are still to be added to.

@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
-from tdgbench.bench.renders import blending_of, render_model
+from tdgbench.bench.renders import background_of, blending_of, render_model
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages
 from tdgbench.splats import Gaussians
@@ -76,18 +76,20 @@ class Pictures:
 
     def _differences(self, gaussians: Gaussians, name: str, path: str, stored: np.ndarray) -> list[str]:
         """How a stored render differs from the model's. Both must be (H, W, C)."""
+        is_thermal = path.startswith("renders/")
         render = render_model(
-            gaussians, self.cameras[name], depth=path.startswith("renders/"), blending=blending_of(self.record)
-        )
+            gaussians, self.cameras[name], depth=is_thermal, blending=blending_of(self.record),
+            background=background_of(self.record, "thermal" if is_thermal else "rgb"),
+        )  # fmt: skip
         again = render.image.numpy()
         if stored.shape != again.shape:
             return [f"{path} is {stored.shape}, the model gives {again.shape}"]
-        if path.startswith("renders/"):
+        if is_thermal:
             self.depths[name] = (render.requested_depth / render.alpha.clamp_min(1e-6)).numpy()
             if stored.shape[2] != self.record.channels:
                 return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
         problem = difference_of(stored, again)
-        model = "model.ply" if path.startswith("renders/") else "model_rgb.ply"
+        model = "model.ply" if is_thermal else "model_rgb.ply"
         return [f"{path} is not what {model} gives: {problem}"] if problem else []
 
     def _has(self, sub: str, name: str) -> bool:

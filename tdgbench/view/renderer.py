@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import torch
 
+from tdgbench.bench.renders import background_of
 from tdgbench.scenes import Camera
 from tdgbench.scoring import to_8bit
 from tdgbench.splats.render import render_view
@@ -116,10 +117,11 @@ class Renderer:
     def values(self, name: str, quantity: Quantity, camera: Camera) -> np.ndarray:
         """A cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
         is_geometry = quantity in ("depth", "alpha")
-        gaussians = self._model(name, "rgb" if quantity == "RGB" else "thermal")
+        modality = "rgb" if quantity == "RGB" else "thermal"
+        gaussians, background = self._model(name, modality), background_of(self.cells[name].record, modality)
         if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
             gaussians = gaussians._replace(sh_degree=0)
-        render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry)
+        render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry, background=background)
         if quantity == "alpha":
             return render.alpha[..., None].numpy()
         if quantity == "depth":

@@ -106,3 +106,23 @@ def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
 def test_a_folder_whose_name_is_too_long(tmp_path):
     with pytest.raises(OptionError, match=r"(?s)^results.*File name too long.*choose another folder with results=DIR"):
         check_results_folder(tmp_path / ("a" * 300) / "single")
+
+
+@pytest.mark.parametrize(
+    ("experiment", "word", "instead"),
+    [
+        ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=both", "job.cameras"),
+        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"), ("skips", "scene=night", "job.scenes="),
+        ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
+    ],
+)  # fmt: skip
+def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experiment, word, instead):
+    run = command_here(tmp_path, f"+experiment={experiment}", word, f"results={tmp_path / 'results'}")
+    assert run.returncode == 1 and run.stdout == ""
+    assert run.stderr.startswith(f"error: {word}: is set by the experiment; give {instead}"), run.stderr
+
+
+def test_options_of_its_own_are_not_refused():
+    experiment_of(config("+experiment=thermal_camera")).check_typed(
+        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray"]
+    )

@@ -67,6 +67,22 @@ def test_what_all_views_show_grows():
     assert judge(views(edge, noise=0.05)).grow.tolist() == [True, False]
 
 
+def test_what_the_background_shows_does_not_grow():
+    """Views over a gray background: no residual if the Gaussians are rendered over it, too."""
+    gray = torch.tensor([0.4])
+    given = []
+    for view in views(edge):
+        behind = render_view(two().activated(0), Pinhole.of(view.camera)).transmittance[..., None] * gray
+        image = (view.thermal + behind.numpy()).astype(np.float32)
+        given.append(view_of(view.name, view.camera, image, None))
+    over_black, over_gray = (
+        Significance(RULE, given, THERMAL, Curriculum(), "cpu", background=background).judge(two(), 0, turn=1).strength
+        for background in (None, gray)
+    )
+    assert over_gray.numpy() == pytest.approx(judge(views(edge)).strength.numpy(), rel=0.05, abs=0.01)
+    assert over_black.numpy() != pytest.approx(over_gray.numpy(), rel=0.2)
+
+
 def test_what_differs_between_views_cancels():
     offsets = judge(views(drift, noise=0.05, count=10)).strength  # five views of each kind, all of them looked at
     assert (offsets < judge(views(edge, noise=0.05, count=10)).strength[0] / 5).all()

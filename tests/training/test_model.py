@@ -1,4 +1,5 @@
 import dataclasses
+import weakref
 
 import pytest
 import torch
@@ -49,6 +50,26 @@ def test_backends_train_the_same(small_scene):
     assert torch.allclose(models[0].density.grad_sum, models[1].density.grad_sum, rtol=1e-3, atol=1e-7)
 
 
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_what_is_not_covered_shows_the_background(small_scene, backend):
+    """Renders, and gradients of a step, are those over black with the transmitted background added by torch."""
+    view, found = small_scene.train[0], []
+    background = torch.tensor([0.2, 0.5, 0.9])
+    for behind in (background, None):
+        model = make(small_scene, 3)
+        model.backend, model.background = backend, behind
+        model.density.rules = dataclasses.replace(model.density.rules, start=10)
+        model.begin(1)
+        render = model.render(view.camera)
+        image = render.image if behind is not None else render.image + render.transmittance[..., None] * background
+        (image - torch.from_numpy(view.thermal)).square().mean().backward()
+        gradients = model.take_gradients()
+        found.append((image.detach(), *gradients.rows()))
+    assert (found[0][0] - model.render(view.camera).image).abs().max() > 0.1
+    for a, b in zip(*found, strict=True):
+        assert torch.allclose(a.double(), b.double(), rtol=1e-3, atol=1e-6)
+
+
 def test_density_control_sees_the_training_view(small_scene):
     model, view = make(small_scene), small_scene.train[0]
     model.begin(1)
@@ -58,6 +79,19 @@ def test_density_control_sees_the_training_view(small_scene):
     before = len(model)
     model.finish(iteration=1)
     assert len(model) > before and model.density.view_counts.sum() == 0  # densified, and counting from zero
+
+
+def test_a_round_has_the_memory_of_the_gradients(small_scene, monkeypatch):
+    model, there = make(small_scene), []
+    model.begin(1)
+    model.render(small_scene.train[0].camera).image.sum().backward()
+    (view,) = model._views
+    alive, update = weakref.ref(view.gradients), model.density.update
+    del view
+    monkeypatch.setattr(model.density, "update", lambda *args: there.append(alive()) or update(*args))
+    before = len(model)
+    model.finish(iteration=1)
+    assert there == [None] and len(model) != before and model.work.touched > 0
 
 
 def test_looking_does_not_count(small_scene):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pandas as pd
 import torch
@@ -63,6 +64,7 @@ class ErrorTime(Experiment):
     """Run time against error."""
 
     options = ErrorTimeOptions
+    sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "method": "job.runs"}
 
     def start(self, cfg: DictConfig) -> None:
         """Raises PriorUnavailableError if a training needs a prior that is not available."""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
+from tdgbench.bench.outcome import SUCCESS
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, read_all
 from tdgbench.bench.setup import loader_of
@@ -26,8 +27,6 @@ from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
 from tdgbench.thermal.contrast import with_contrast
-
-SUCCESS = ("ok", "kept", "elsewhere")
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,11 @@ class Priors(Experiment):
     """Error of each prior, and TDg's scores with it."""
 
     options = PriorsOptions
+    sets: ClassVar[Mapping[str, str]] = {
+        "scene": "job.scenes=[NAME,...]",
+        "seed": "job.seeds=[0,...]",
+        "prior": "job.priors",
+    }
 
     def run(self, cfg: DictConfig) -> None:
         """Judge the priors, run the cells that have no result, write and print the tables.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import pandas as pd
 from omegaconf import DictConfig
@@ -12,7 +13,7 @@ from pydantic import Field, NonNegativeInt
 from rich.console import Console
 from rich.table import Table
 
-from tdgbench.bench.outcome import Outcome
+from tdgbench.bench.outcome import SUCCESS, Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.experiments.experiment import Experiment
@@ -23,8 +24,6 @@ from tdgbench.experiments.skips.variants import run_variants
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
-
-SUCCESS = ("ok", "kept", "elsewhere")
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,7 @@ class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
+    sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]"}
 
     def start(self, cfg: DictConfig) -> None:
         """Raises PriorUnavailableError if the cells' prior is not available."""

@@ -9,7 +9,6 @@ from omegaconf import DictConfig
 from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import number_of_jobs
 from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.sweep.finish import finish
 from tdgbench.experiments.sweep.job import read_outcomes, run_job
 from tdgbench.experiments.sweep.plan import plan_sweep
 
@@ -20,10 +19,16 @@ class Sweep(Experiment):
     def start(self, cfg: DictConfig) -> None:
         cells = plan_sweep(cfg)
         if cells.without_data == cells.total:  # no job has anything to do
-            finish(cfg, [Outcome("missing", "")] * cells.total)
+            _finish(cfg, [Outcome("missing", "")] * cells.total)
 
     def run(self, cfg: DictConfig) -> None:
         run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
-        finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)), jobs)
+        _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)), jobs)
+
+
+def _finish(cfg: DictConfig, outcomes: list[Outcome], jobs: Path | None = None) -> None:
+    from tdgbench.experiments.sweep.finish import finish  # pandas, SciPy's statistics, Matplotlib: 75 MB of memory
+
+    finish(cfg, outcomes, jobs)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
-from tdgbench.bench.outcome import Outcome
+from tdgbench.bench.outcome import SUCCESS, Outcome
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, read_all
 from tdgbench.experiments.error_time.show import show
@@ -28,8 +28,6 @@ from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
-
-SUCCESS = ("ok", "kept", "elsewhere")
 
 
 @dataclass(frozen=True)
@@ -50,6 +48,9 @@ class ThermalCameraExperiment(Experiment):
     """Cells of all combinations, their table, pictures and page."""
 
     options = ThermalCameraOptions
+    sets: ClassVar[Mapping[str, str]] = {
+        "scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]", "method": "job.methods", "camera": "job.cameras",
+    }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
         """Raises PriorUnavailableError if a method needs a prior that is not available."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, replace
 
@@ -11,7 +10,7 @@ from pydantic import NonNegativeInt
 
 from tdgbench.scenes.datasets import Dataset, outline_of
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
@@ -66,7 +65,7 @@ class DriftingDataset:
 
     def _fingerprint(self, scene: Scene) -> str:
         added = json.dumps([asdict(self.errors), self.noise_degC, self.seed], sort_keys=True)
-        return hashlib.sha256(f"{scene.fingerprint} {added}".encode()).hexdigest()[: len(scene.fingerprint)]
+        return scene.fingerprint_with(added.encode())
 
 
 def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float = 0.0) -> tuple[Scene, CameraTruth]:
@@ -76,7 +75,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
     gray and in °C.
     """
-    colored = [view.name for view in clean.views if not is_gray(view.thermal)]
+    colored = in_pseudo_colour(clean.views)
     if clean.temperature is None or colored:
         why = "pseudo-colour" if colored else "no temperature range; set data.temperature=[MIN,MAX]"
         raise SceneError(f"{clean.name} has {why}: errors in °C can be added to gray images of temperatures alone")
@@ -89,7 +88,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     rng = np.random.default_rng([seed, NOISE])
     shown = []
     for index, view in enumerate(views):
-        degC = _degC(view, clean)
+        degC = in_degC(view, clean)
         shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
     measured = [one if view.valid is None else one[view.valid] for one, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
@@ -107,7 +106,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)
-        truth = view.load_true_temperature or (lambda: _degC(view, clean).astype(np.float32))
+        truth = view.load_true_temperature or (lambda: in_degC(view, clean).astype(np.float32))
         return replace(view, load_thermal=lambda: image, load_true_temperature=truth)
 
     scene = replace(
@@ -116,7 +115,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     return scene, CameraTruth([view.name for view in views], camera)
 
 
-def _degC(view: View, scene: Scene) -> np.ndarray:
+def in_degC(view: View, scene: Scene) -> np.ndarray:
     """Temperatures (H, W) of a view, °C."""
     assert scene.temperature is not None
     low, high = scene.temperature.min, scene.temperature.max

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scenes import View
-from tdgbench.scenes.images import is_gray
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR
 from tdgbench.scoring.scored_view import NotApplicableError, RenderedImages, ScoredView, at_valid
@@ -25,7 +25,7 @@ def psnr_true(shown: ScoredView) -> float:
         raise NotApplicableError("training views have no score against true temperatures")
     if any(view.load_true_temperature is None for view in scene.test):
         raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
-    if not all(is_gray(view.thermal) for view in scene.test):
+    if in_pseudo_colour(scene.test):
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
     sums, low, high = np.zeros(5), np.inf, -np.inf
     for view in scene.test:  # one after the other: all of them at once are a lot of memory

@@ -25,6 +25,12 @@ class StateOptions(NamedTuple):
     depth: bool = False  # render accumulated depth in the same pass
     blending: Blending = AS_3DGS
     tolerance: Tolerance | None = None  # of the culling bounds; None: project every Gaussian
+    background: torch.Tensor | None = None  # (D,) colour behind the Gaussians; None: black
+
+    @property
+    def of_view(self) -> RenderOptions:
+        """What of it concerns the image."""
+        return RenderOptions(self.depth, self.background, self.blending)
 
 
 class Backend(Protocol):
@@ -63,7 +69,7 @@ class Backend(Protocol):
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
-        """Render one view of a state in training, over black; the backward pass calls collect(Gradients).
+        """Render one view of a state in training; the backward pass calls collect(Gradients).
 
         The default applies all deferred steps, and differentiates activations and rendering with torch's autograd.
         """
@@ -72,7 +78,7 @@ class Backend(Protocol):
         if torch.is_grad_enabled():
             rows = rows.requires_grad_()
         gaussians = state.split(rows).activated(options.sh_degree)
-        view = self.render(gaussians, camera.to(rows), RenderOptions(options.depth, blending=options.blending))
+        view = self.render(gaussians, camera.to(rows), options.of_view)
         if rows.requires_grad:
             _deliver_once(rows, lambda grad: collect(_dense(grad, view)))
         return view

@@ -103,8 +103,7 @@ class CpuBackend(Backend):
     ) -> Render:
         tolerance = options.tolerance or EVERYWHERE
         source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
-        view = RenderOptions(options.depth, blending=options.blending)
-        settings = _settings(camera, state.channels, options.sh_degree, view)
+        settings = _settings(camera, state.channels, options.sh_degree, options.of_view)
 
         def deliver(blended: Blended) -> None:
             collect(PendingGradients(blended))
