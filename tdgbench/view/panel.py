@@ -22,7 +22,7 @@ NOTHING = np.zeros((1, 1, 3), np.uint8)
 
 
 class Panel:
-    """Controls of a client. on_look and on_view are called when a look or a view is chosen."""
+    """Controls of a client. on_look and on_view are called when a look or a view is chosen, on_step with −1 or 1."""
 
     def __init__(
         self,
@@ -30,8 +30,9 @@ class Panel:
         cells: Mapping[str, ViewedCell],
         on_look: Callable[[], None],
         on_view: Callable[[str], None],
+        on_step: Callable[[int], None],
     ) -> None:
-        self.cells, self._on_look, self._on_view = cells, on_look, on_view
+        self.cells, self._on_look, self._on_view, self._on_step = cells, on_look, on_view, on_step
         first = next(iter(cells.values()))
         self.views = [*sorted(first.test), *sorted(first.train)]
         self._labels = {view: f"{view} ({'test' if view in first.test else 'training'})" for view in self.views}
@@ -108,9 +109,7 @@ class Panel:
 
         @buttons.on_click
         def _(_: viser.GuiEvent) -> None:
-            step = 1 if buttons.value == NEXT else -1
-            now = self.views.index(names[self._view.value])
-            self._on_view(self.views[(now + step) % len(self.views)])
+            self._on_step(1 if buttons.value == NEXT else -1)
 
     def _quantity_value(self) -> Quantity:
         return self._quantity.value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -49,18 +50,31 @@ class Session:
         self._focus = focus(self._first.cameras.values())
         self._frame: Frame | None = None
         self._cursor: tuple[float, float] | None = None
-        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to)
+        self._turn = threading.RLock()  # viser calls from several threads at once
+        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to, self.step)
+        self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
+        self._left = self._view  # the one before
         watch_cursor(client.gui, self.read_at)
         self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
         self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
         client.camera.on_update(lambda _: self._moved())
         client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
-        self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it went to, in which window
         self.go_to(self._view)
         self._look_changed()
 
+    def step(self, count: int) -> None:
+        """Move the camera that many views on from the last one that it was sent to, in a circle."""
+        with self._turn:
+            self.go_to(self.panel.views[(self.panel.views.index(self._view) + count) % len(self.panel.views)])
+
     def go_to(self, view: str) -> None:
         """Move the camera to that of a view."""
+        with self._turn:
+            if view != self._view:
+                self._left = self._view
+            self._go_to(view)
+
+    def _go_to(self, view: str) -> None:
         camera = self.client.camera
         pose = pose_of(self._first.cameras[view], camera.aspect)
         forward = self._first.cameras[view].world_to_camera[2, :3]
@@ -94,12 +108,20 @@ class Session:
                 self.read_at(*self._cursor)
 
     def _moved(self) -> None:
-        camera, at = self.client.camera, self._first.cameras[self._view]
-        away = np.linalg.norm(camera.position - at.center) / np.linalg.norm(self._focus - at.center)
-        if camera.aspect != self._aspect and away < STANDS_AT:  # the window has got another shape
-            self._aspect = camera.aspect
-            camera.fov = pose_of(at, camera.aspect).fov
+        camera = self.client.camera
+        with self._turn:
+            if self._stands_at(self._view):
+                if camera.aspect != self._aspect:  # the window has got another shape
+                    self._aspect = camera.aspect
+                    camera.fov = pose_of(self._first.cameras[self._view], camera.aspect).fov
+            elif self._stands_at(self._left):  # viser sends no pose that the page has last reported, even if outdated
+                self._go_to(self._view)
         self._requests.moved(self.client.client_id, self._wanted())
+
+    def _stands_at(self, view: str) -> bool:
+        center = self._first.cameras[view].center
+        away = np.linalg.norm(self.client.camera.position - center)
+        return bool(away < STANDS_AT * np.linalg.norm(self._focus - center))
 
     def _look_changed(self) -> None:
         self._requests.changed(self.client.client_id, self._wanted())

@@ -42,7 +42,9 @@ class Page:
 
     def run(self, script: str) -> Any:
         """Value of an expression in the page."""
-        return self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
+        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
 
     def wait_for(self, script: str, seconds: float = 60) -> Any:
         """Value of an expression once it is true."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -88,6 +90,31 @@ def test_a_window_of_another_shape_still_shows_all_of_the_view(session, client, 
     client.camera.fov, client.camera.position, client.camera.image_width = 0.7, np.ones(3), 960
     client.camera.move()
     assert client.camera.fov == 0.7  # it has left the view
+
+
+def test_a_page_that_reports_the_view_it_left_is_sent_on(session, client, cells):
+    """A second click while the page still reports where it was: viser takes the goal for reached, and sends nothing."""
+    first, second = (cells["tdg"].test[view].center for view in sorted(cells["tdg"].test)[:2])
+    for step in (1, -1):
+        session.step(step)
+    client.camera.position = second  # the page has caught up with the first click only
+    client.camera.move()
+    assert np.allclose(client.camera.position, first)
+    client.camera.position = first + 0.2
+    client.camera.move()
+    assert np.allclose(client.camera.position, first + 0.2)  # dragged away
+    client.camera.position = cells["tdg"].cameras[session.panel.views[2]].center
+    client.camera.move()
+    assert not np.allclose(client.camera.position, first)
+
+
+def test_clicks_at_once_are_steps_in_turn(session, cells, monkeypatch):
+    show_view = session.panel.show_view
+    monkeypatch.setattr(session.panel, "show_view", lambda view: (time.sleep(0.05), show_view(view)))
+    with ThreadPoolExecutor(3) as threads:
+        list(threads.map(session.step, (1, 1, 1, -1, 1)))
+    assert session.panel._view.value.split()[0] == session.panel.views[3]
+    assert np.allclose(session.client.camera.position, cells["tdg"].cameras[session.panel.views[3]].center)
 
 
 def test_a_frame_is_read_under_the_cursor(session, client, cells):
