@@ -62,7 +62,7 @@ class TDg:
         self.views = context.view_order()
         self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
-        self.last_depth_iteration = int(self.decay_end * context.budget.iterations)  # t_end
+        self.last_depth_iteration = int(self.decay_end * context.budget.method_iterations)  # t_end
         self.skips_depth = self._decide_skip(context)
 
     def step(self, iteration: int) -> Step:

@@ -30,6 +30,12 @@ class Budget:
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`
     plateau: PlateauRule | None = None  # rule for stopping early; None: never
+    expected_iterations: PositiveInt | None = None  # where trainings mostly end before the last one; None: they do not
+
+    @property
+    def method_iterations(self) -> int:
+        """The training's length for schedules of methods, which must not outlast it."""
+        return min(self.iterations, self.expected_iterations or self.iterations)
 
     def active_degree(self, iteration: int) -> int:
         """SH degree in use at an iteration (1-based)."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tdgbench.training.method import Context, Method
 
 MIN_MSE = 1e-10
+IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,9 @@ class SettlingRule:
     """A training stalls once its held-out training views gain less than `gain` from one window of checks to the next.
 
     A window is a share of the checks at the current resolution. A training that stalls below the full resolution goes
-    on to the next one. At the full one, or at one that is no better than the one before, it settles: the held-out views
-    are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a while. A training
-    that never settles does the same at its end.
+    on to the next one. At the full one, or after two in a row that are no better than the best, it settles at the best:
+    the held-out views are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a
+    while. A training that never settles does the same at its end.
     """
 
     share: Annotated[float, Field(gt=0, lt=0.5)]  # of the training views that is held out
@@ -65,12 +66,13 @@ class Settling:
         self.rule, self.method, self.context = rule, method, context
         self._scale = context.curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
-        self._scale_before, self._psnrs_before = 0, list[float]()  # before this resolution, at its end; 0: none
+        self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
+        self._no_better = 0  # resolutions in a row since then
         self._settled = 0  # iteration; 0: not yet
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the decision."""
-        names = ("_scale", "_psnrs", "_scale_before", "_psnrs_before", "_settled")
+        names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better", "_settled")
         return {name.strip("_"): getattr(self, name) for name in names}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -107,24 +109,32 @@ class Settling:
         if iteration % rule.every or not curriculum.held:
             return None
         if curriculum.scale != self._scale:  # by the schedule
-            self._go_on()
+            self._leave_resolution()
         self._psnrs.append(self._held_out_psnrs())
         windows = rule.windows(self._psnrs)
         if windows is None or float(np.median(windows[0] - windows[1])) >= rule.gain:
             return None
-        if self._scale_before and float(np.median(windows[0] - self._psnrs_before)) < rule.gain:
-            return self._scale_before
+        is_last = curriculum.is_at_full_resolution or self._no_better == IN_A_ROW - 1
+        if is_last and self._best_scale and not self._is_best(windows[0]):
+            return self._best_scale
         if curriculum.is_at_full_resolution:
             return curriculum.scale
         curriculum.advance()
-        self._go_on()
+        self._leave_resolution()
         return None
 
-    def _go_on(self) -> None:
-        """Begin another resolution."""
+    def _is_best(self, psnrs: np.ndarray) -> bool:
+        """Whether held-out views (V,) are better than with the best resolution so far."""
+        return not self._best_scale or float(np.median(psnrs - self._best_psnrs)) >= self.rule.gain
+
+    def _leave_resolution(self) -> None:
+        """Note what the resolution until now has reached, and begin with the curriculum's."""
         if self._psnrs:
-            size = min(len(self._psnrs), self.rule.checks)
-            self._scale_before, self._psnrs_before = self._scale, np.mean(self._psnrs[-size:], axis=0).tolist()
+            reached = np.mean(self._psnrs[-self.rule.checks :], axis=0)
+            if self._is_best(reached):
+                self._best_scale, self._best_psnrs, self._no_better = self._scale, reached.tolist(), 0
+            else:
+                self._no_better += 1
         self._scale, self._psnrs = self.context.curriculum.scale, []
 
     @torch.no_grad()

@@ -77,6 +77,8 @@ def test_depth_is_rendered_only_while_it_weighs(small_scene):
     with_depth = [line.iteration for line in log.lines if "depth" in line.terms]
     assert with_depth == list(range(1, 20))
     assert method.step(10).thermal.depth is not None and method.step(30).thermal.depth is None
+    _, log = trained(small_scene, "tdg", 40, **{"+budget.expected_iterations": 20})
+    assert [line.iteration for line in log.lines if "depth" in line.terms] == list(range(1, 10))
 
 
 def test_total_is_the_sum_of_its_terms(small_scene):

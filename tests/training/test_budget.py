@@ -28,3 +28,9 @@ def test_tdg_trains_less_and_may_be_overridden():
 def test_degrees_rise_on_time():
     b = budget("budget=paper")
     assert [b.active_degree(i) for i in (1, 999, 1000, 2500, 3000, 30_000)] == [0, 0, 1, 2, 3, 3]
+
+
+def test_schedules_of_methods_do_not_outlast_a_training():
+    assert budget("budget=paper", "method=tdg").method_iterations == 10_000
+    assert budget("budget=lean").method_iterations == 3000
+    assert budget("budget=lean", "budget.iterations=500").method_iterations == 500

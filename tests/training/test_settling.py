@@ -86,6 +86,16 @@ def test_a_resolution_that_is_no_better_is_left_again():
     assert settling.curriculum.iterations == {4: 40, 2: 40 + 60, 1: 40} and settling.curriculum.scale == 2
 
 
+def test_one_resolution_that_is_no_better_is_passed_and_two_are_not():
+    steps = [(400, 8), (500, 4), (800, 2)]
+    passed = Scripted(lambda i, scale: {8: 5.0, 4: 4.0, 2: 8.0, 1: 9.0}[scale], steps=steps)
+    assert end_of(passed) == 160 + 80
+    assert passed.curriculum.iterations == {8: 40, 4: 40, 2: 40, 1: 40 + 80} and passed.curriculum.scale == 1
+    left = Scripted(lambda i, scale: {8: 5.0, 4: 4.0, 2: 5.05, 1: 9.0}[scale], steps=steps)
+    assert end_of(left) == 120 + 60
+    assert left.curriculum.iterations == {8: 40 + 60, 4: 40, 2: 40, 1: 0} and left.curriculum.scale == 8
+
+
 def test_the_schedule_raises_the_resolution_at_the_latest():
     settling = Scripted(lambda i, scale: i / 10, steps=[(95, 4), (205, 2)], iterations=600)
     assert end_of(settling, 600) == 600
@@ -112,10 +122,11 @@ def test_without_held_out_views_only_the_rates_fall():
     assert end_of(settling, 300) == 300 and settling.asked == [] and settling.rate == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("stop", [25, 45, 130])
-def test_a_restored_state_goes_on_alike(stop):
+@pytest.mark.parametrize("stop", [25, 45, 85, 130])
+@pytest.mark.parametrize("psnrs", [{4: 5.0, 2: 8.0, 1: 7.5}, {4: 9.0, 2: 8.0, 1: 7.5}])
+def test_a_restored_state_goes_on_alike(stop, psnrs):
     steps = [(400, 4), (800, 2)]
-    settling, again = (Scripted(lambda i, scale: {4: 5.0, 2: 8.0, 1: 7.5}[scale], steps=steps) for _ in range(2))
+    settling, again = (Scripted(lambda i, scale: psnrs[scale], steps=steps) for _ in range(2))
     for i in range(1, stop):
         settling.reached(i)
     again.curriculum.load_state_dict(settling.curriculum.state_dict())

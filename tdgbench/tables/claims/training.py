@@ -65,7 +65,9 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
     share = cell.record.setting("method.method.decay_end")
     if log is None or not isinstance(share, int | float) or column not in log:
         return None
-    switch, width = int(share * cell.budget), window * cell.budget
+    expected = cell.record.setting("budget.expected_iterations")
+    length = min(cell.budget, expected) if isinstance(expected, int) else cell.budget
+    switch, width = int(share * length), window * length
     before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]
     after = log.loc[log["iteration"].between(switch, switch + width), column]
     return (before, after) if len(before) and len(after) else None

@@ -53,6 +53,12 @@ def test_the_shock_is_looked_for_around_the_switch_alone(tmp_path):
     assert psnr_drop(cell, {"window": 0.0}) is None
 
 
+def test_the_switch_is_that_of_a_budget_that_expects_an_early_end(tmp_path):
+    cell = with_log(tmp_path, "x", [20, 20, 30, 5, 34, 32, 31, 40, 40, 40])
+    cell.record.config["budget"]["expected_iterations"] = 60  # the switch at 30
+    assert psnr_drop(cell, {"window": 0.2}) == 20 - 5
+
+
 def test_without_a_switch_there_is_no_shock(tmp_path):
     assert psnr_drop(with_log(tmp_path, "x", [1, 2, 3], decay_end=None), CLAIM) is None
     cell = with_log(tmp_path, "y", [1, 2, 3])
