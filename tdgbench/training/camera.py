@@ -23,6 +23,7 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.training.images import THERMAL
 from tdgbench.training.response import Response, Sums, best_fit, shown
 
 BETA1, BETA2, EPS = 0.9, 0.99, 1e-15  # of Adam; a view is seen rarely, so that 3DGS's β2 would forget too slowly
@@ -108,7 +109,7 @@ class RefinedCamera(IdealCamera):
         self._index = {name: index for index, name in enumerate(self.names)}
         later = {view.name for view in held}
         self.is_first = np.array([name not in later for name in self.names])
-        self.reference = _mean_value(views)
+        self.reference = float(THERMAL.mean(views).mean())
         self.views = _Learned(len(self.names), 2)  # offset, gain − 1
         self.vignette = _Learned(1, len(TERMS))
         self._pending: list[_Gradient] = []
@@ -220,9 +221,3 @@ def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> Ide
             "give gray images, or data.thermal=radiometric"
         )
     return RefinedCamera(scene.train, options.refine, held)
-
-
-def _mean_value(views: Sequence[View]) -> float:
-    """Mean over the valid pixels of views with valid pixels."""
-    values = [view.thermal if view.valid is None else view.thermal[view.valid] for view in views]
-    return float(np.mean([one.mean(dtype=np.float64) for one in values if one.size]))
