@@ -114,7 +114,7 @@ class Settling:
         windows = rule.windows(self._psnrs)
         if windows is None or float(np.median(windows[0] - windows[1])) >= rule.gain:
             return None
-        is_last = curriculum.is_at_full_resolution or self._no_better == IN_A_ROW - 1
+        is_last = curriculum.is_at_full_resolution or self._no_better >= IN_A_ROW - 1
         if is_last and self._best_scale and not self._is_best(windows[0]):
             return self._best_scale
         if curriculum.is_at_full_resolution:

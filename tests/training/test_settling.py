@@ -96,6 +96,12 @@ def test_one_resolution_that_is_no_better_is_passed_and_two_are_not():
     assert left.curriculum.iterations == {8: 40 + 60, 4: 40, 2: 40, 1: 0} and left.curriculum.scale == 8
 
 
+def test_a_resolution_that_the_schedule_ends_counts_as_well():
+    steps = [(60, 8), (75, 6), (90, 4), (800, 2)]  # three checks at 6 and one at 4: too few to stall
+    settling = Scripted(lambda i, scale: {8: 5.0, 6: 4.0, 4: 4.0, 2: 4.5, 1: 9.0}[scale], steps=steps)
+    assert end_of(settling) == 130 + 65 and settling.curriculum.scale == 8
+
+
 def test_the_schedule_raises_the_resolution_at_the_latest():
     settling = Scripted(lambda i, scale: i / 10, steps=[(95, 4), (205, 2)], iterations=600)
     assert end_of(settling, 600) == 600
