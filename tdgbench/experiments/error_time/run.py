@@ -93,6 +93,12 @@ class ErrorTime(Experiment):
             raise SystemExit(1)
 
 
+class Budgets(ErrorTime):
+    """Training time against error with each budget: every run names its own."""
+
+    sets: ClassVar[Mapping[str, str]] = {**ErrorTime.sets, "budget": "job.budgets.NAME.KEY=VALUE or job.runs"}
+
+
 def _measure_kernels(cfg: DictConfig, folder: Path, console: Console) -> None:
     job = cfg.job
     size = f"{job.width}×{job.height}"
