@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from filelock import FileLock
 
 from tests.helpers.configs import QUICK
 from tests.helpers.paths import ROOT
+from tests.helpers.waiting import waited
 
 LONG = (*QUICK, "budget.iterations=1000000", "skip.plateau=false", "checkpoint=0.2", "method=splat", "scene=turntable")
 
@@ -36,10 +36,8 @@ def end_session(run: subprocess.Popen[str]) -> None:
 
 
 def wait_for_checkpoint(run: subprocess.Popen[str], folder: Path) -> None:
-    for _ in range(600):
-        if list((folder / "checkpoints").glob("[!.]*.pt")) or run.poll() is not None:
-            return
-        time.sleep(0.1)
+    checkpoints = folder / "checkpoints"
+    waited(lambda: list(checkpoints.glob("[!.]*.pt")) or run.poll() is not None, 60, "a checkpoint is written")
 
 
 def wait_for_handler(run: subprocess.Popen[str], number: signal.Signals) -> None:
@@ -47,12 +45,12 @@ def wait_for_handler(run: subprocess.Popen[str], number: signal.Signals) -> None
     status = Path(f"/proc/{run.pid}/status")
     if not status.exists():
         pytest.skip("this platform does not tell which signals a process takes")
-    for _ in range(6000):
-        caught = next(line for line in status.read_text(encoding="utf-8").splitlines() if line.startswith("SigCgt:"))
-        if int(caught.split()[1], 16) >> (number - 1) & 1:
-            return
-        time.sleep(0.01)
-    raise AssertionError(f"no handler of {number.name} within a minute")
+
+    def is_caught() -> int:
+        line = next(one for one in status.read_text(encoding="utf-8").splitlines() if one.startswith("SigCgt:"))
+        return int(line.split()[1], 16) >> (number - 1) & 1
+
+    waited(is_caught, 60, f"a handler of {number.name} is there")
 
 
 @pytest.mark.parametrize(
@@ -98,11 +96,7 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
     *before, last = err.splitlines()
     assert run.returncode == status and last.startswith(f"interrupted by {number.name}")
     assert all(": starts, " in line or " cells: " in line for line in before), err
-    for _ in range(200):
-        if not _of_session(run.pid):
-            return
-        time.sleep(0.1)
-    assert not _of_session(run.pid)
+    waited(lambda: not _of_session(run.pid), 20, "the workers end")
 
 
 def _of_session(session: int) -> list[str]:

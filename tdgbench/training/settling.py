@@ -115,7 +115,7 @@ class Settling:
         if windows is None or float(np.median(windows[0] - windows[1])) >= rule.gain:
             return None
         is_last = curriculum.is_at_full_resolution or self._no_better >= IN_A_ROW - 1
-        if is_last and self._best_scale and not self._is_best(windows[0]):
+        if is_last and not self._is_best(windows[0]):
             return self._best_scale
         if curriculum.is_at_full_resolution:
             return curriculum.scale

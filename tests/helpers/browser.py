@@ -9,14 +9,15 @@ import itertools
 import json
 import shutil
 import subprocess
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
+
+from tests.helpers.waiting import waited
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 QUIET = ("background-networking", "component-update", "sync", "gpu-sandbox", "dev-shm-usage")
@@ -69,15 +70,6 @@ class Page:
         self.mouse("moved", x, y)
         self.mouse("pressed", x, y, buttons=1)
         self.mouse("released", x, y)
-
-
-def waited(value: Callable[[], Any], seconds: float, what: str) -> Any:
-    """A function's value once it is true."""
-    end = time.monotonic() + seconds
-    while not (found := value()):
-        assert time.monotonic() < end, f"not within {seconds} s: {what}"
-        time.sleep(0.05)
-    return found
 
 
 @contextlib.contextmanager

@@ -13,7 +13,8 @@ from tdgbench.view.cells import open_cells
 from tdgbench.view.facts import readout
 from tdgbench.view.poses import Pose, camera_of
 from tdgbench.view.renderer import Frame, Look, Renderer
-from tests.helpers.browser import CHROMIUM, Page, opened, waited
+from tests.helpers.browser import CHROMIUM, Page, opened
+from tests.helpers.waiting import waited
 
 pytest.importorskip("viser")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")]
