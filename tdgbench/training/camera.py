@@ -82,6 +82,10 @@ class IdealCamera:
         """`show` without a gradient, and without effect on training; also for views that are held out."""
         return image
 
+    def map(self, width: int, height: int) -> np.ndarray:
+        """Vignette (height, width) that all images have, image values."""
+        return np.zeros((height, width))
+
     def step(self, slowdown: float = 1.0) -> None:
         """Improve the camera after a backward pass. slowdown: factor of all rates."""
 
@@ -125,7 +129,6 @@ class RefinedCamera(IdealCamera):
         return 1.0 + self.views.values[:, 1]
 
     def map(self, width: int, height: int) -> np.ndarray:
-        """Vignette (height, width) of an image, image values."""
         return evaluate(self.vignette.values[0], width, height)
 
     def show(self, view: View, image: Tensor) -> Tensor:
