@@ -147,12 +147,12 @@ class CellRun(SetupObserver):
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
         method, context = training
-        plateau = stopping_of(method, context)
+        stopping = stopping_of(method, context)
         self.checkpoint = self._open_checkpoint()
-        log = self.checkpoint.take_up(method, context, plateau)
+        log = self.checkpoint.take_up(method, context, stopping)
         on_line = self._log_listener(log.iterations)
         try:
-            self.log = train(method, context.budget.iterations, on_line, plateau, self.checkpoint.after_step, log)
+            self.log = train(method, context.budget.iterations, on_line, stopping, self.checkpoint.after_step, log)
         except TrainingError:
             self._discard(self.checkpoint)  # training from it would end at the same iteration
             raise

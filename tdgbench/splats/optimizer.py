@@ -20,11 +20,10 @@ from tdgbench.splats.cpu.adam import (
     Update,
     flush_rows,
     sum_displacements,
-    update_rows,
 )
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients, split_spans
+from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 
@@ -137,13 +136,6 @@ class Adam:
     def stale(self) -> Stale:
         """All rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
         return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)
-
-    def update_rows(self, spans: list[tuple[int, int]], candidates: np.ndarray) -> None:
-        """Apply the deferred steps of the rows candidates[first : first + count] of every span; candidates int32."""
-        if self.state.now == self._flushed:
-            return
-        common = (candidates, self._rows(self._used), self._deferred(self.state.now))
-        pool.run(update_rows, [(*span, *common) for span in split_spans(spans)])
 
     def flush(self) -> None:
         """Apply the deferred steps of every row."""

@@ -43,12 +43,12 @@ class Checkpoint:
         if self.seconds is not None and self.seconds < 0:
             raise ValueError(f"checkpoint is {self.seconds}; it must be 0 or more seconds of training, or null")
 
-    def take_up(self, method: Method, context: Context, plateau: Stopping | None) -> TrainingLog:
+    def take_up(self, method: Method, context: Context, stopping: Stopping | None) -> TrainingLog:
         """Load the stored state into a method that was just set up; returns the log so far, or an empty one.
 
         A file that is not whole, or that holds another state than this method has, is not used; nothing is loaded then.
         """
-        self._method, self._context, self._plateau = method, context, plateau
+        self._method, self._context, self._stopping = method, context, stopping
         for partial in self.path.parent.glob(f".{glob.escape(self.path.stem)}.*{self.path.suffix}"):
             with suppress(OSError):
                 partial.unlink()  # of a process that was killed while it wrote
@@ -90,7 +90,7 @@ class Checkpoint:
         return {
             "context": self._context.state_dict(),
             "models": {name: model.state_dict() for name, model in self._method.models().items()},
-            "plateau": None if self._plateau is None else self._plateau.state_dict(),
+            "stopping": None if self._stopping is None else self._stopping.state_dict(),
         }
 
     def _read(self) -> dict[str, Any]:
@@ -126,8 +126,8 @@ class Checkpoint:
         self._context.load_state_dict(saved["context"])
         for name, model in self._method.models().items():
             model.load_state_dict(saved["models"][name])
-        if self._plateau is not None:
-            self._plateau.load_state_dict(saved["plateau"])
+        if self._stopping is not None:
+            self._stopping.load_state_dict(saved["stopping"])
 
 
 class _HashingFile:

@@ -70,12 +70,12 @@ def train(
     method: Method,
     iterations: int,
     on_line: Callable[[LogLine], None] | None = None,
-    plateau: Stopping | None = None,
+    stopping: Stopping | None = None,
     on_step: Callable[[TrainingLog], None] | None = None,
     log: TrainingLog | None = None,
     on_model: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
-    """Train a method that is set up, for so many iterations or until `plateau` lets it end.
+    """Train a method that is set up, for so many iterations or until `stopping` lets it end.
 
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
     density control and optimiser step. Training ends early once the models have recovered from density control.
@@ -98,8 +98,8 @@ def train(
             model.begin(iteration)
         step = method.step(iteration)
         loss = _finite_loss(step, models, iteration)
-        on_plateau = plateau is not None and plateau.reached(iteration, step.terms.get("thermal", loss))
-        ends = iteration == iterations or (on_plateau and all(m.has_recovered(iteration) for m in models.values()))
+        may_end = stopping is not None and stopping.reached(iteration, step.terms.get("thermal", loss))
+        ends = iteration == iterations or (may_end and all(m.has_recovered(iteration) for m in models.values()))
         if on_model is not None:
             log.iterations, log.ended = iteration, ends
             clock.stop()

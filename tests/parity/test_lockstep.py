@@ -19,6 +19,7 @@ from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
 from tdgbench.training.model import SplatModel
 from tests.helpers.configs import config
+from tests.helpers.deferred import apply_deferred_steps
 from tests.parity.drive import HEIGHT, WIDTH, pull, visible_at
 from tests.parity.originals import original
 
@@ -60,7 +61,7 @@ def pulled_render(state, optimizer, camera, options, collect, backend):
     iteration = optimizer.rendering
     columns = original_order(state)
     visible = visible_at(state.values[:, columns], iteration).nonzero().squeeze(1).int()
-    optimizer.update_rows([(0, len(visible))], visible.numpy())
+    apply_deferred_steps(optimizer, visible.numpy())
     given = pull(state.values[visible][:, columns], iteration)
     rows = torch.zeros(len(visible), state.values.shape[1])
     rows[:, columns] = given.rows

@@ -9,6 +9,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import BETA1, BETA2, EPS, FLUSH_EVERY, MAX_DEFERRED, MAX_SPEED, Adam
 from tdgbench.splats.state import TrainingState
+from tests.helpers.deferred import apply_deferred_steps
 from tests.helpers.gaussians import RATES, model
 
 EXTENT = 2.0
@@ -100,7 +101,7 @@ def test_only_candidates_are_updated():
         optimizer.step(step_gradients(state, step, 1.0 if step == 1 else 0.0), step)
     stale = state.values.clone()
     candidates = np.arange(0, 40, 2, dtype=np.int32)
-    optimizer.update_rows([(0, 20)], candidates)
+    apply_deferred_steps(optimizer, candidates)
     updated = state.values.clone()
     optimizer.flush()
     assert torch.equal(updated[1::2], stale[1::2]) and not torch.equal(stale[1::2], state.values[1::2])
@@ -119,7 +120,7 @@ def test_deferred_steps_stay_within_the_tolerance():
     before, bounds = state.values.clone(), state.bounds.clone()
     for step in range(20, 20 + FLUSH_EVERY // 2):
         optimizer.step(step_gradients(state, step, 0.0), step)
-    optimizer.update_rows([(0, 60)], np.arange(60, dtype=np.int32))
+    apply_deferred_steps(optimizer, np.arange(60, dtype=np.int32))
     moved = (state.values - before).abs()
     assert 0 < moved[:, state.column_of("means")].max() < tolerance.mean
     assert 0 < moved[:, state.column_of("log_scales")].max() < tolerance.log_scale

@@ -137,7 +137,7 @@ def test_held_out_views_and_growth_look_through_the_camera(small_gray_scene):
     assert before == pytest.approx(-10 * np.log10(np.mean((context.camera.compare(
         held[0], torch.from_numpy(image)).numpy() - held[0].thermal) ** 2)), abs=1e-3)  # fmt: skip
     assert before > psnr(image.clip(0, 1), held[0].thermal) + 1
-    train(method, 60, plateau=settling)
+    train(method, 60, stopping=settling)
     index = context.camera.names.index(held[0].name)
     assert context.camera.views.steps[index] > 0  # once it has settled, it is trained on as well
 

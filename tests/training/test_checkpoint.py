@@ -66,16 +66,16 @@ def timeless(log: TrainingLog):
 
 @pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean", "refined"])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
-    method, context, plateau = set_up(small_gray_scene, name)
-    calm = train(method, ITERATIONS, plateau=plateau)
+    method, context, stopping = set_up(small_gray_scene, name)
+    calm = train(method, ITERATIONS, stopping=stopping)
     wanted = digest(method)
     camera = plain(context.camera.state_dict())
     log = TrainingLog()
     stops = [1, 9, 10, 26, 47, ITERATIONS]
     for stop in stops:
-        method, context, plateau = set_up(small_gray_scene, name)
+        method, context, stopping = set_up(small_gray_scene, name)
         checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        log = checkpoint.take_up(method, context, plateau)
+        log = checkpoint.take_up(method, context, stopping)
         checkpoint._next = 0.0  # every step, however long writing takes
 
         def killed(log, checkpoint=checkpoint, stop=stop):
@@ -86,27 +86,27 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
 
         if stop < ITERATIONS:
             with pytest.raises(KilledError):
-                train(method, ITERATIONS, plateau=plateau, on_step=killed, log=log)
+                train(method, ITERATIONS, stopping=stopping, on_step=killed, log=log)
         else:
-            log = train(method, ITERATIONS, plateau=plateau, on_step=killed, log=log)
+            log = train(method, ITERATIONS, stopping=stopping, on_step=killed, log=log)
     assert log.resumed == stops[:-1]
     assert timeless(log) == timeless(calm)
     assert digest(method) == wanted
     assert plain(context.camera.state_dict()) == camera
     # once it has ended, nothing is left to do
-    method, context, plateau = set_up(small_gray_scene, name)
-    ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, plateau)
-    assert timeless(train(method, ITERATIONS, plateau=plateau, log=ended)) == timeless(calm)
+    method, context, stopping = set_up(small_gray_scene, name)
+    ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, stopping)
+    assert timeless(train(method, ITERATIONS, stopping=stopping, log=ended)) == timeless(calm)
     assert digest(method) == wanted
 
 
 def test_writing_changes_nothing(small_gray_scene, tmp_path):
     digests = []
     for seconds in (None, 0.0):
-        method, context, plateau = set_up(small_gray_scene, "tdg")
+        method, context, stopping = set_up(small_gray_scene, "tdg")
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, seconds)
-        log = checkpoint.take_up(method, context, plateau)
-        train(method, ITERATIONS, plateau=plateau, on_step=checkpoint.after_step, log=log)
+        log = checkpoint.take_up(method, context, stopping)
+        train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
         digests.append(digest(method))
         assert checkpoint.path.exists() == (seconds is not None)
     assert digests[0] == digests[1]
@@ -116,18 +116,18 @@ def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):
     rule = PlateauRule(rounds=1, patience=1, gain=0.9, after=10)
     for _ in range(2):
         method, context, _ = set_up(small_gray_scene, "splat")
-        plateau, checkpoint = Plateau(rule, 5), Checkpoint(tmp_path / "a.pt", {}, 0.0)
-        log = checkpoint.take_up(method, context, plateau)
+        stopping, checkpoint = Plateau(rule, 5), Checkpoint(tmp_path / "a.pt", {}, 0.0)
+        log = checkpoint.take_up(method, context, stopping)
         checkpoint._next = 0.0
-        log = train(method, ITERATIONS, plateau=plateau, on_step=checkpoint.after_step, log=log)
+        log = train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
         assert log.iterations == 20
 
 
 def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
     def taken_up(made_with):
-        method, context, plateau = set_up(small_gray_scene, "splat")
+        method, context, stopping = set_up(small_gray_scene, "splat")
         checkpoint = Checkpoint(tmp_path / "a.pt", made_with, 0.0)
-        return checkpoint, checkpoint.take_up(method, context, plateau), method
+        return checkpoint, checkpoint.take_up(method, context, stopping), method
 
     checkpoint, log, method = taken_up({"key": "k", "cpu": "A"})
     train(method, 5, on_step=checkpoint.after_step, log=log)
@@ -140,9 +140,9 @@ def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 def test_a_full_disk_is_told_and_training_goes_on(small_gray_scene, tmp_path, monkeypatch):
-    method, context, plateau = set_up(small_gray_scene, "splat")
+    method, context, stopping = set_up(small_gray_scene, "splat")
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    log = checkpoint.take_up(method, context, plateau)
+    log = checkpoint.take_up(method, context, stopping)
 
     save = torch.save
     monkeypatch.setattr(torch, "save", lambda content, _: save(content, "/dev/full"))
@@ -165,17 +165,17 @@ def test_seconds_below_zero_are_refused(tmp_path):
 @pytest.fixture
 def stored(small_gray_scene, tmp_path):
     """A fresh method, the checkpoint of another one after 12 iterations, and its content; `take_up` loads it."""
-    method, context, plateau = set_up(small_gray_scene, "msmg")
+    method, context, stopping = set_up(small_gray_scene, "msmg")
     checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-    checkpoint.take_up(method, context, plateau)
-    train(method, 12, plateau=plateau, on_step=checkpoint.after_step)
-    method, context, plateau = set_up(small_gray_scene, "msmg")
+    checkpoint.take_up(method, context, stopping)
+    train(method, 12, stopping=stopping, on_step=checkpoint.after_step)
+    method, context, stopping = set_up(small_gray_scene, "msmg")
     fresh = digest(method)
 
     def take_up() -> list[str]:
         """The notes of a checkpoint that is not used; the method has not changed."""
         checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        assert checkpoint.take_up(method, context, plateau).iterations == 0
+        assert checkpoint.take_up(method, context, stopping).iterations == 0
         assert digest(method) == fresh
         return checkpoint.notes
 
@@ -236,7 +236,7 @@ OTHERS = {
     "counts": ("models.thermal.density.grad_sum", lambda one: one[:1].clone()),
     "no stream": ("context.generators", lambda states: states[:-1]),
     "a broken stream": ("context.generators.0", lambda state: torch.full_like(state, 255)),
-    "no plateau": ("plateau", lambda _: {}),
+    "no rule of stopping": ("stopping", lambda _: {}),
     "no iterations": ("iterations", lambda _: None),
     "iterations in words": ("iterations", lambda _: "twelve"),
     "lines": ("lines.0", lambda line: {**line, "colour": "red"}),
@@ -253,11 +253,11 @@ def test_a_state_of_another_shape_is_not_used(stored, name):
 def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene, tmp_path):
     wanted, method = [], None
     for number in range(2):
-        method, context, plateau = set_up(small_gray_scene, "tdg")
+        method, context, stopping = set_up(small_gray_scene, "tdg")
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-        log = checkpoint.take_up(method, context, plateau)
+        log = checkpoint.take_up(method, context, stopping)
         assert len(checkpoint.notes) == number
-        train(method, ITERATIONS, plateau=plateau, on_step=checkpoint.after_step, log=log)
+        train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
         wanted.append(digest(method))
         change(tmp_path / "a.pt", "context.generators.0", lambda state: torch.full_like(state, 255))
     assert wanted[0] == wanted[1]

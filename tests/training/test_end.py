@@ -73,7 +73,7 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
         )
         method, _ = ready_to_train(small_gray_scene, "splat", 1000, *overrides)
         views = len(method.views._views)
-        log = train(method, 1000, plateau=Plateau(late, views))
+        log = train(method, 1000, stopping=Plateau(late, views))
         ends[recovery] = log.iterations
         assert log.ended and log.lines[-1].iteration == log.iterations
     assert ends[0] == 32 + 2 * views

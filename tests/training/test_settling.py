@@ -154,7 +154,7 @@ def test_methods_stop_by_it(small_gray_scene, name):
     method, context = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
     stopping = stopping_of(method, context)
     assert isinstance(stopping, Settling) and len(context.curriculum.held) == 1
-    log = train(method, 60, plateau=stopping)
+    log = train(method, 60, stopping=stopping)
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in method.models().values())
 

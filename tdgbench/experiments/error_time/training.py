@@ -85,7 +85,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )  # fmt: skip
 
-    train(method, context.budget.iterations, plateau=stopping_of(method, context), on_model=sample)
+    train(method, context.budget.iterations, stopping=stopping_of(method, context), on_model=sample)
     return pd.DataFrame(rows)
 
 

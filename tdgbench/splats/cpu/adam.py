@@ -166,17 +166,6 @@ def step_rows(first, count, index, gradients, step, bad):
 
 
 @kernel()
-def update_rows(first, count, candidates, rows, deferred):
-    """Apply the deferred steps of the rows candidates[first : first + count], int32 (capacity,)."""
-    last = U(first + count - 1)
-    for k in range(U(first), U(first + count)):
-        prefetch_gaussian(rows, np.int64(candidates[min(k + U(PREFETCH_DISTANCE), last)]))
-        i = U(candidates[k])
-        if rows.clocks[i, U(1)] < deferred.now:
-            apply_deferred(rows, i, i * U(rows.stride), deferred)
-
-
-@kernel()
 def flush_rows(start, stop, rows, deferred, decay):
     """Bring parameters, moments and bounds of rows [start, stop) up to date."""
     for i in range(U(start), U(stop)):
