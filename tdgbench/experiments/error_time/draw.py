@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from tdgbench.experiments.error_time import growth, training
 from tdgbench.report.figures import plain, save_figure
+from tdgbench.scoring import METRICS
 
 MARKERS = "osD^vP*X"
 DRAWN_ZERO = 1e-9  # an error of zero is drawn here
@@ -51,7 +52,7 @@ def draw_curves(curves: pd.DataFrame, target: Path) -> None:
                 axes.plot(curve["seconds"], curve[metric].astype(float), marker=MARKERS[i % len(MARKERS)], markersize=3,
                           linewidth=1, label=plain(str(label)))  # fmt: skip
             axes.set_xscale("log")
-            axes.set_ylabel(metric)
+            axes.set_ylabel(METRICS[metric].title)
             axes.grid(linewidth=0.3)
             if row == 0:
                 axes.set_title(plain(str(scene)), fontsize=9)

@@ -80,8 +80,8 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
         rows.append(
             {
                 "scene": scene.name, "label": run.label, "iteration": log.iterations,
-                "seconds": log.seconds,
-                "gaussians": gaussians, **{m: scores[m] for m in METRICS},
+                "seconds": log.seconds, "processor_seconds": log.processor_seconds, "gaussians": gaussians,
+                **{m: scores[m] for m in METRICS},
             }
         )  # fmt: skip
 
