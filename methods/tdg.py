@@ -101,7 +101,7 @@ class TDg:
     def _decide_skip(self, context: Context) -> bool:
         """Whether iterations in which the depth loss moves nothing leave it out."""
         iterations = context.budget.iterations
-        without, reason = max(0, iterations - self.last_depth_iteration + 1), ""
+        without, reason = min(iterations, max(0, iterations - self.last_depth_iteration + 1)), ""
         if self.lambda_depth == 0 or self.depth == "released":
             without = iterations
         if self.depth == "released":

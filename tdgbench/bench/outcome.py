@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
-from tdgbench.bench.record import Record
+from tdgbench.bench.record import Record, read_all
 from tdgbench.scoring import METRICS
 from tdgbench.text import duration
 
@@ -57,6 +59,12 @@ def finished(record: Record, message: str) -> Outcome:
     """Outcome of a cell that ran."""
     seconds = sum(time for stage, time in record.seconds.items() if stage != ONCE)
     return Outcome("ok", record.title, message, scores_in_words(record), seconds)
+
+
+def finished_cells(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
+    """The results of these cells in an experiment's folder, which may hold those of earlier runs, too."""
+    titles = {outcome.title for outcome in outcomes if outcome.status in COMPLETE}
+    return [record for record in read_all(experiment) if record.failure is None and record.title in titles]
 
 
 def scores_in_words(record: Record) -> str:

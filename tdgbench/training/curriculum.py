@@ -21,7 +21,7 @@ class Curriculum:
         self.is_holding = bool(self.held)
         self._names = {view.name for view in self.held}
         self._step = 0  # in use; len(steps): the full resolution
-        self._is_final = False
+        self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
         self._shrunk: dict[str, View] = {}
         self._iteration = 0
         self._trained = [0] * (len(self.steps) + 1)  # iterations at each step
@@ -32,7 +32,7 @@ class Curriculum:
             return
         self._iteration = iteration
         step = self._step
-        while not self._is_final and step < len(self.steps) and iteration > self.steps[step][0]:
+        while not self.settled_at and step < len(self.steps) and iteration > self.steps[step][0]:
             step += 1
         self._use(step)
         self._trained[self._step] += 1
@@ -43,7 +43,7 @@ class Curriculum:
 
     def settle(self, scale: int) -> None:
         """Train on the views that were held out, too, and at this scale from now on."""
-        self.is_holding, self._is_final = False, True
+        self.is_holding, self.settled_at = False, max(1, self._iteration)
         self._use([*(one for _, one in self.steps), 1].index(scale))
 
     def _use(self, step: int) -> None:
@@ -80,12 +80,12 @@ class Curriculum:
     def state_dict(self) -> dict[str, Any]:
         """What has changed so far."""
         return {
-            "step": self._step, "is_final": self._is_final, "is_holding": self.is_holding,
+            "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
             "iteration": self._iteration, "trained": list(self._trained),
         }  # fmt: skip
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore a state from `state_dict`."""
-        self._is_final, self.is_holding = saved["is_final"], saved["is_holding"]
+        self.settled_at, self.is_holding = saved["settled_at"], saved["is_holding"]
         self._iteration, self._trained = saved["iteration"], list(saved["trained"])
         self._use(saved["step"])

@@ -19,28 +19,28 @@ FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's
 
 
 class Footprints(NamedTuple):
-    """Sums over the footprints of N Gaussians in one view, each pixel weighted as in the blend."""
+    """Sums over the footprints of N Gaussians in one view of C channels, each pixel weighted as in the blend."""
 
     weight: Tensor  # (N,) px
-    residual: Tensor  # (N,) signed, image values × px
-    difference: Tensor  # (N,) the residual in one half of the footprint minus that in the other
+    residual: Tensor  # (N, C) signed, image values × px
+    difference: Tensor  # (N, C) the residual in one half of the footprint minus that in the other
     visible: Tensor  # (N,) bool
 
 
 @torch.no_grad()
 def look_at(gaussians: Gaussians, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str) -> Footprints:
-    """Footprints of the Gaussians in a residual map (H, W); masked pixels (`valid` (H, W) is false) count nothing.
+    """Footprints of the Gaussians in a residual (H, W, C); masked pixels (`valid` (H, W) is false) count nothing.
 
     Each Gaussian is rendered as its two halves, without colour: the gradient of a half's colour is the sum over its
     footprint of what the image's gradient is set to.
     """
-    counts = torch.ones_like(residual) if valid is None else valid.to(residual)
-    known = residual if valid is None else torch.where(valid, residual, 0.0)  # NaN may stand at masked pixels
-    maps = torch.stack([counts, known], dim=-1)
+    counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
+    known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
+    maps = torch.cat([counts, known], dim=-1)
     n = len(gaussians)
     parts = halves(gaussians)
     with torch.enable_grad():
-        colors = parts.means.new_zeros(2 * n, 2, requires_grad=True)
+        colors = parts.means.new_zeros(2 * n, maps.shape[2], requires_grad=True)
         view = render_view(parts._replace(colors=colors), Pinhole.of(camera).to(parts.means), backend=backend)
         view.image.backward(maps)
     sums = colors.grad
@@ -48,7 +48,7 @@ def look_at(gaussians: Gaussians, camera: Camera, residual: Tensor, valid: Tenso
     first, second = sums[:n], sums[n:]
     radii = view.projection.radii
     return Footprints(
-        first[:, 0] + second[:, 0], first[:, 1] + second[:, 1], first[:, 1] - second[:, 1],
+        first[:, 0] + second[:, 0], first[:, 1:] + second[:, 1:], first[:, 1:] - second[:, 1:],
         (radii[:n] > 0) | (radii[n:] > 0),
     )  # fmt: skip
 
@@ -68,16 +68,17 @@ def halves(gaussians: Gaussians) -> GaussianTensors:
 
 
 class Evidence(NamedTuple):
-    """Footprints of N Gaussians, summed over views."""
+    """Footprints of N Gaussians, summed over views of C channels."""
 
     views: Tensor  # (N,) number of views in which it is visible
     weight: Tensor  # (N,) px
-    difference: Tensor  # (N,) image values × px
+    difference: Tensor  # (N, C) image values × px
 
     @classmethod
-    def none(cls, means: Tensor) -> Evidence:
+    def none(cls, means: Tensor, channels: int) -> Evidence:
         """Evidence of no view, for Gaussians with these means (N, 3)."""
-        return cls(*means.new_zeros(len(cls._fields), len(means)))
+        n = len(means)
+        return cls(means.new_zeros(n), means.new_zeros(n), means.new_zeros(n, channels))
 
     def add(self, view: Footprints) -> None:
         """Add a view."""

@@ -3,7 +3,9 @@
 A Gaussian that is split or cloned can give its two halves different values. What that would explain is the difference
 of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
 ±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
-A Gaussian grows where |D| exceeds `z` times that. Errors of single views have different signs and cancel in D.
+A Gaussian grows where |D| of any channel exceeds `z` times that. Errors of single views have different signs and cancel
+in D. σ is that of the images at their full size: smaller ones, whose pixels are means of many, have less noise, so that
+more than `z` is asked of them.
 
 How much D differs between views says nothing more: where a model still lacks Gaussians it differs as it does for noise.
 """
@@ -68,11 +70,12 @@ class Significance:
     @torch.no_grad()
     def judge(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
         """Verdict on the Gaussians, rendered at an SH degree. turn: number of the round; it chooses the views."""
-        evidence = Evidence.none(gaussians.means)
+        evidence = Evidence.none(gaussians.means, gaussians.channels)
         for view in self.chosen(turn):
             evidence.add(self._look(self.curriculum.at_resolution(view), gaussians, degree))
         is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
-        strength = torch.where(is_known, evidence.difference.abs() / (self.noise * evidence.weight.sqrt()), 0.0)
+        largest = evidence.difference.abs().amax(dim=1)
+        strength = torch.where(is_known, largest / (self.noise * evidence.weight.sqrt()), 0.0)
         useless = self.curriculum.scale**2 * evidence.weight < self.rule.min_weight * evidence.views
         return Verdict(strength, strength > self.rule.z, (evidence.views >= FEWEST_VIEWS) & useless)
 
@@ -83,9 +86,9 @@ class Significance:
         return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
 
     def _look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
-        """Footprints in what a view shows and the Gaussians do not, as a mean over the channels."""
+        """Footprints in what a view shows and the Gaussians do not."""
         camera = Pinhole.of(view.camera).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        residual = (self.modality.tensor(view, image.device) - self.camera.compare(view, image)).mean(dim=-1)
+        residual = self.modality.tensor(view, image.device) - self.camera.compare(view, image)
         return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)

@@ -42,10 +42,17 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
         if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
     )  # fmt: skip
     shares = np.mean(
-        [significant_amplitudes(view.thermal, noise_of(view.thermal, view.valid), scales) for view in views], axis=0
+        [significant_amplitudes(_filled(view), noise_of(view.thermal, view.valid), scales) for view in views], axis=0
     )
     ends = [int(share * rule.until * iterations) for share in shares]
     return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
+
+
+def _filled(view: View) -> np.ndarray:
+    """The thermal image (H, W, C) with the mean of its valid pixels in the others, whose border is no detail."""
+    if view.valid is None or not view.valid.any():
+        return view.thermal
+    return np.where(view.valid[..., None], view.thermal, view.thermal[view.valid].mean(axis=0))
 
 
 def shrunk(view: View, scale: int) -> View:

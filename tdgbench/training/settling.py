@@ -26,10 +26,10 @@ class SettlingRule:
     A window is a share of the checks at the current resolution. A training that stalls below the full resolution goes
     on to the next one. At the full one, or after two in a row that are no better than the best, it settles at the best:
     the held-out views are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a
-    while. A training that never settles does the same at its end.
+    while. A training that never settles does the same at its end, at the full resolution.
     """
 
-    share: Annotated[float, Field(gt=0, lt=0.5)]  # of the training views that is held out
+    share: Annotated[float, Field(gt=0, le=0.25)]  # of the training views that is held out
     fewest: PositiveInt  # views held out; with less than four times as many training views none is
     most: PositiveInt  # views held out
     every: PositiveInt  # iterations between checks
@@ -41,9 +41,9 @@ class SettlingRule:
 
     def hold_out(self, views: list[View]) -> list[View]:
         """The views to hold out, evenly spread."""
-        count = min(max(self.fewest, round(self.share * len(views))), self.most)
-        if len(views) < 4 * count:
+        if len(views) < 4 * self.fewest:
             return []
+        count = min(max(self.fewest, round(self.share * len(views))), self.most, len(views) // 4)
         return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
 
     def latest(self, iterations: int) -> int:
@@ -105,7 +105,7 @@ class Settling:
         """The scale at which the training settles now; None if it does not."""
         rule, curriculum = self.rule, self.context.curriculum
         if iteration >= rule.latest(self.context.budget.iterations):
-            return curriculum.scale
+            return 1
         if iteration % rule.every or not curriculum.held:
             return None
         if curriculum.scale != self._scale:  # by the schedule
@@ -145,5 +145,5 @@ class Settling:
             image = self.context.camera.compare(view, self.method.render(view.camera).image)
             squares = np.square(image.cpu().numpy() - view.thermal)
             mse = float((squares if view.valid is None else squares[view.valid]).mean(dtype=np.float64))
-            values.append(-10 * np.log10(max(mse, MIN_MSE)))
+            values.append(-10 * math.log10(max(mse, MIN_MSE)))
         return values

@@ -65,7 +65,7 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
             else:
                 model.finish(iteration)
         if budget.growth is not None:
-            look_at(model.gaussians, camera, torch.zeros(SIZE, SIZE, device=model.state.values.device), None, backend)
+            look_at(model.gaussians, camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()
 
 

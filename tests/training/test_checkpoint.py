@@ -16,7 +16,7 @@ ITERATIONS = 60
 RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)
 LEAN = (  # every rule of the lean budget: images are small at first; it settles in iteration 48
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
-    "budget.settling.fewest=1",
+    "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
 )  # fmt: skip
 
 

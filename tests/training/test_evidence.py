@@ -28,18 +28,18 @@ def long_and_short() -> Gaussians:
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_weights_are_those_of_the_blend(backend):
     gaussians = long_and_short()
-    seen = look_at(gaussians, camera(), torch.ones(32, 32), None, backend)
+    seen = look_at(gaussians, camera(), torch.ones(32, 32, 1), None, backend)
     for index in range(2):
         parts = halves(gaussians)
         colors = torch.zeros(4, 1)
         colors[[index, index + 2]] = 1.0
         image = render_view(parts._replace(colors=colors), Pinhole.of(camera()), backend=backend).image
         assert seen.weight[index].item() == pytest.approx(image.sum().item(), rel=1e-4)
-    assert torch.allclose(seen.residual, seen.weight) and seen.visible.all()
+    assert torch.allclose(seen.residual[:, 0], seen.weight) and seen.visible.all()
 
 
 def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
-    across, along = torch.ones(32, 32), torch.ones(32, 32)
+    across, along = torch.ones(32, 32, 1), torch.ones(32, 32, 1)
     along[:, 16:] = -1.0
     across[16:] = -1.0
     by_columns, by_rows = (look_at(long_and_short(), camera(), r, None, "cpu") for r in (along, across))
@@ -61,16 +61,16 @@ def test_halves_have_the_mass_and_the_spread_of_the_whole():
 def test_masked_pixels_count_nothing():
     valid = torch.ones(32, 32, dtype=torch.bool)
     valid[:, :16] = False
-    residual = torch.ones(32, 32)
+    residual = torch.ones(32, 32, 1)
     residual[:, :16] = float("nan")
     seen = look_at(long_and_short(), camera(), residual, valid, "cpu")
-    whole = look_at(long_and_short(), camera(), torch.ones(32, 32), None, "cpu")
+    whole = look_at(long_and_short(), camera(), torch.ones(32, 32, 1), None, "cpu")
     assert seen.weight[0].item() == pytest.approx(whole.weight[0].item() / 2, rel=1e-3)
-    assert torch.allclose(seen.residual, seen.weight)
+    assert torch.allclose(seen.residual[:, 0], seen.weight)
 
 
 def test_a_gaussian_out_of_sight_says_nothing():
     gaussians = long_and_short()
     gaussians.means[1] = torch.tensor([0.0, 0.0, -9.0])
-    seen = look_at(gaussians, camera(), torch.ones(32, 32), None, "cpu")
+    seen = look_at(gaussians, camera(), torch.ones(32, 32, 1), None, "cpu")
     assert seen.visible.tolist() == [True, False] and seen.weight[1] == 0

@@ -118,6 +118,17 @@ def test_views_are_judged_at_the_resolution_of_the_iteration():
     assert judge(views(edge), curriculum=curriculum).grow[0] and len(seen) == RULE.views
 
 
+def test_colours_of_one_brightness_are_told_apart():
+    """Red above, blue below: each channel differs, their mean does not."""
+    redder = np.array([1, 0, -1], np.float32)
+    given = []
+    for gray, seen in zip(views(lambda x, y, number: 0 * x), views(edge), strict=True):
+        image = (gray.thermal + (seen.thermal - gray.thermal) * redder).astype(np.float32)
+        given.append(dataclasses.replace(gray, load_thermal=lambda image=image: image))
+    gaussians = dataclasses.replace(two(), sh=torch.zeros(2, 1, 3))
+    assert judge(given, gaussians).grow.tolist() == [True, False]
+
+
 def test_one_view_decides_nothing():
     assert not judge(views(edge, count=1)).grow.any()
 

@@ -65,7 +65,7 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
 
 def test_training_ends_on_a_plateau(small_scene):
     method, _ = trained(small_scene, "splat", 1)
-    log = train(method, 60, plateau=Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=10), views=5))
+    log = train(method, 60, stopping=Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=10), views=5))
     assert log.iterations == 20 == log.lines[-1].iteration  # one window to compare with, one that is not 90 % better
 
 

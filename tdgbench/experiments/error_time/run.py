@@ -14,6 +14,8 @@ from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 from rich.console import Console
 
 from tdgbench import terminal
+from tdgbench.bench.options import OptionError
+from tdgbench.bench.signature import Problem
 from tdgbench.experiments.error_time import growth, kernels, training
 from tdgbench.experiments.error_time.draw import draw_curves, draw_growth, draw_pareto
 from tdgbench.experiments.error_time.show import show
@@ -68,6 +70,9 @@ class ErrorTime(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Raises PriorUnavailableError if a training needs a prior that is not available."""
+        if "kernels" in cfg.job.parts and not cfg.job.counts and cfg.job.model is None:
+            problem = "needs job.counts, numbers of Gaussians, or job.model, for its part `kernels`"
+            raise OptionError([Problem("job.parts", problem, cfg.job.parts)])
         if "training" in cfg.job.parts:
             for one in training.runs_of(cfg):
                 cell = cfg.copy()
@@ -103,8 +108,7 @@ def _measure_kernels(cfg: DictConfig, folder: Path, console: Console) -> None:
     job = cfg.job
     size = f"{job.width}×{job.height}"
     clouds: dict[str, Cloud] = {
-        f"{count // 1000} k random, {size}": random_cloud(int(count), int(job.width), int(job.height))
-        for count in job.counts
+        f"{count:,} random, {size}": random_cloud(int(count), int(job.width), int(job.height)) for count in job.counts
     }
     if job.model is not None:
         clouds["trained"] = trained_cloud(Path(job.model), Path(cfg.data.root))

@@ -41,13 +41,15 @@ class Run:
 
 def runs_of(cfg: DictConfig) -> list[Run]:
     """The chain in `cfg.job.runs`. Raises ValueError for a method or budget that is not in `cfg.job`."""
-    runs = []
+    runs: list[Run] = []
     for one in cfg.job.runs:
         budget = one.get("budget")
         if one.method not in cfg.job.methods:
             raise ValueError(f"run {one.label!r}: no method {one.method!r} among {', '.join(cfg.job.methods)}")
         if budget is not None and budget not in cfg.job.get("budgets", {}):
             raise ValueError(f"run {one.label!r}: no budget {budget!r} among {', '.join(cfg.job.get('budgets', {}))}")
+        if one.label in [run.label for run in runs]:
+            raise ValueError(f"two runs have the label {one.label!r} in job.runs")
         runs.append(Run(one.label, one.method, float(one.get("share", 1.0)), dict(one.get("options", {})), budget))
     return runs
 
@@ -68,6 +70,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
     method, context = set_up(cfg, scene, method=unready, skips=skips)
+    scene = context.scene  # its images may be changed
     scorer: Scorer = instantiate(cfg.metrics)
     sampled = _sampled_iterations(context.budget, samples)
     rows: list[dict[str, Any]] = []
@@ -208,5 +211,5 @@ def sample_all(
                 continue
             parts.append(curve)
             report(str(curve["scene"].iloc[0]), run.label, curve)
-    columns = ["scene", "label", "iteration", "seconds", "gaussians", *METRICS]
+    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *METRICS]
     return (pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)), failed

@@ -12,9 +12,8 @@ from omegaconf import DictConfig
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
-from tdgbench.bench.outcome import SUCCESS
+from tdgbench.bench.outcome import SUCCESS, finished_cells
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record, read_all
 from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.error_time.show import show
 from tdgbench.experiments.experiment import Experiment
@@ -99,7 +98,7 @@ def _entries(cfg: DictConfig, name: str | None, failures: list[str]) -> Iterator
 
 def _trained(cfg: DictConfig, scene: Scene, prior: str, judged: Judged, failures: list[str]) -> Entry:
     """Run the cells of one prior, one per seed, and collect their records."""
-    done: list[Record] = []
+    outcomes = []
     for seed in cfg.job.seeds:
         cell = cfg.copy()
         cell.scene, cell.seed = scene.name, seed
@@ -107,21 +106,11 @@ def _trained(cfg: DictConfig, scene: Scene, prior: str, judged: Judged, failures
             cell.method = cfg.job.without
         else:
             cell.prior = cfg.job.priors[prior]
-        outcome = run_cell(cell, _variant(prior), CellProgress(console(stderr=True), cfg.budget.iterations))
-        if outcome.status in SUCCESS:
-            done += [one for one in read_all(Path(cfg.results) / cfg.name) if _is_of(one, cell, prior)]
-        else:
+        outcome = run_cell(cell, f"prior={prior}", CellProgress(console(stderr=True), cfg.budget.iterations))
+        outcomes.append(outcome)
+        if outcome.status not in SUCCESS:
             failures.append(f"{outcome.title}: {outcome.message}")
+    done = finished_cells(Path(cfg.results) / cfg.name, outcomes)
     made_from = "" if prior == NONE else str(cell.prior.get("made_from") or "")
     reason = "" if len(done) == len(cfg.job.seeds) else "a training failed"
     return Entry(scene.name, prior, made_from, source(scene), judged, done, reason)
-
-
-def _variant(prior: str) -> str:
-    return f"prior={prior}"
-
-
-def _is_of(record: Record, cell: DictConfig, prior: str) -> bool:
-    """Whether a record is that of a finished cell."""
-    place = (record.method, record.scene, record.seed, record.variant)
-    return record.failure is None and place == (cell.method.name, cell.scene, cell.seed, _variant(prior))

@@ -13,9 +13,8 @@ from pydantic import Field, NonNegativeInt
 from rich.console import Console
 from rich.table import Table
 
-from tdgbench.bench.outcome import SUCCESS, Outcome
+from tdgbench.bench.outcome import SUCCESS, Outcome, finished_cells
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import read_all
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.skips.draw import draw
@@ -56,7 +55,7 @@ class SkipAblation(Experiment):
 
         outcomes = run_variants(cfg, CellProgress(console(stderr=True), cfg.budget.iterations), report)
         folder = Path(cfg.results) / cfg.name
-        rows = skip_rows(read_all(folder))
+        rows = skip_rows(finished_cells(folder, outcomes))
         if not rows.empty:
             table = summary(rows, list(cfg.job.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))

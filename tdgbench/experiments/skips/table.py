@@ -19,8 +19,6 @@ def skip_rows(records: list[Record]) -> pd.DataFrame:
     """
     rows = []
     for record in records:
-        if record.failure is not None:
-            continue
         before = sum(record.seconds.get(stage, 0.0) for stage in ("load", "images", "prior", "init"))
         taken = [skip for skip in record.skips if skip["taken"]]
         rows.append(

@@ -6,16 +6,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
-from tdgbench.bench.outcome import SUCCESS, Outcome
+from tdgbench.bench.outcome import SUCCESS, Outcome, finished_cells
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record, read_all
+from tdgbench.bench.record import Record
 from tdgbench.experiments.error_time.show import show
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.preparation import prepare_prior
@@ -62,12 +62,11 @@ class ThermalCameraExperiment(Experiment):
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the table. Raises SystemExit(1) if a cell failed."""
         self.check(cfg)
-        done = list(_run_cells(cfg))
+        outcomes = list(_run_cells(cfg))
         folder, job = Path(cfg.results) / cfg.name, cfg.job
         captures, cameras = list(map(str, job.captures)), list(map(str, job.cameras))
         places = {variant(capture, camera): (capture, camera) for capture in captures for camera in cameras}
-        asked = {cell for cell, outcome in done if outcome.status in SUCCESS}
-        records = [one for one in read_all(folder) if one.failure is None and _cell_of(one) in asked]
+        records = finished_cells(folder, outcomes)
         if records:
             compared = _comparisons(cfg, records, places)
             cells = cell_rows(records, places, compared)
@@ -80,23 +79,8 @@ class ThermalCameraExperiment(Experiment):
             for scene, rows in table.groupby("scene", sort=False):
                 show(as_text(rows), console(), f"{scene}: what the thermal camera costs, and what comes back")
             say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}, page: {page}")
-        if len(asked) < len(done):
+        if any(outcome.status not in SUCCESS for outcome in outcomes):
             raise SystemExit(1)
-
-
-class Place(NamedTuple):
-    """What tells a cell of one run from those of others in the same folder."""
-
-    method: str
-    dataset: str
-    scene: str
-    init: str
-    seed: int
-    variant: str
-
-
-def _cell_of(record: Record) -> Place:
-    return Place(record.method, record.dataset, record.scene, record.init, record.seed, record.variant)
 
 
 def _baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
@@ -111,7 +95,7 @@ def variant(capture: str, camera: str) -> str:
     return f"capture={capture},camera={camera}"
 
 
-def _run_cells(cfg: DictConfig) -> Iterator[tuple[Place, Outcome]]:
+def _run_cells(cfg: DictConfig) -> Iterator[Outcome]:
     progress = CellProgress(console(stderr=True), cfg.budget.iterations)
     job = cfg.job
     for scene, seed, capture in product(job.scenes, job.seeds, job.captures):
@@ -120,16 +104,11 @@ def _run_cells(cfg: DictConfig) -> Iterator[tuple[Place, Outcome]]:
             cell = cfg.copy()
             cell.scene, cell.seed = scene, seed
             cell.method, cell.camera, cell.dataset.loader = job.methods[method], job.cameras[camera], loader
-            name = variant(str(capture), str(camera))
-            outcome = run_cell(cell, name, progress)
+            outcome = run_cell(cell, variant(str(capture), str(camera)), progress)
             say(outcome.line, stderr=True)
             if outcome.status not in SUCCESS:
                 say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
-                yield Place("", "", str(scene), "", seed, name), outcome
-                continue
-            described = instantiate(loader).describe(scene)
-            place = Place(cell.method.name, described.dataset, described.scene, cell.init.name, seed, name)
-            yield place, outcome
+            yield outcome
 
 
 def _loader(cfg: DictConfig, capture: Any, seed: int) -> DictConfig:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from tdgbench.scenes import Scene
     from tdgbench.training.budget import Budget
+    from tdgbench.training.curriculum import Curriculum
     from tdgbench.training.loop import TrainingLog
     from tdgbench.training.method import Method
     from tdgbench.training.model import Work
@@ -20,6 +21,11 @@ class FinishedTraining(NamedTuple):
     method: Method
     budget: Budget
     log: TrainingLog
+
+    @property
+    def curriculum(self) -> Curriculum:
+        """Of all the method's models."""
+        return next(iter(self.method.models().values())).curriculum
 
     @property
     def work(self) -> list[Work]:

@@ -73,10 +73,13 @@ class PlateauSkip(Skip):
     def account(self, training: FinishedTraining) -> None:
         rule, iterations = training.budget.plateau, training.budget.iterations
         remaining = iterations - training.log.iterations
+        is_asked = rule is not None and not training.curriculum.settled_at
         if rule is None:
             reason = "the budget has no plateau rule"
+        elif not is_asked:
+            reason = "the skip `settling` decided"
         elif remaining == 0:
             reason = "the loss went on falling"
         else:
             reason = f"the loss no longer fell by {rule.gain:.2%} a window"
-        self.decide(remaining > 0, reason, f"{remaining} of {iterations} iterations")
+        self.decide(is_asked and remaining > 0, reason, f"{remaining} of {iterations} iterations")

@@ -17,14 +17,14 @@ class SettlingSkip(Skip):
 
     def account(self, training: FinishedTraining) -> None:
         rule, iterations = training.budget.settling, training.budget.iterations
-        remaining = iterations - training.log.iterations
-        held = next(iter(training.method.models().values())).curriculum.held
+        remaining, curriculum = iterations - training.log.iterations, training.curriculum
+        is_early = rule is not None and 0 < curriculum.settled_at < rule.latest(iterations)
         if rule is None:
             reason = "the budget has no settling rule"
-        elif not held:
+        elif not curriculum.held:
             reason = "too few training views to hold some out"
-        elif remaining == 0:
-            reason = f"{len(held)} held-out views went on getting better"
+        elif not is_early:
+            reason = f"{len(curriculum.held)} held-out views went on getting better"
         else:
-            reason = f"{len(held)} held-out views gained less than {rule.gain:g} dB from window to window"
-        self.decide(rule is not None and remaining > 0, reason, f"{remaining} of {iterations} iterations")
+            reason = f"{len(curriculum.held)} held-out views gained less than {rule.gain:g} dB from window to window"
+        self.decide(is_early and remaining > 0, reason, f"{remaining} of {iterations} iterations")

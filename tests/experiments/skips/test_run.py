@@ -26,3 +26,9 @@ def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, cap
         SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable, nowhere]"))
     assert "nowhere" in capsys.readouterr().out
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
+
+
+def test_cells_of_another_method_in_the_folder_have_no_part(tmp_path, data_root):
+    for method in ("splat", "tdg"):
+        SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "job.scenes=[turntable]"))
+    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4

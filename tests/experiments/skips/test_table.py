@@ -1,6 +1,6 @@
 import pytest
 
-from tdgbench.bench.record import Failure, Record
+from tdgbench.bench.record import Record
 from tdgbench.experiments.skips.table import skip_rows, summary
 
 
@@ -35,12 +35,6 @@ def test_summary():
     assert table.loc["gray", "taken_on"] == "a" and bool(table.loc["gray", "keep"])
     assert table.loc["all together", "faster_alone"] == pytest.approx(2.0)
     assert table.loc["all together", "psnr_worst"] == pytest.approx(-0.1) and not table.loc["all together", "keep"]
-
-
-def test_failures_have_no_row():
-    failed = record("a", "all", 1.0, 20.0)
-    failed.failure = Failure("train", "ValueError: no", "")
-    assert skip_rows([failed]).empty
 
 
 def test_a_loss_within_the_noise_of_the_seeds_is_none():

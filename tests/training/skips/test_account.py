@@ -55,7 +55,7 @@ RULES = (
 def account_lean(scene, *overrides, **options):
     skips = Skips(**options)
     method, context = ready_to_train(scene, "splat", 60, *RULES, *overrides, skips=skips)
-    log = train(method, 60, plateau=stopping_of(method, context))
+    log = train(method, 60, stopping=stopping_of(method, context))
     note_training(skips, scene, method, context.budget, log)
     return {skip.name: skip for skip in skips.all()}, method
 
@@ -69,6 +69,27 @@ def test_the_rules_of_the_lean_budget(small_gray_scene):
     assert found["pixels"].reason == "25 iterations at 1/2"  # the schedule had left it after 17
     assert found["pixels"].saved == f"{25 * 0.75 / 38:.0%} of the pixels"
     assert found["settling"].reason == "1 held-out views gained less than 50 dB from window to window"
+    assert not found["plateau"].taken and found["plateau"].reason == "the budget has no plateau rule"
+
+
+def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
+    found, _ = account_lean(small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9")
+    assert not found["settling"].taken and "went on getting better" in found["settling"].reason
+
+
+def test_settling_comes_before_a_plateau(small_gray_scene):
+    rule = "+budget.plateau={_target_:tdgbench.training.skips.plateau.PlateauRule,rounds:1,patience:1,gain:0.9,after:0}"
+    found, _ = account_lean(small_gray_scene, rule)
+    assert found["settling"].taken
+    assert not found["plateau"].taken and found["plateau"].reason == "the skip `settling` decided"
+
+
+def test_depth_counts_the_iterations_that_were_trained(small_gray_scene):
+    skips = Skips()
+    method, _ = ready_to_train(small_gray_scene, "tdg", 30, skips=skips)
+    log = train(method, 10)
+    note_training(skips, small_gray_scene, method, instantiate(config("budget=demo").budget), log)
+    assert not skips.depth.taken and skips.depth.reason == "training ended after 10 iterations, all of which need depth"
 
 
 def test_each_rule_can_be_switched_off_alone(small_gray_scene):
