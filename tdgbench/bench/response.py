@@ -60,13 +60,13 @@ def added_by_camera(context: Context, contrast: str, width: int, height: int) ->
     That is vignette and fixed pattern; 0 for an ideal camera. contrast: `contrast.training`, by which images were
     changed after they were corrected. None where what was removed is unknown: of other images, or of another size.
     """
-    added = context.camera.map(width, height)
+    added = context.camera.map(width, height).astype(np.float32)
     if context.corrected_by is None:
         return added
     if contrast != "none" or not context.corrected_by.fits(width, height):
         return None
     _, scale, _ = units(context.scene)
-    return added + context.corrected_by.shared(width, height) / scale
+    return added + (context.corrected_by.shared(width, height) / scale).astype(np.float32)
 
 
 def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
@@ -84,7 +84,9 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
 
 
 def _estimated(camera: ThermalCamera) -> Facts:
+    pattern = {"columns": camera.columns, "rows": camera.rows}
     return {
+        **{name: _rounded(lines) for name, lines in pattern.items() if lines is not None},
         "unit": camera.unit, "terms": list(camera.terms),
         **_numbers(camera.views, camera.reference, camera.offsets, camera.gains, camera.vignette),
         "residual_before": round(camera.residual_before, 5), "residual_after": round(camera.residual_after, 5),

@@ -77,12 +77,13 @@ def set_up(
         with observer.stage("camera"):
             scene, camera, facts, notes, corrected_by = prepare(scene, camera)
         observer.note_camera(facts, notes)
+    given = with_contrast(scene, cfg.contrast.training)
     priors = {}
     if method.needs_prior:
         is_of_images = cfg.prior.get("made_from") == "thermal images"
-        given = with_contrast(scene, cfg.contrast.prior) if is_of_images else scene
-        priors = _estimate_priors(cfg, given, skips, prior_cache, observer)
-    scene = with_contrast(scene, cfg.contrast.training)
+        of_prior = with_contrast(scene, cfg.contrast.prior) if is_of_images else scene
+        priors = _estimate_priors(cfg, of_prior, skips, prior_cache, observer)
+    scene = given
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
@@ -103,7 +104,10 @@ def set_up(
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
     """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
-    options = loader.inner.options if "inner" in loader else loader.options  # of a data set that another one reads
+    read = loader
+    while "inner" in read:  # of a data set that another one reads
+        read = read.inner
+    options = read.options
     if not skips.gray.allowed and options.channels == "auto":
         options.channels = 3
     return loader

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
+from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import read_bytes, regular_file
@@ -146,6 +147,18 @@ def is_gray(image: np.ndarray) -> bool:
 def in_pseudo_colour(views: Iterable[View]) -> list[str]:
     """Names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
     return [view.name for view in views if not is_gray(view.thermal)]
+
+
+def nearest_valid(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """An image (H, W) or (H, W, C) with the nearest valid pixel in the place of each masked one; None: all are valid.
+
+    >>> nearest_valid(np.array([[1.0, 9.0, 2.0]]), np.array([[True, False, False]])).tolist()
+    [[1.0, 1.0, 1.0]]
+    """
+    if valid is None or not valid.any():
+        return image
+    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,6 +83,12 @@ class View:
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
     load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of made scenes
+
+    def with_thermal(self, image: np.ndarray, **changes: Any) -> View:
+        """This view with another thermal image (H, W, C), and with other fields. What was read besides is kept."""
+        other = replace(self, load_thermal=lambda: image, **changes)
+        vars(other).update({name: vars(self)[name] for name in ("rgb", "valid") if name in vars(self)})
+        return other
 
     @cached_property
     def thermal(self) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,8 +25,8 @@ class RenderedImages:
     """A method's renders of one view.
 
     image: (H, W, C) float32, not clipped. depth: (H, W) expected z in scene units, 0 where nothing was rendered.
-    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none. added: (H, W) what the thermal camera
-    adds to every image, vignette and fixed pattern, image values; None where that is unknown.
+    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none. added: (H, W) float32 that the thermal
+    camera adds to every image, vignette and fixed pattern, image values; None where that is unknown.
     """
 
     image: np.ndarray
@@ -63,13 +63,18 @@ class ImagePair:
 
 @dataclass(frozen=True)
 class ScoredView:
-    """One view with its render. scene, renders: all test views and their renders by name; None for a training view."""
+    """One view with its render.
+
+    scene, renders: all test views and their renders by name; None for a training view. common: what metrics have found
+    out about all of them, by the metric's name; the views of one scoring share it.
+    """
 
     view: View
     rendered: RenderedImages
     convention: Convention
     scene: Scene | None = None
     renders: Mapping[str, RenderedImages] = field(default_factory=dict)
+    common: dict[str, Any] = field(default_factory=dict)
 
     def pair(self, modality: Modality) -> ImagePair:
         """The pictures that a metric compares. Raises NotApplicableError without an RGB model or RGB image."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -56,8 +56,11 @@ class Scorer:
     def score(self, scene: Scene, renders: Mapping[str, RenderedImages]) -> dict[str, dict[str, float | None]]:
         """All metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
 
+        common: dict[str, Any] = {}
+
         def score(view: View) -> _Scored:
-            return _scored(ScoredView(view, renders[view.name], self.settings, scene, renders), METRICS.values())
+            shown = ScoredView(view, renders[view.name], self.settings, scene, renders, common)
+            return _scored(shown, METRICS.values())
 
         if scene.test:
             _ = self._lpips  # here, so that no two threads load the network

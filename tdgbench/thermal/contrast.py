@@ -10,10 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
-from tdgbench.scenes.images import in_pseudo_colour
+from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
 from tdgbench.scenes.options import Contrast
 from tdgbench.text import some
 
@@ -54,7 +53,7 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
     def changed(view: View) -> View:
         image = _changed(view, curve)
         truth = view.load_true_temperature if contrast == "sequence" else None
-        return replace(view, load_thermal=lambda: image, load_true_temperature=truth)
+        return view.with_thermal(image, load_true_temperature=truth)
 
     return replace(
         scene, train=[changed(view) for view in scene.train], test=[changed(view) for view in scene.test],
@@ -103,9 +102,7 @@ def _clahe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """
     from skimage.exposure import equalize_adapthist  # here, as it takes a third of a second to import
 
-    if valid is not None:
-        nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-        image = image[tuple(nearest)]
+    image = nearest_valid(image, valid)
     low, high = float(image.min()), float(image.max())
     if high - low < SMALLEST:
         return image
@@ -128,7 +125,7 @@ def _bbhe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 def _equalized(image: np.ndarray, values: np.ndarray, low: float, high: float) -> np.ndarray:
     """Image values by the share of the values below them, from `low` to `high`."""
     counts, edges = np.histogram(values, BINS, (low, max(high, low + SMALLEST)))
-    shares = np.concatenate([[0], np.cumsum(counts)]) / counts.sum()
+    shares = np.concatenate([[0], np.cumsum(counts)]) / max(counts.sum(), 1)
     return low + (high - low) * np.interp(image, edges, shares)
 
 

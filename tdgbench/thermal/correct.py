@@ -82,5 +82,4 @@ def _image(view: View, values: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def _replaced(view: View, image: np.ndarray) -> View:
-    clipped = image.clip(0, 1)
-    return replace(view, load_thermal=lambda: clipped)
+    return view.with_thermal(image.clip(0, 1))

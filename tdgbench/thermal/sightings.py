@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from tdgbench.priors.visible import grid_width, visible_points
 from tdgbench.scenes import Camera, View
+from tdgbench.scenes.images import nearest_valid
 
 MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
@@ -75,7 +76,7 @@ def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
     pixel's centre to the position by the gradient of the blurred image.
     """
-    image = view.thermal.mean(axis=2, dtype=np.float64)
+    image = nearest_valid(view.thermal.mean(axis=2, dtype=np.float64), view.valid)  # a blur mixes pixels
     height, width = image.shape
     row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
     smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")

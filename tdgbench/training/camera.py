@@ -178,11 +178,10 @@ class RefinedCamera(IdealCamera):
     def _fitted(self, view: View, image: Tensor) -> Response:
         """The response with the gain and offset that fit a view best, and the vignette so far."""
         ideal = Response(0.0, 1.0, self.reference, torch.from_numpy(self.vignette.values[0]))
-        if "offsets" not in self.refinement.terms:
-            return ideal
+        terms = self.refinement.terms
         target = torch.from_numpy(view.thermal).to(image)
         valid = None if view.valid is None else torch.from_numpy(view.valid).to(image.device)
-        return best_fit(image, target, valid, ideal, fits_gain="gains" in self.refinement.terms)
+        return best_fit(image, target, valid, ideal, fits_gain="gains" in terms, fits_offset="offsets" in terms)
 
 
 class _Learned:

@@ -104,12 +104,13 @@ def shown(image: Tensor, response: Response, collect: Callable[[Sums], None]) ->
 
 
 def best_fit(
-    image: Tensor, target: Tensor, valid: Tensor | None, response: Response, *, fits_gain: bool = True
-) -> Response:
+    image: Tensor, target: Tensor, valid: Tensor | None, response: Response, *,
+    fits_gain: bool = True, fits_offset: bool = True,
+) -> Response:  # fmt: skip
     """The response with the gain ≥ 0 and offset that bring an image (H, W, C) nearest to a target by least squares.
 
-    valid: (H, W) bool, the pixels that count; None: all. The vignette stays, and the gain is 1 unless `fits_gain`. An
-    image of one value gets gain 1.
+    valid: (H, W) bool, the pixels that count; None: all. The vignette stays, the gain is 1 unless `fits_gain`, and the
+    offset 0 unless `fits_offset`. An image of one value gets gain 1.
 
     >>> ideal = Response(0.0, 1.0, 0.5, torch.zeros(len(TERMS), dtype=torch.float64))
     >>> image = torch.tensor([0.2, 0.4, 0.6]).reshape(1, 3, 1)
@@ -121,7 +122,7 @@ def best_fit(
     x, y = image.double(), target.double() - flat.added(image.double())[..., None]
     if valid is not None:
         x, y = x[valid], y[valid]
-    middle, level = float(x.mean()), float(y.mean())
+    middle, level = (float(x.mean()), float(y.mean())) if fits_offset else (response.reference, response.reference)
     spread = float((x - middle).square().mean())
     gain = max(float(((x - middle) * (y - level)).mean()) / spread, 0.0) if fits_gain and spread > 0 else 1.0
     offset = level - response.reference - gain * (middle - response.reference)

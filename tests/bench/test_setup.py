@@ -12,6 +12,9 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
     cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable")
     channels = [instantiate(loader_of(cfg, Skips(gray=on))).load(cfg.scene).channels for on in (True, False)]
     assert channels == [1, 3] and cfg.dataset.loader.options.channels == "auto"
+    twice = config("dataset=drifting", f"data.root={data_root}")
+    twice.dataset.loader.inner = twice.dataset.loader.copy()
+    assert loader_of(twice, Skips(gray=False)).inner.inner.options.channels == 3
     forced = config(*SMALL, f"data.root={data_root}", "scene=turntable", "data.channels=1")
     assert loader_of(forced, Skips(gray=False)).options.channels == 1
 

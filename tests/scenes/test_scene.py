@@ -51,3 +51,23 @@ def test_a_mask_must_be_bool_and_of_the_camera_s_size(mask):
     view = View("v7", camera([0, 0, 0], (2, 2)), load_thermal=lambda: None, load_valid=lambda: mask)
     with pytest.raises(SceneError, match=r"the mask of view v7 is .*must be bool \(2, 2\)"):
         _ = view.valid
+
+
+def test_another_thermal_image_keeps_what_was_read_besides():
+    reads = []
+
+    def read(name, image):
+        return lambda: reads.append(name) or image
+
+    valid = np.array([[True, False], [True, True]])
+    rgb = np.zeros((2, 2, 3), np.float32)
+    view = View(
+        "v", camera([0, 0, 0], (2, 2)), read("thermal", np.ones((2, 2, 1), np.float32)), read("rgb", rgb),
+        load_valid=read("valid", valid),
+    )  # fmt: skip
+    assert view.thermal.sum() == 3 and view.rgb is rgb
+    other = view.with_thermal(np.full((2, 2, 1), 0.5, np.float32))
+    assert other.thermal[0].ravel().tolist() == [0.5, 0.0] and other.rgb is rgb and view.thermal.sum() == 3
+    assert sorted(reads) == ["rgb", "thermal", "valid"]
+    unread = replace(view).with_thermal(view.thermal)  # nothing was read of this one
+    assert unread.rgb is rgb and reads[3:] == ["rgb"]

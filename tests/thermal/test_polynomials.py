@@ -19,3 +19,10 @@ def test_a_radial_vignette_is_among_them():
     values = basis(x.ravel(), y.ravel())
     coefficients = np.linalg.lstsq(values, (shape - shape.mean()).ravel(), rcond=None)[0]
     assert evaluate(coefficients, 64, 48) == pytest.approx(shape - shape.mean(), abs=1e-3)
+
+
+def test_the_map_is_the_sum_of_the_polynomials():
+    coefficients = np.random.default_rng(0).normal(size=len(TERMS))
+    x, y = np.meshgrid((np.arange(31) + 0.5) / 31, (np.arange(20) + 0.5) / 20)
+    values = (basis(x.ravel(), y.ravel()) @ coefficients).reshape(20, 31)
+    assert evaluate(coefficients, 31, 20) == pytest.approx(values - values.mean(), abs=1e-12)

@@ -78,6 +78,13 @@ def test_the_best_fit_finds_a_response_behind_a_mask():
     assert (found.offset, found.gain) == (pytest.approx(one.offset), pytest.approx(one.gain))
 
 
+def test_a_gain_alone_is_fitted_about_the_reference():
+    image = random(0, 24, 32, 1)
+    one = replace(response(), offset=0.0)
+    found = best_fit(image, one.of(image), None, replace(one, gain=1.0), fits_offset=False)
+    assert (found.offset, found.gain) == (pytest.approx(0.0), pytest.approx(one.gain))
+
+
 def test_no_fit_turns_hot_into_cold_and_an_image_of_one_value_has_no_gain():
     image, ideal = random(0, 8, 8, 1), replace(response(), vignette=torch.zeros(len(TERMS), dtype=torch.float64))
     assert best_fit(image, -image, None, ideal).gain == 0.0

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 from PIL import Image
-from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from tdgbench.data.prepare.mapping import Mapping, Size
 from tdgbench.scenes import Camera, SceneError
 from tdgbench.scenes.colmap import Undistortion
+from tdgbench.scenes.images import nearest_valid
 
 SMALLEST = 16  # px, of the output's sides
 
@@ -54,9 +55,8 @@ class Grid:
         places = _thermal_positions((self.rows, self.columns), mapping)
         sampled = np.stack([_bilinear(planes[..., c], *places) for c in range(planes.shape[2])], axis=2)
         valid = np.isfinite(sampled).all(axis=2)
-        if not valid.all() and valid.any():
-            nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-            sampled = sampled[tuple(nearest)]
+        if not valid.all():
+            sampled = nearest_valid(sampled, valid)
         return (sampled[..., 0] if image.ndim == 2 else sampled), valid
 
 

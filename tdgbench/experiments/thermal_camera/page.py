@@ -30,7 +30,7 @@ def write_page(folder: Path, table: pd.DataFrame, pictures: Sequence[str]) -> Pa
     html = environment.get_template("page.html.j2").render(
         pictures=[(TITLES[name], base64.b64encode((folder / name).read_bytes()).decode()) for name in pictures],
         scenes=[(scene, list(shown.columns), shown.to_numpy().tolist()) for scene, shown in scenes],
-        seeds=int(table["seeds"].max()),
+        seeds=" to ".join(map(str, sorted({int(table["seeds"].min()), int(table["seeds"].max())}))),
     )
     path = folder / FILE
     write_text(path, html)

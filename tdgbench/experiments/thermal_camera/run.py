@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
+from tdgbench.bench.key import as_json
 from tdgbench.bench.outcome import SUCCESS, Outcome, finished_cells
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
@@ -132,6 +133,8 @@ def _comparisons(cfg: DictConfig, records: list[Record], places: dict[str, tuple
     found = []
     for record in records:
         capture, camera = places[record.variant]
+        if not _has_errors(record, _loader(cfg, capture, record.seed)):
+            continue  # a result of other options, which overwrite=never has kept
         key = (record.scene, record.seed, capture)
         if key not in truths:
             dataset: DriftingDataset = instantiate(_loader(cfg, capture, record.seed))
@@ -141,3 +144,9 @@ def _comparisons(cfg: DictConfig, records: list[Record], places: dict[str, tuple
         if one is not None:
             found.append(one)
     return found
+
+
+def _has_errors(record: Record, loader: DictConfig) -> bool:
+    """Whether a cell was trained on captures with the errors of this loader."""
+    options = as_json(OmegaConf.to_container(loader))
+    return all(record.setting(f"dataset.{name}") == options[name] for name in ("errors", "noise_degC", "seed"))

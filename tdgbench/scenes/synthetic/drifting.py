@@ -10,7 +10,7 @@ from pydantic import NonNegativeInt
 
 from tdgbench.scenes.datasets import Dataset, outline_of
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import in_pseudo_colour
+from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
@@ -88,12 +88,12 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     rng = np.random.default_rng([seed, NOISE])
     shown = []
     for index, view in enumerate(views):
-        degC = in_degC(view, clean)
+        degC = nearest_valid(in_degC(view, clean), view.valid)  # a blur mixes pixels
         shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
     measured = [one if view.valid is None else one[view.valid] for one, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
     if errors.encoding == "agc":
-        ends = [limits(one) for one in measured]
+        ends = [limits(one) if one.size else (given.min, given.max) for one in measured]
         values = [levels(one, *pair) / 255 for one, pair in zip(shown, ends, strict=True)]
         camera = replace(camera, limits=np.array(ends))
     elif errors.encoding == "range":
@@ -107,7 +107,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)
         truth = view.load_true_temperature or (lambda: in_degC(view, clean).astype(np.float32))
-        return replace(view, load_thermal=lambda: image, load_true_temperature=truth)
+        return view.with_thermal(image, load_true_temperature=truth)
 
     scene = replace(
         clean, train=[seen(view) for view in clean.train], test=[seen(view) for view in clean.test], temperature=span

@@ -103,6 +103,8 @@ def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> Poi
         points.append((local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3])
         colors.append(rgb[rows, columns])
     cloud, color = np.concatenate(points), np.concatenate(colors)
+    if not len(cloud):
+        return PointCloud(cloud, color.astype(np.float32))
     outlier = rng.random(len(cloud)) < OUTLIERS
     low, high = np.percentile(cloud, [5, 95], axis=0)
     cloud[outlier] = rng.uniform(low, high, (int(outlier.sum()), 3))

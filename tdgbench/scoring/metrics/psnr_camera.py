@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView, as_saved, at_valid
@@ -17,7 +15,7 @@ def psnr_camera(shown: ScoredView) -> float:
     rendered = shown.rendered
     if rendered.added is None:
         raise NotApplicableError("what the thermal camera adds to this image is unknown")
-    seen = as_saved(rendered.image + rendered.added[..., None].astype(np.float32))
+    seen = as_saved(rendered.image + rendered.added[..., None])
     target = as_saved(shown.view.thermal)
     return psnr(at_valid(shown.valid, seen), at_valid(shown.valid, target))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from tdgbench.scenes import View
@@ -25,20 +28,35 @@ def psnr_true(shown: ScoredView) -> float:
         raise NotApplicableError("training views have no score against true temperatures")
     if any(view.load_true_temperature is None for view in scene.test):
         raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
-    if in_pseudo_colour(scene.test):
-        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
-    sums, low, high = np.zeros(5), np.inf, -np.inf
-    for view in scene.test:  # one after the other: all of them at once are a lot of memory
-        x, y = _pair(view, shown.renders[view.name])
-        if y.size:
-            sums += x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()
-            low, high = min(low, float(y.min())), max(high, float(y.max()))
+    if METRIC.name not in shown.common:  # threads that begin at once each find it out
+        shown.common[METRIC.name] = _scale(scene.test, shown.renders)
+    scale: Scale = shown.common[METRIC.name]
     x, y = _pair(shown.view, shown.rendered)
     if not y.size:
         raise NotApplicableError(f"no pixel of view {shown.view.name} has a thermal value: its mask leaves none")
-    gain, offset = _line(sums)
-    mse = float(np.mean(np.square(gain * x + offset - y))) / max(high - low, SMALLEST) ** 2
+    mse = float(np.mean(np.square(scale.gain * x + scale.offset - y))) / scale.span**2
     return -10 * float(np.log10(max(mse, MIN_MSE)))
+
+
+class Scale(NamedTuple):
+    """°C = gain · rendered value + offset; span of the true temperatures, °C."""
+
+    gain: float
+    offset: float
+    span: float
+
+
+def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scale:
+    """The scale of a scene's renders, and the span of its test views."""
+    if in_pseudo_colour(views):
+        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
+    sums, low, high = np.zeros(5), np.inf, -np.inf
+    for view in views:  # one after the other: all of them at once are a lot of memory
+        x, y = _pair(view, renders[view.name])
+        if y.size:
+            sums += x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()
+            low, high = min(low, float(y.min())), max(high, float(y.max()))
+    return Scale(*(_line(sums) if sums[0] else (1.0, 0.0)), max(high - low, SMALLEST))
 
 
 def _pair(view: View, rendered: RenderedImages) -> tuple[np.ndarray, np.ndarray]:

@@ -65,6 +65,18 @@ def test_a_second_run_changes_nothing(finished, capsys):
     assert capsys.readouterr().err.count("done") == 0
 
 
+def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
+    root = finished.parents[1]
+    cfg = config(
+        "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
+        "job.captures.drift.walk_degC=2", "overwrite=never",
+    )  # fmt: skip
+    ThermalCameraExperiment().run(cfg)
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "camera"])
+    assert np.isnan(table.loc[("drift", "ideal"), "offset_degC_worst"])
+    assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
+
+
 def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):
     small_dataset(data_root).load("orbit")
     only = [f"~job.cameras.{name}" for name in ("estimated", "refined", "both")] + ["~job.captures.agc"]

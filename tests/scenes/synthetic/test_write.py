@@ -41,3 +41,10 @@ def test_permissions_follow_the_umask(tmp_path):
     assert {path.stat().st_mode & 0o777 for path in paths if path.is_dir()} == {0o755}
     assert {path.stat().st_mode & 0o777 for path in paths if path.is_file()} == {0o644}
     assert [path.name for path in scene.folder.parent.iterdir()] == [scene.folder.name]
+
+
+def test_a_scene_may_have_no_points(tmp_path):
+    options = {"width": 24, "height": 18, "views": 5}
+    for points in (0, 4):
+        scene = SyntheticDataset(str(tmp_path), ReadOptions(), **options, points=points).load("night")
+        assert scene.points is None and len(scene.train) == 4
