@@ -3,8 +3,8 @@
 A Gaussian that is split or cloned can give its two halves different values. What that would explain is the difference
 of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
 ±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
-A Gaussian grows where |D| of any channel exceeds `z` times that. Errors of single views have different signs and cancel
-in D. σ is that of the images at their full size: smaller ones, whose pixels are means of many, have less noise, so that
+A Gaussian grows where |D|, the root mean square over the channels, exceeds `z` times that. Errors of single views have
+different signs and cancel in D. σ is that of the images at their full size: smaller ones, whose pixels are means of many, have less noise, so that
 more than `z` is asked of them.
 
 How much D differs between views says nothing more: where a model still lacks Gaussians it differs as it does for noise.
@@ -74,8 +74,8 @@ class Significance:
         for view in self.chosen(turn):
             evidence.add(self._look(self.curriculum.at_resolution(view), gaussians, degree))
         is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
-        largest = evidence.difference.abs().amax(dim=1)
-        strength = torch.where(is_known, largest / (self.noise * evidence.weight.sqrt()), 0.0)
+        difference = evidence.difference.square().mean(dim=1).sqrt()
+        strength = torch.where(is_known, difference / (self.noise * evidence.weight.sqrt()), 0.0)
         useless = self.curriculum.scale**2 * evidence.weight < self.rule.min_weight * evidence.views
         return Verdict(strength, strength > self.rule.z, (evidence.views >= FEWEST_VIEWS) & useless)
 
