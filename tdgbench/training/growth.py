@@ -4,8 +4,8 @@ A Gaussian that is split or cloned can give its two halves different values. Wha
 of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
 ±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
 A Gaussian grows where |D|, in the root mean square over the channels, exceeds `z` times that. Errors of single views
-have different signs and cancel in D. σ is that of the images at their full size: smaller ones, whose pixels are means of
-many, have less noise, so that more than `z` is asked of them.
+have different signs and cancel in D. σ is that of the images at their full size: smaller ones, whose pixels are means
+of many, have less noise, so that more than `z` is asked of them.
 
 How much D differs between views says nothing more: where a model still lacks Gaussians it differs as it does for noise.
 """
