@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import cast
@@ -134,7 +134,7 @@ class CellRun(SetupObserver):
                 self._estimate_ceiling()
         with self.stage("train"):
             self._train(training)
-        self._added = partial(added_by_camera, training.context, self.cfg.contrast.training)
+        self._added = cache(partial(added_by_camera, training.context, self.cfg.contrast.training))
         self._describe_training(training)
 
     def _estimate_ceiling(self) -> None:

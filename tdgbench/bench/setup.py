@@ -77,13 +77,12 @@ def set_up(
         with observer.stage("camera"):
             scene, camera, facts, notes, corrected_by = prepare(scene, camera)
         observer.note_camera(facts, notes)
-    given = with_contrast(scene, cfg.contrast.training)
+    before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
     if method.needs_prior:
         is_of_images = cfg.prior.get("made_from") == "thermal images"
-        of_prior = with_contrast(scene, cfg.contrast.prior) if is_of_images else scene
-        priors = _estimate_priors(cfg, of_prior, skips, prior_cache, observer)
-    scene = given
+        given = with_contrast(before, cfg.contrast.prior) if is_of_images else before
+        priors = _estimate_priors(cfg, given, skips, prior_cache, observer)
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)

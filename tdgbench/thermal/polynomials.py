@@ -18,7 +18,7 @@ def basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     >>> basis(np.array([0.5]), np.array([0.5])).round(2)[0, :5].tolist()
     [0.0, 0.0, -1.12, 0.0, -1.12]
     """
-    along_x, along_y = _along(x), _along(y)
+    along_x, along_y = along(x), along(y)
     return np.stack([along_x[:, i] * along_y[:, j] for i, j in TERMS], axis=1)
 
 
@@ -27,11 +27,11 @@ def evaluate(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
     weights = np.zeros((DEGREE + 1, DEGREE + 1))
     for (i, j), coefficient in zip(TERMS, coefficients, strict=True):
         weights[j, i] = coefficient
-    across, down = (_along((np.arange(size) + 0.5) / size) for size in (width, height))
+    across, down = (along((np.arange(size) + 0.5) / size) for size in (width, height))
     values = down @ weights @ across.T
     return np.asarray(values - values.mean())
 
 
-def _along(share: np.ndarray) -> np.ndarray:
+def along(share: np.ndarray) -> np.ndarray:
     """The polynomials (N, DEGREE + 1) in one direction, at shares (N,) of the image's side."""
     return np.asarray(legvander(2 * share - 1, DEGREE) * np.sqrt(2 * np.arange(DEGREE + 1) + 1))

@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.polynomial.legendre import legvander
 from torch import Tensor
 
 from tdgbench.splats.cpu.losses.response import respond, respond_backward
-from tdgbench.thermal.polynomials import DEGREE, TERMS
+from tdgbench.thermal.polynomials import DEGREE, TERMS, along
 
 MOST_SIZES = 64  # of images, whose polynomials are kept
 ACROSS, DOWN = (torch.tensor(degrees) for degrees in zip(*TERMS, strict=True))  # of each coefficient
@@ -153,8 +152,7 @@ def _columns(width: int, height: int, channels: int) -> np.ndarray:
 
 @lru_cache(maxsize=MOST_SIZES)
 def _polynomials(width: int, height: int, dtype: torch.dtype, device: torch.device) -> _Polynomials:
-    scale = np.sqrt(2 * np.arange(DEGREE + 1) + 1)
-    across, down = (legvander(2 * (np.arange(size) + 0.5) / size - 1, DEGREE) * scale for size in (width, height))
+    across, down = (along((np.arange(size) + 0.5) / size) for size in (width, height))
     means = torch.from_numpy(np.outer(down.mean(axis=0), across.mean(axis=0)))
     return _Polynomials(
         torch.from_numpy(across).to(device, dtype), torch.from_numpy(down).to(device, dtype), means

@@ -68,38 +68,37 @@ class Settling:
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
-        self._settled = 0  # iteration; 0: not yet
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the decision."""
-        names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better", "_settled")
+        names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better")
         return {name.strip("_"): getattr(self, name) for name in names}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore a state from `state_dict`; the curriculum's is the context's."""
+        """Restore a state from `state_dict`, after that of the context, whose curriculum knows when it settled."""
         for name, value in saved.items():
             setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
-        if self._settled:
+        if self.context.curriculum.settled_at:
             self._stop_growth()
 
     def reached(self, iteration: int, loss: float) -> bool:
         """Note the end of an iteration's forward pass; True from the iteration on at which training may end."""
-        if not self._settled:
+        curriculum = self.context.curriculum
+        if not curriculum.settled_at:
             scale = self._settles(iteration)
             if scale is None:
                 return False
-            self._settled = iteration
-            self.context.curriculum.settle(scale)
+            curriculum.settle(scale)
             self._stop_growth()
-        length = max(1, round(self.rule.tail * self._settled))
-        progress = min(1.0, (iteration - self._settled) / length)
+        length = max(1, round(self.rule.tail * curriculum.settled_at))
+        progress = min(1.0, (iteration - curriculum.settled_at) / length)
         for model in self.method.models().values():
             model.optimizer.slowdown = self.rule.slowdown**progress
         return progress == 1.0
 
     def _stop_growth(self) -> None:
         for model in self.method.models().values():
-            model.stop_growth(self._settled)
+            model.stop_growth(self.context.curriculum.settled_at)
 
     def _settles(self, iteration: int) -> int | None:
         """The scale at which the training settles now; None if it does not."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
-from tdgbench.scoring.scored_view import NotApplicableError, ScoredView, as_saved, at_valid
+from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 
 def psnr_camera(shown: ScoredView) -> float:
@@ -15,9 +17,8 @@ def psnr_camera(shown: ScoredView) -> float:
     rendered = shown.rendered
     if rendered.added is None:
         raise NotApplicableError("what the thermal camera adds to this image is unknown")
-    seen = as_saved(rendered.image + rendered.added[..., None])
-    target = as_saved(shown.view.thermal)
-    return psnr(at_valid(shown.valid, seen), at_valid(shown.valid, target))
+    seen = replace(rendered, image=rendered.image + rendered.added[..., None])
+    return psnr(*replace(shown, rendered=seen).pair("thermal").pixels)
 
 
 METRIC = ViewMetric(

@@ -28,12 +28,11 @@ def psnr_true(shown: ScoredView) -> float:
         raise NotApplicableError("training views have no score against true temperatures")
     if any(view.load_true_temperature is None for view in scene.test):
         raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
+    valid = shown.valid
     if METRIC.name not in shown.common:  # threads that begin at once each find it out
         shown.common[METRIC.name] = _scale(scene.test, shown.renders)
     scale: Scale = shown.common[METRIC.name]
-    x, y = _pair(shown.view, shown.rendered)
-    if not y.size:
-        raise NotApplicableError(f"no pixel of view {shown.view.name} has a thermal value: its mask leaves none")
+    x, y = _pair(shown.view, shown.rendered, valid)
     mse = float(np.mean(np.square(scale.gain * x + scale.offset - y))) / scale.span**2
     return -10 * float(np.log10(max(mse, MIN_MSE)))
 
@@ -47,24 +46,24 @@ class Scale(NamedTuple):
 
 
 def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scale:
-    """The scale of a scene's renders, and the span of its test views."""
+    """The scale of a scene's renders, and the span of its test views, of which one has a valid pixel."""
     if in_pseudo_colour(views):
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
     sums, low, high = np.zeros(5), np.inf, -np.inf
     for view in views:  # one after the other: all of them at once are a lot of memory
-        x, y = _pair(view, renders[view.name])
+        x, y = _pair(view, renders[view.name], view.valid)
         if y.size:
             sums += x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()
             low, high = min(low, float(y.min())), max(high, float(y.max()))
-    return Scale(*(_line(sums) if sums[0] else (1.0, 0.0)), max(high - low, SMALLEST))
+    return Scale(*_line(sums), max(high - low, SMALLEST))
 
 
-def _pair(view: View, rendered: RenderedImages) -> tuple[np.ndarray, np.ndarray]:
+def _pair(view: View, rendered: RenderedImages, valid: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Rendered values, clipped as their picture is, and true temperatures (N,) of a view's valid pixels."""
     image, truth = rendered.image.clip(0, 1).mean(axis=2, dtype=np.float64), view.true_temperature
     if truth is None or truth.shape != image.shape:
         raise NotApplicableError("the true temperatures have another size than the images")
-    return at_valid(view.valid, image).ravel(), at_valid(view.valid, truth).ravel().astype(np.float64)
+    return at_valid(valid, image).ravel(), at_valid(valid, truth).ravel().astype(np.float64)
 
 
 def _line(sums: np.ndarray) -> tuple[float, float]:

@@ -19,8 +19,7 @@ class Pixels(Skip):
         if training.budget.pixels is None:
             self.decide(False, "the budget has no rule for pixels")
             return
-        curriculum = next(iter(training.method.models().values())).curriculum
-        trained = {scale: count for scale, count in curriculum.iterations.items() if scale > 1}
+        trained = {scale: count for scale, count in training.curriculum.iterations.items() if scale > 1}
         reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if count)
         left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
         nothing = "the images are too small, or all of their spectrum is in their highest frequencies"

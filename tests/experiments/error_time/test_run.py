@@ -1,6 +1,7 @@
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.experiments.error_time.run import ErrorTime
 from tests.helpers.configs import SMALL, config
 
@@ -27,3 +28,9 @@ def test_tables_and_pictures(tmp_path, data_root, capsys):
 def test_a_part_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"job\.parts\[0\]=speed: must be kernels, training or growth"):
         ErrorTime().run(config("+experiment=error_time", f"results={tmp_path}", "job.parts=[speed]"))
+
+
+def test_kernels_need_gaussians(tmp_path):
+    cfg = config("+experiment=budgets", f"results={tmp_path}", "job.parts=[kernels]")
+    with pytest.raises(OptionError, match=r"job\.counts, numbers of Gaussians, or job\.model"):
+        ErrorTime().start(cfg)

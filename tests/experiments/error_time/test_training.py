@@ -81,6 +81,19 @@ def test_a_curve_is_sampled_along_a_training(data_root):
     assert found["psnr"].between(5, 60).all() and found["depth_abs_rel"].between(0, 1).all()
 
 
+def test_views_are_scored_with_the_contrast_that_is_trained_on(data_root, monkeypatch):
+    original, scored = training.score_views, []
+
+    def watched(method, scene, scorer):
+        scored.append(scene)
+        return original(method, scene, scorer)
+
+    monkeypatch.setattr(training, "score_views", watched)
+    cfg = experiment(data_root, "contrast.training=percentile")
+    sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
+    assert scored[0].temperature is None  # percentile loses it
+
+
 def test_each_link_changes_one_thing(data_root):
     cfg = experiment(data_root)
     chain = [{**cfg.job.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
@@ -122,6 +135,8 @@ def test_a_run_has_the_budget_that_it_names(data_root):
     assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
     with pytest.raises(ValueError, match="run 'x': no budget 'long' among paper, short, lean"):
         runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg, budget: long}]"))
+    with pytest.raises(ValueError, match="two runs have the label 'x'"):
+        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
 
 
 def test_an_unknown_method_is_named(data_root):
