@@ -34,7 +34,8 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
     """Estimate the camera; correct the training views if that is asked for.
 
     Only terms that the estimate supports are refined: in a capture that has no drift, they would learn the errors of an
-    unfinished scene. Where the camera cannot be estimated, images stay as they are and all terms are refined.
+    unfinished scene. Views get vignettes of their own where it supports a vignette. Where the camera cannot be
+    estimated, images stay as they are and all terms are refined.
     """
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
@@ -42,10 +43,14 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
         return Prepared(scene, options, {"unknown": found.reason}, notes)
     notes = []
     if options.refine is not None:
-        wanted_terms = options.refine.terms
+        wanted_terms, embedding = options.refine.terms, options.refine.embedding
         terms = [term for term in wanted_terms if term in found.terms]
-        options = replace(options, refine=replace(options.refine, terms=terms) if terms else None)
-        if not terms:
+        if embedding is not None and "vignette" not in found.terms:
+            embedding = None
+            notes.append("camera: no view has a vignette of its own: sparse points do not support a vignette")
+        refine = replace(options.refine, terms=terms, embedding=embedding)
+        options = replace(options, refine=refine if terms or embedding is not None else None)
+        if options.refine is None:
             wanted = ", ".join(wanted_terms) or "any of no terms"
             notes.append(f"camera: nothing is refined: sparse points do not support {wanted}")
     if options.estimate:
@@ -80,6 +85,7 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
             camera.names, scale * camera.reference + zero, scale * camera.offsets, camera.gains,
             scale * camera.vignette.values[0],
         ),
+        **({} if camera.own is None else {"own_vignettes": [_rounded(scale * own) for own in camera.own.all()]}),
     }  # fmt: skip
 
 

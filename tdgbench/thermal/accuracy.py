@@ -12,10 +12,14 @@ from tdgbench.thermal.camera import Response, ThermalCamera, in_gauge
 
 
 class Truth(NamedTuple):
-    """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C."""
+    """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C.
+
+    vignette: the mean of the views'. changes: (V,) of a view's own, as multiples of it.
+    """
 
     response: Response
     vignette: np.ndarray
+    changes: np.ndarray
     pattern: np.ndarray
 
 
@@ -31,10 +35,11 @@ class Errors(NamedTuple):
 def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
     """The true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
     true, index = truth.camera, truth.index(list(views))
-    gains = true.gains[index]
-    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
+    gains, shares = true.gains[index], true.shares[index]
+    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + shares * true.vignette.mean()
     response = in_gauge(Response(offsets + true.pattern.mean(), gains))
-    return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
+    vignette = shares.mean() * (true.vignette - true.vignette.mean())
+    return Truth(response, vignette, shares / shares.mean() - 1, true.pattern - true.pattern.mean())
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> Errors:

@@ -1,11 +1,12 @@
 """The thermal camera in training: what it shows of a scene's temperatures in a training view.
 
 shown = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y), in image values. That is gain_v · T plus an offset
-of view v, as in `tdgbench.thermal.camera`. A refined camera learns these few numbers together with the scene.
+of view v, as in `tdgbench.thermal.camera`. A refined camera learns these few numbers together with the scene. With
+embeddings of the views (`tdgbench.training.embedding`), each view adds a vignette of its own.
 
 Temperatures and responses are not observable apart. So mean offset and mean gain of the training views stay 0 and 1,
-and the vignette's mean 0: the scene's mean temperature does not move. Views that are held out at first are left out of
-these means; such a view gets the gain and offset that fit it best in closed form, until it is trained on.
+and the mean of each vignette 0: the scene's mean temperature does not move. Views that are held out at first are left
+out of these means; such a view gets the gain and offset that fit it best in closed form, until it is trained on.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.training.embedding import Embedding, OwnVignettes
 from tdgbench.training.images import THERMAL
+from tdgbench.training.learned import LearnedRows
 from tdgbench.training.response import Response, Sums, best_fit, shown
 
-BETA1, BETA2, EPS = 0.9, 0.99, 1e-15  # of Adam; a view is seen rarely, so that 3DGS's β2 would forget too slowly
 Term = Literal["vignette", "offsets", "gains"]
 ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
 
@@ -45,6 +47,7 @@ class Refinement:
     pace: PositiveFloat  # rounds after which a rate is a quarter of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
+    embedding: Embedding | None = None  # of each view, from which its own vignette is made; None: there is none
 
     def rate(self, term: Term, rounds: float) -> float:
         """Learning rate of a term after so many rounds.
@@ -53,11 +56,17 @@ class Refinement:
         >>> rules.rate("offsets", 10), rules.rate("gains", 10), rules.rate("gains", 30)
         (0.005, 0.0, 0.005)
         """
-        since = rounds if term == "offsets" else rounds - self.offsets_alone
-        if term not in self.terms or since < 0:
+        if term not in self.terms:
             return 0.0
         start = {"offsets": self.offset_rate, "gains": self.gain_rate, "vignette": self.vignette_rate}[term]
-        return start / (1 + since / self.pace) ** 2
+        return self._fallen(start, rounds if term == "offsets" else rounds - self.offsets_alone)
+
+    def embedding_rate(self, rounds: float) -> float:
+        """Learning rate of the embeddings and their network after so many rounds; 0 if there are none."""
+        return 0.0 if self.embedding is None else self._fallen(self.embedding.rate, rounds - self.offsets_alone)
+
+    def _fallen(self, start: float, since: float) -> float:
+        return 0.0 if since < 0 else start / (1 + since / self.pace) ** 2
 
 
 @dataclass(frozen=True)
@@ -103,10 +112,13 @@ class _Gradient(NamedTuple):
 
 
 class RefinedCamera(IdealCamera):
-    """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU."""
+    """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU.
 
-    def __init__(self, views: Sequence[View], refinement: Refinement, held: Sequence[View]) -> None:
-        """views: of the training, `held` of which are not trained on at first."""
+    With embeddings, the shared vignette is that of the mean embedding, and of views that have none.
+    """
+
+    def __init__(self, views: Sequence[View], refinement: Refinement, held: Sequence[View], seed: int) -> None:
+        """views: of the training, `held` of which are not trained on at first. seed: of the embeddings' network."""
         super().__init__()
         self.refinement = refinement
         self.names = list(dict.fromkeys(view.name for view in views))
@@ -114,8 +126,11 @@ class RefinedCamera(IdealCamera):
         later = {view.name for view in held}
         self.is_first = np.array([name not in later for name in self.names])
         self.reference = float(THERMAL.mean(views).mean())
-        self.views = _Learned(len(self.names), 2)  # offset, gain − 1
-        self.vignette = _Learned(1, len(TERMS))
+        self.views = LearnedRows(np.zeros((len(self.names), 2)))  # offset, gain − 1
+        self.vignette = LearnedRows(np.zeros((1, len(TERMS))))
+        self.own = None
+        if refinement.embedding is not None:
+            self.own = OwnVignettes(refinement.embedding, len(self.names), len(TERMS), seed)
         self._pending: list[_Gradient] = []
 
     @property
@@ -157,26 +172,39 @@ class RefinedCamera(IdealCamera):
         rules, rounds = self.refinement, float(self.views.steps.mean())
         rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
         of_vignette = np.full(len(TERMS), slowdown * rules.rate("vignette", rounds))
+        of_embedding = slowdown * rules.embedding_rate(rounds)
         for index, sums in pending:
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
             if of_vignette[0] > 0:
                 self.vignette.step(0, sums.vignette.numpy(), of_vignette, rules.decay)
+            if self.own is not None and of_embedding > 0:
+                self.own.step(index, sums.vignette.numpy(), of_embedding, rules.decay)
         first = self.is_first
         self.views.values[first] -= self.views.values[first].mean(axis=0)
+        if self.own is not None:
+            self.own.center(first)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict()}
+        own = {} if self.own is None else {"own": self.own.state_dict()}
+        return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict(), **own}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         self.views.load_state_dict(saved["views"])
         self.vignette.load_state_dict(saved["vignette"])
+        if self.own is not None:
+            self.own.load_state_dict(saved["own"])
 
     def _response(self, index: int) -> Response:
         offset, gain = self.views.values[index].tolist()
-        return Response(offset, 1.0 + gain, self.reference, torch.from_numpy(self.vignette.values[0]))
+        return Response(offset, 1.0 + gain, self.reference, torch.from_numpy(self._vignette(index)))
+
+    def _vignette(self, index: int) -> np.ndarray:
+        """Coefficients (K,) of a view's vignette: the shared one and its own."""
+        shared: np.ndarray = self.vignette.values[0]
+        return shared if self.own is None else shared + self.own.of(index)
 
     def _fitted(self, view: View, image: Tensor) -> Response:
-        """The response with the gain and offset that fit a view best, and the vignette so far."""
+        """The response with the gain and offset that fit a view best, and the shared vignette so far."""
         ideal = Response(0.0, 1.0, self.reference, torch.from_numpy(self.vignette.values[0]))
         terms = self.refinement.terms
         target = torch.from_numpy(view.thermal).to(image)
@@ -184,35 +212,7 @@ class RefinedCamera(IdealCamera):
         return best_fit(image, target, valid, ideal, fits_gain="gains" in terms, fits_offset="offsets" in terms)
 
 
-class _Learned:
-    """Rows (R, P) of parameters that start at 0, with Adam's moments, float64; a step moves one row."""
-
-    def __init__(self, rows: int, parameters: int) -> None:
-        self.values, self._first, self._second = np.zeros((3, rows, parameters))
-        self.steps = np.zeros(rows, np.int64)
-
-    def step(self, row: int, gradient: np.ndarray, rates: np.ndarray, decay: float) -> None:
-        """Adam's step of a row by its gradient (P,), with rates (P,), and decoupled decay."""
-        self.steps[row] += 1
-        count = int(self.steps[row])
-        values, first, second = self.values[row], self._first[row], self._second[row]
-        first += (1 - BETA1) * (gradient - first)
-        second += (1 - BETA2) * (gradient**2 - second)
-        size = np.sqrt(second / (1 - BETA2**count)) + EPS
-        values *= 1 - decay * rates
-        values -= rates * first / (1 - BETA1**count) / size
-
-    def state_dict(self) -> dict[str, Any]:
-        arrays = {"values": self.values, "first": self._first, "second": self._second, "steps": self.steps}
-        return {name: torch.from_numpy(array) for name, array in arrays.items()}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        for mine, name in ((self.values, "values"), (self._first, "first"), (self._second, "second")):
-            mine[:] = saved[name].numpy()
-        self.steps[:] = saved["steps"].numpy()
-
-
-def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> IdealCamera:
+def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View], seed: int = 0) -> IdealCamera:
     """The camera that a training of a scene uses. held: training views that are not trained on at first."""
     if options.refine is None:
         return IdealCamera()
@@ -222,4 +222,4 @@ def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> Ide
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
             "give gray images, or data.thermal=radiometric"
         )
-    return RefinedCamera(scene.train, options.refine, held)
+    return RefinedCamera(scene.train, options.refine, held, seed)

@@ -7,17 +7,20 @@ import torch
 from tdgbench.bench import response
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.thermal import Unknown
+from tdgbench.thermal.polynomials import evaluate
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement, camera_of
+from tdgbench.training.embedding import Embedding
 from tdgbench.training.loop import stopping_of, train
-from tests.helpers.drift import drift, with_response
+from tests.helpers.drift import BOWL, drift, with_response
 from tests.helpers.training import digest, ready_to_train
 
 RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, pace=30, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
+EMBEDDED = CameraOptions(refine=replace(RULES, embedding=Embedding(size=4, hidden=16, scale=0.1, rate=0.02)))
 
 
-def refined(scene, held=()) -> RefinedCamera:
-    camera = camera_of(scene, REFINED, list(held))
+def refined(scene, held=(), options=REFINED) -> RefinedCamera:
+    camera = camera_of(scene, options, list(held))
     assert isinstance(camera, RefinedCamera)
     return camera
 
@@ -47,16 +50,54 @@ def test_a_camera_alone_recovers_the_truth_in_its_gauge(small_gray_scene):
     assert camera.map(48, 36) == pytest.approx(vignette, abs=0.005)
 
 
-def test_the_gauge_is_kept_after_every_step(small_gray_scene):
+def test_with_embeddings_each_view_has_a_vignette_of_its_own(small_gray_scene):
+    bowls = 0.02 + drift(8, 0.02, seed=2)
+    scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=bowls)
+    shared, own = refined(scene), refined(scene, options=EMBEDDED)
+    errors = []
+    for camera in (shared, own):
+        fit_to(camera, scene, small_gray_scene, 1500)
+        maps = [evaluate(camera._vignette(index), 48, 36) for index in range(8)]
+        truth = [evaluate(bowl * BOWL, 48, 36) for bowl in bowls]
+        errors.append(np.sqrt(np.mean((np.stack(maps) - np.stack(truth)) ** 2)))
+    assert errors[1] < 0.25 * errors[0]
+    assert np.ptp(own.map(48, 36)) == pytest.approx(np.ptp(evaluate(bowls.mean() * BOWL, 48, 36)), rel=0.2)
+
+
+def test_embeddings_are_learned_with_gains_and_vignette(small_gray_scene):
+    scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=0.02 + drift(8, 0.02))
+    later = replace(EMBEDDED, refine=replace(EMBEDDED.refine, offsets_alone=3))
+    camera = refined(scene, options=later)
+    fit_to(camera, scene, small_gray_scene, 8 * 3)
+    assert not camera.own.all().any() and camera.offsets.any()
+    fit_to(camera, scene, small_gray_scene, 8 * 3)
+    assert camera.own.all().any()
+
+
+def test_a_view_without_an_embedding_has_the_shared_vignette(small_gray_scene):
+    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=0.02 + drift(8, 0.02))
+    camera = refined(scene, scene.train[:1], EMBEDDED)
+    image = torch.from_numpy(small_gray_scene.train[1].thermal)
+    for _ in range(100):
+        difference = camera.show(scene.train[1], image.clone().requires_grad_()) - 0.5
+        difference.square().mean().backward()
+        camera.step()
+    assert camera._vignette(0) == pytest.approx(camera.vignette.values[0])
+
+
+@pytest.mark.parametrize("options", [REFINED, EMBEDDED])
+def test_the_gauge_is_kept_after_every_step(small_gray_scene, options):
     scene = with_response(small_gray_scene, 0.3 + drift(len(small_gray_scene.train), 0.1), np.full(8, 1.2))
     held = scene.train[2:3]
-    camera = refined(scene, held)
+    camera = refined(scene, held, options)
     first = np.array([view not in held for view in scene.train])
     for steps in (1, 7, 30):
         fit_to(camera, scene, small_gray_scene, steps)
         assert camera.offsets[first].mean() == pytest.approx(0.0, abs=1e-12)
         assert camera.gains[first].mean() == pytest.approx(1.0, abs=1e-12)
         assert camera.map(31, 23).mean() == pytest.approx(0.0, abs=1e-12)
+        for index in range(8):
+            assert evaluate(camera._vignette(index), 31, 23).mean() == pytest.approx(0.0, abs=1e-12)
     assert np.abs(camera.offsets).max() > 0.01
 
 
@@ -98,10 +139,13 @@ def test_a_method_that_does_not_use_the_camera_is_an_error(small_gray_scene):
         train(method, 20)
 
 
-@pytest.mark.parametrize("name", ["splat", "thermal", "tdg", "msmg"])
-def test_every_method_refines_it(small_gray_scene, name):
+@pytest.mark.parametrize(
+    ("name", "choice"),
+    [("splat", "refined"), ("thermal", "refined"), ("tdg", "refined"), ("msmg", "refined"), ("tdg", "embedded")],
+)
+def test_every_method_refines_it(small_gray_scene, name, choice):
     scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8))
-    method, context = ready_to_train(scene, name, 60, "camera=refined")
+    method, context = ready_to_train(scene, name, 60, f"camera={choice}")
     train(method, 60)
     assert np.corrcoef(context.camera.offsets, drift(8, 0.1))[0, 1] > 0.8
     assert context.camera.views.steps.sum() == 59  # the last iteration only measures

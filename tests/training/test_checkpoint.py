@@ -18,6 +18,7 @@ LEAN = (  # every rule of the lean budget: images are small at first; it settles
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
     "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
 )  # fmt: skip
+CAMERAS = {"lean": [], "refined": ["camera=refined"], "embedded": ["camera=embedded", "camera.refine.offsets_alone=1"]}
 
 
 class KilledError(Exception):
@@ -27,12 +28,11 @@ class KilledError(Exception):
 def set_up(scene, name: str):
     """A method that is ready to train, its context and a plateau that is watched but never reached.
 
-    name: of the method; `lean` is 3DGS with the lean budget, and what stops it; `refined` is that with a camera.
+    name: of the method, or of CAMERAS: 3DGS with the lean budget, what stops it, and a camera.
     """
-    if name in ("lean", "refined"):
-        camera = "refined" if name == "refined" else "ideal"
+    if name in CAMERAS:
         method, context = ready_to_train(
-            scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}", f"camera={camera}"
+            scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}", *CAMERAS[name]
         )
         return method, context, stopping_of(method, context)
     often = (
@@ -64,7 +64,7 @@ def timeless(log: TrainingLog):
     return log.iterations, [(n.iteration, n.loss, n.psnr, n.gaussians, n.terms) for n in log.lines]
 
 
-@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean", "refined"])
+@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", *CAMERAS])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
     method, context, stopping = set_up(small_gray_scene, name)
     calm = train(method, ITERATIONS, stopping=stopping)

@@ -15,17 +15,21 @@ from tdgbench.thermal.polynomials import TERMS, evaluate
 
 
 class Found(NamedTuple):
-    """Response of training views (V,) at a reference; coefficients (K,) of the vignette. In °C."""
+    """Response of training views (V,) at a reference; coefficients (V, K) of their vignettes. In °C."""
 
     views: list[str]
     reference: float
     response: Response
-    vignette: np.ndarray
+    vignettes: np.ndarray
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A found camera and the true one in its gauge: offsets and gains (V,), vignettes (H, W) in °C."""
+    """A found camera and the true one in its gauge: offsets and gains (V,), vignettes in °C.
+
+    found_vignettes: (V, K) coefficients. true_vignette: (H, W), the mean of the views'; changes: (V,) of a view's own,
+    as multiples of it.
+    """
 
     scene: str
     capture: str
@@ -35,21 +39,35 @@ class Comparison:
     views: list[str]
     found: Response
     true: Response
-    found_vignette: np.ndarray
+    found_vignettes: np.ndarray
     true_vignette: np.ndarray
+    changes: np.ndarray
+
+    @property
+    def found_vignette(self) -> np.ndarray:
+        """(H, W), the mean of the views'."""
+        return self._map(self.found_vignettes.mean(axis=0))
 
     @property
     def errors(self) -> dict[str, float]:
-        """Root mean square and largest errors."""
+        """Root mean square and largest errors, of the vignette over all views."""
+        vignettes = [
+            self._map(found) - (1 + change) * self.true_vignette
+            for found, change in zip(self.found_vignettes, self.changes, strict=True)
+        ]
         parts = {
             "offset_degC": self.found.offsets - self.true.offsets, "gain": self.found.gains - self.true.gains,
-            "vignette_degC": self.found_vignette - self.true_vignette,
+            "vignette_degC": np.stack(vignettes),
         }  # fmt: skip
         return {
             f"{name}_{kind}": float(value)
             for name, error in parts.items()
             for kind, value in (("rms", np.sqrt(np.mean(error**2))), ("worst", np.abs(error).max()))
         }
+
+    def _map(self, coefficients: np.ndarray) -> np.ndarray:
+        height, width = self.true_vignette.shape
+        return evaluate(coefficients, width, height)
 
 
 def compare(
@@ -63,10 +81,9 @@ def compare(
         return None
     found = _found(record) or _ideal(train, truth.camera.reference)
     true = truth_in_gauge(truth, found.views, found.reference)
-    height, width = true.vignette.shape
     return Comparison(
         record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
-        true.response, evaluate(found.vignette, width, height), true.vignette,
+        true.response, found.vignettes, true.vignette, true.changes,
     )  # fmt: skip
 
 
@@ -81,15 +98,17 @@ def _found(record: Record) -> Found | None:
         inner, shift = second.response, first.reference - second.reference
         gains = first.response.gains * inner.gains
         offsets = first.response.offsets + first.response.gains * (inner.offsets + (inner.gains - 1) * shift)
-        first = Found(first.views, first.reference, Response(offsets, gains), first.vignette + second.vignette)
+        first = Found(first.views, first.reference, Response(offsets, gains), first.vignettes + second.vignettes)
     return first
 
 
 def _read(facts: dict[str, Any]) -> Found:
     arrays = {name: np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette")}
     response = Response(arrays["offsets"], arrays["gains"])
-    return Found(list(facts["views"]), float(facts["reference"]), response, arrays["vignette"])
+    own = np.array(facts.get("own_vignettes", np.zeros((len(response.offsets), len(TERMS)))), np.float64)
+    return Found(list(facts["views"]), float(facts["reference"]), response, arrays["vignette"] + own)
 
 
 def _ideal(views: list[str], reference: float) -> Found:
-    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), np.zeros(len(TERMS)))
+    none = np.zeros((len(views), len(TERMS)))
+    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), none)

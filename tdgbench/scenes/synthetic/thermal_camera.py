@@ -1,6 +1,7 @@
 """Errors of a thermal camera: drift, gain, vignette, fixed pattern, blur, dead pixels, automatic gain control.
 
-value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise, in °C, of temperatures T.
+value = T + (gain_v − 1) (T − reference) + offset_v + share_v vignette(x, y) + pattern(x, y) + noise, in °C, of
+temperatures T.
 
 Sizes in real cameras. An uncooled camera is off by up to ±5 °C under the changing conditions of a flight, with a
 prominent vignette, where it was within ±0.5 °C in the laboratory (Kelly et al. 2019, Remote Sensing 11(5), 567). Its
@@ -34,6 +35,7 @@ class ThermalErrors:
     walk_degC: largest deviation of a smooth random walk of the views' offsets, in the order of the views, from its
     mean. shutter_views: views after which the shutter closes, which sets the walk back to its start; 0: never.
     gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
+    vignette_walk: largest deviation of the share of the vignette that a view has from 1, another smooth random walk.
     pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns. blur_px: σ.
     dead_share: of pixels that show one value in all views. encoding: of the thermal files. `range`: 8 bits of the
     world's range, which clips, and the world's palette; `degC`: float TIFF; `agc`: 8-bit gray, each image stretched
@@ -47,6 +49,7 @@ class ThermalErrors:
     pattern_degC: DegC = 0.0
     blur_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     dead_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    vignette_walk: Annotated[float, Field(ge=0, le=1)] = 0.0
     encoding: Encoding | None = None
 
     @property
@@ -67,12 +70,7 @@ class ThermalErrors:
 
     def walk(self, views: int, rng: np.random.Generator) -> np.ndarray:
         """Offsets (views,) in °C of a camera that drifts; each closing of the shutter sets them back."""
-        curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))
-        if self.shutter_views:
-            curve = curve - curve[np.arange(views) // self.shutter_views * self.shutter_views]
-        curve -= curve.mean()
-        largest = np.abs(curve).max()
-        return self.walk_degC / largest * curve if largest > 0 else curve
+        return self.walk_degC * _walk(views, rng, self.shutter_views)
 
     def drawn(
         self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
@@ -82,7 +80,7 @@ class ThermalErrors:
         Each kind of error has random numbers of its own, so that one does not change with another.
         """
         width, height = size
-        streams = [np.random.default_rng([*seed, number]) for number in range(4)]
+        streams = [np.random.default_rng([*seed, number]) for number in range(5)]
         views, (low, high) = len(drifts), span
         dead = streams[2].random((height, width)) < self.dead_share
         return TrueCamera(
@@ -90,6 +88,7 @@ class ThermalErrors:
             offsets=drifts + self.walk(views, streams[0]),
             gains=1 + self.gain * streams[1].uniform(-1, 1, views),
             vignette=self.vignette_degC * vignette(width, height),
+            shares=1 + self.vignette_walk * _walk(views, streams[4]),
             pattern=self.pattern_degC * _pattern(height, width, streams[3]),
             dead=np.where(dead, streams[2].uniform(low, high, dead.shape), np.nan),
             blur_px=self.blur_px,
@@ -104,6 +103,7 @@ class TrueCamera:
     offsets: np.ndarray  # (V,)
     gains: np.ndarray  # (V,)
     vignette: np.ndarray  # (H, W)
+    shares: np.ndarray  # (V,) of the vignette that a view has
     pattern: np.ndarray  # (H, W)
     dead: np.ndarray  # (H, W), what a dead pixel shows; NaN for pixels that work
     blur_px: float = 0.0  # σ
@@ -112,7 +112,8 @@ class TrueCamera:
     def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
         """What the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
         seen = gaussian_filter(degC, self.blur_px, mode="nearest") if self.blur_px else degC
-        response = seen + (self.gains[view] - 1) * (seen - self.reference) + self.vignette + self.pattern
+        shared = self.shares[view] * self.vignette + self.pattern
+        response = seen + (self.gains[view] - 1) * (seen - self.reference) + shared
         return np.where(np.isnan(self.dead), response + noise + self.offsets[view], self.dead)
 
 
@@ -131,6 +132,16 @@ def limits(degC: np.ndarray) -> tuple[float, float]:
     """Temperatures that automatic gain control shows as 0 and 255, of an image (H, W)."""
     low, high = np.percentile(degC, TAILS)
     return float(low), max(float(high), float(low) + 1e-3)
+
+
+def _walk(views: int, rng: np.random.Generator, set_back: int = 0) -> np.ndarray:
+    """Smooth random walk (views,) of mean 0 and largest deviation 1. set_back: views after which it starts again."""
+    curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))
+    if set_back:
+        curve = curve - curve[np.arange(views) // set_back * set_back]
+    curve -= curve.mean()
+    largest = np.abs(curve).max()
+    return np.asarray(curve / largest if largest > 0 else curve)
 
 
 def _pattern(height: int, width: int, rng: np.random.Generator) -> np.ndarray:

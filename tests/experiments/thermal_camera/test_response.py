@@ -5,7 +5,8 @@ from tdgbench.bench.record import Record
 from tdgbench.experiments.thermal_camera.response import compare
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.accuracy import truth_in_gauge
+from tdgbench.thermal.polynomials import TERMS, basis
 
 NAMES = [f"view{index}" for index in range(12)]
 ERRORS = ThermalErrors(walk_degC=3.0, gain=0.05)
@@ -48,6 +49,21 @@ def test_a_refined_camera_acts_before_the_correction():
     one = record(estimated=facts(offsets, first, camera.reference), refined=facts(shift, second, at))
     errors = compare(one, "drift", "both", true, NAMES).errors
     assert max(errors.values()) < 1e-9
+
+
+def test_vignettes_of_the_views_count_where_they_were_learned():
+    true = truth(vignette_degC=2.0, vignette_walk=0.8)
+    in_gauge = truth_in_gauge(true, NAMES, true.camera.reference)
+    grid = [(np.arange(size) + 0.5) / size for size in (40, 30)]
+    terms = basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
+    shared = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.vignette.ravel(), rcond=None)[0]
+    found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
+    found |= {"vignette": shared.tolist(), "own_vignettes": np.outer(in_gauge.changes, shared).tolist()}
+    own = compare(record(refined=found), "breathing", "embedded", true, NAMES)
+    del found["own_vignettes"]
+    one = compare(record(refined=found), "breathing", "refined", true, NAMES)
+    assert max(own.errors.values()) < 1e-6 < 0.5 < one.errors["vignette_degC_worst"]
+    assert own.found_vignette == pytest.approx(in_gauge.vignette, abs=1e-6)
 
 
 def test_an_estimate_that_was_not_used_does_not_count():

@@ -1,0 +1,94 @@
+"""A vignette of each view's own, made from an embedding of the view by a tiny network that all views share.
+
+The vignette of an uncooled camera changes with the temperature of its housing, so that each view may have another one.
+Views share the few numbers behind it: coefficients_v = scale · B (tanh(A e_v + a) − tanh(a)) of the polynomials of
+`tdgbench.thermal.polynomials`, with an embedding e_v of each view v. Embeddings of views that are learned with the
+scene are those of NeRF in the Wild (Martin-Brualla et al. 2021), there as an input of the network that renders.
+
+Embeddings start at 0, which makes no vignette, and their mean stays 0. A polynomial's mean over the image is 0, so that
+an embedding moves no mean temperature.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+
+from tdgbench.training.learned import LearnedRows
+
+STREAM = 7  # of random numbers, beside those of other uses of the seed
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Embeddings of the views, and their network."""
+
+    size: PositiveInt  # numbers of a view
+    hidden: PositiveInt  # units of the network's one hidden layer
+    scale: PositiveFloat  # image values, standard deviation over the image, that an output of 1 stands for
+    rate: NonNegativeFloat  # Adam's at the start, of embeddings and network
+
+
+class OwnVignettes:
+    """Coefficients (K,) of the vignettes of V views, by embeddings (E,) and a network; float64, on the CPU."""
+
+    def __init__(self, rules: Embedding, views: int, outputs: int, seed: int) -> None:
+        """outputs: K. seed: of the network's first weights."""
+        size, hidden = rules.size, rules.hidden
+        random = np.random.default_rng([seed, STREAM])
+        self._scale = rules.scale
+        self.embeddings = LearnedRows(np.zeros((views, size)))
+        self._inner = LearnedRows(random.normal(0, size**-0.5, (1, hidden, size)))  # A
+        self._bias = LearnedRows(random.normal(0, 1, (1, hidden)))  # a
+        self._outer = LearnedRows(random.normal(0, hidden**-0.5, (1, outputs, hidden)))  # B
+        self._network = self._inner, self._bias, self._outer
+
+    def of(self, index: int) -> np.ndarray:
+        """Coefficients (K,) of a view's vignette, image values."""
+        inside, at_rest = self._hidden(index)
+        coefficients: np.ndarray = self._scale * self._outer.values[0] @ (inside - at_rest)
+        return coefficients
+
+    def all(self) -> np.ndarray:
+        """Coefficients (V, K) of all views."""
+        return np.stack([self.of(index) for index in range(len(self.embeddings.values))])
+
+    def step(self, index: int, by_output: np.ndarray, rate: float, decay: float) -> None:
+        """Adam's step of a view's embedding and of the network, for a loss with the gradient (K,) by `of(index)`."""
+        by_embedding, *by_network = self._gradients(index, by_output)
+        self.embeddings.step(index, by_embedding, rate, decay)
+        for weights, gradient in zip(self._network, by_network, strict=True):
+            weights.step(0, gradient, rate, decay)
+
+    def center(self, which: np.ndarray) -> None:
+        """Make the mean embedding of some views, (V,) bool, 0."""
+        self.embeddings.values[which] -= self.embeddings.values[which].mean(axis=0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that training changes, as `torch.save` takes it."""
+        return {"rows": [rows.state_dict() for rows in (self.embeddings, *self._network)]}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        for rows, state in zip((self.embeddings, *self._network), saved["rows"], strict=True):
+            rows.load_state_dict(state)
+
+    def _hidden(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """The hidden layer (hidden,) for a view's embedding, and for embedding 0."""
+        bias = self._bias.values[0]
+        return np.tanh(self._inner.values[0] @ self.embeddings.values[index] + bias), np.tanh(bias)
+
+    def _gradients(self, index: int, by_output: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Gradients by a view's embedding (E,), and by A, a and B."""
+        inside, at_rest = self._hidden(index)
+        by_inside = self._scale * by_output @ self._outer.values[0]
+        by_sum = by_inside * (1 - inside**2)
+        return (
+            by_sum @ self._inner.values[0],
+            np.outer(by_sum, self.embeddings.values[index]),
+            by_sum - by_inside * (1 - at_rest**2),
+            self._scale * np.outer(by_output, inside - at_rest),
+        )
