@@ -112,7 +112,8 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
     ("experiment", "word", "instead"),
     [
         ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=both", "job.cameras"),
-        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"), ("skips", "scene=night", "job.scenes="),
+        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"), ("thermal_camera", "camera@camera=both", "job.cameras"),
+        ("skips", "scene=night", "job.scenes="),
         ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
         ("budgets", "budget.iterations=500", "job.budgets.NAME.KEY=VALUE"),
     ],
@@ -125,5 +126,5 @@ def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experimen
 
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
-        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray"]
+        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.cameras.mine=refined"]
     )
