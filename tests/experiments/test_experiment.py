@@ -112,7 +112,7 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
     ("experiment", "word", "instead"),
     [
         ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=both", "job.cameras"),
-        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"), ("thermal_camera", "camera@camera=both", "job.cameras"),
+        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"),
         ("skips", "scene=night", "job.scenes="),
         ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
         ("budgets", "budget.iterations=500", "job.budgets.NAME.KEY=VALUE"),
