@@ -171,11 +171,11 @@ class RefinedCamera(IdealCamera):
             return
         rules, rounds = self.refinement, float(self.views.steps.mean())
         rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
-        of_vignette = np.full(len(TERMS), slowdown * rules.rate("vignette", rounds))
+        of_vignette = slowdown * rules.rate("vignette", rounds)
         of_embedding = slowdown * rules.embedding_rate(rounds)
         for index, sums in pending:
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
-            if of_vignette[0] > 0:
+            if of_vignette > 0:
                 self.vignette.step(0, sums.vignette.numpy(), of_vignette, rules.decay)
             if self.own is not None and of_embedding > 0:
                 self.own.step(index, sums.vignette.numpy(), of_embedding, rules.decay)

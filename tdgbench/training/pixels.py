@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from tdgbench.scenes import View
-from tdgbench.scenes.images import resize
+from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.training.noise import noise_of
 from tdgbench.training.spectrum import significant_amplitudes
 
@@ -41,18 +41,11 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
         s for s in SCALES
         if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
     )  # fmt: skip
-    shares = np.mean(
-        [significant_amplitudes(_filled(view), noise_of(view.thermal, view.valid), scales) for view in views], axis=0
-    )
+    images = (nearest_valid(view.thermal, view.valid) for view in views)  # the border of a mask is no detail
+    noises = (noise_of(view.thermal, view.valid) for view in views)
+    shares = np.mean([significant_amplitudes(*one, scales) for one in zip(images, noises, strict=True)], axis=0)
     ends = [int(share * rule.until * iterations) for share in shares]
     return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
-
-
-def _filled(view: View) -> np.ndarray:
-    """The thermal image (H, W, C) with the mean of its valid pixels in the others, whose border is no detail."""
-    if view.valid is None or not view.valid.any():
-        return view.thermal
-    return np.where(view.valid[..., None], view.thermal, view.thermal[view.valid].mean(axis=0))
 
 
 def shrunk(view: View, scale: int) -> View:

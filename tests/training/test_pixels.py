@@ -40,6 +40,16 @@ def test_images_have_no_fewer_pixels_than_there_are_gaussians():
     assert schedule(RULE, [view(wave(40))], pixels, 1000) == []
 
 
+def test_the_border_of_a_mask_is_no_detail():
+    ramp = np.tile(np.linspace(0.2, 0.8, 128, dtype=np.float32)[None, :, None], (96, 1, 1))
+    valid = np.ones((96, 128), bool)
+    valid[:, 100:] = False
+    given = view(ramp), view(ramp * valid[..., None], valid)
+    whole, masked = (schedule(RULE, [one], 100, 1000) for one in given)
+    assert [scale for _, scale in masked] == [scale for _, scale in whole]
+    assert [last for last, _ in masked] == pytest.approx([last for last, _ in whole], abs=10)
+
+
 def test_a_smaller_view_has_means_and_the_camera_of_them():
     image, rgb = wave(40), np.repeat(wave(30), 3, axis=2)
     small = shrunk(view(image, rgb=rgb), 4)
