@@ -29,7 +29,8 @@ class Embedding:
     size: PositiveInt  # numbers of a view
     hidden: PositiveInt  # units of the network's one hidden layer
     scale: PositiveFloat  # image values, standard deviation over the image, that an output of 1 stands for
-    rate: NonNegativeFloat  # Adam's at the start, of embeddings and network
+    rate: NonNegativeFloat  # Adam's at the start, of embeddings and network; it falls as those of `Refinement`
+    after: NonNegativeFloat  # rounds of all views before they are learned
 
 
 class OwnVignettes:

@@ -23,7 +23,7 @@ STILL = (
 )  # fmt: skip
 DRIFT = (*STILL, "dataset.loader.errors.camera.walk_degC=4", "dataset.loader.errors.camera.shutter_views=6")
 REFINE = Refinement(0.02, 0.02, 0.0005, 20, 10, 0.01)
-EMBEDDED = replace(REFINE, embedding=Embedding(size=2, hidden=4, scale=0.1, rate=0.02))
+EMBEDDED = replace(REFINE, embedding=Embedding(size=2, hidden=4, scale=0.1, rate=0.02, after=0))
 
 
 @pytest.fixture

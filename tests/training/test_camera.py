@@ -16,7 +16,7 @@ from tests.helpers.training import digest, ready_to_train
 
 RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, pace=30, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
-EMBEDDED = CameraOptions(refine=replace(RULES, embedding=Embedding(size=4, hidden=16, scale=0.1, rate=0.02)))
+EMBEDDED = CameraOptions(refine=replace(RULES, embedding=Embedding(size=4, hidden=16, scale=0.1, rate=0.02, after=0)))
 
 
 def refined(scene, held=(), options=REFINED) -> RefinedCamera:
@@ -64,14 +64,22 @@ def test_with_embeddings_each_view_has_a_vignette_of_its_own(small_gray_scene):
     assert np.ptp(own.map(48, 36)) == pytest.approx(np.ptp(evaluate(bowls.mean() * BOWL, 48, 36)), rel=0.2)
 
 
-def test_embeddings_are_learned_with_gains_and_vignette(small_gray_scene):
+def test_embeddings_are_learned_after_some_rounds(small_gray_scene):
     scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=0.02 + drift(8, 0.02))
-    later = replace(EMBEDDED, refine=replace(EMBEDDED.refine, offsets_alone=3))
+    later = replace(EMBEDDED, refine=replace(EMBEDDED.refine, embedding=replace(EMBEDDED.refine.embedding, after=3)))
     camera = refined(scene, options=later)
     fit_to(camera, scene, small_gray_scene, 8 * 3)
     assert not camera.own.all().any() and camera.offsets.any()
     fit_to(camera, scene, small_gray_scene, 8 * 3)
     assert camera.own.all().any()
+
+
+@pytest.mark.parametrize(("terms", "waits"), [(["vignette"], False), (["vignette", "offsets"], True)])
+def test_the_vignette_waits_for_offsets_that_are_learned(small_gray_scene, terms, waits):
+    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=0.02)
+    camera = refined(scene, options=CameraOptions(refine=replace(RULES, offsets_alone=3, terms=terms)))
+    fit_to(camera, scene, small_gray_scene, 8)
+    assert camera.map(48, 36).any() != waits
 
 
 def test_a_view_without_an_embedding_has_the_shared_vignette(small_gray_scene):

@@ -18,7 +18,11 @@ LEAN = (  # every rule of the lean budget: images are small at first; it settles
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
     "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
 )  # fmt: skip
-CAMERAS = {"lean": [], "refined": ["camera=refined"], "embedded": ["camera=embedded", "camera.refine.offsets_alone=1"]}
+CAMERAS = {
+    "lean": [],
+    "refined": ["camera=refined"],
+    "embedded": ["camera=embedded", "camera.refine.embedding.after=1"],
+}
 
 
 class KilledError(Exception):

@@ -7,7 +7,7 @@ import torch
 from tdgbench.thermal.polynomials import TERMS, evaluate
 from tdgbench.training.embedding import Embedding, OwnVignettes
 
-RULES = Embedding(size=3, hidden=5, scale=0.1, rate=0.02)
+RULES = Embedding(size=3, hidden=5, scale=0.1, rate=0.02, after=0)
 VIEWS, TARGET = 4, np.random.default_rng(5).normal(0, 0.05, (4, len(TERMS)))
 
 
