@@ -41,6 +41,18 @@ class GrowthRule:
     z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
     min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
 
+    def significance(
+        self,
+        views: list[View],
+        modality: Modality,
+        curriculum: Curriculum,
+        backend: str,
+        camera: IdealCamera | None = None,
+        background: Tensor | None = None,
+    ) -> Significance:
+        """What decides by this rule in a training; the arguments are those of `Significance`."""
+        return Significance(self, views, modality, curriculum, backend, camera, background)
+
 
 class Significance:
     """Decides by a rule which Gaussians of a model grow."""
@@ -72,12 +84,15 @@ class Significance:
         """Verdict on the Gaussians, rendered at an SH degree. turn: number of the round; it chooses the views."""
         evidence = Evidence.none(gaussians.means, gaussians.channels)
         for view in self.chosen(turn):
-            evidence.add(self._look(self.curriculum.at_resolution(view), gaussians, degree))
+            evidence.add(self.look(self.curriculum.at_resolution(view), gaussians, degree))
         is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
         difference = evidence.difference.square().mean(dim=1).sqrt()
         strength = torch.where(is_known, difference / (self.noise * evidence.weight.sqrt()), 0.0)
-        useless = self.curriculum.scale**2 * evidence.weight < self.rule.min_weight * evidence.views
-        return Verdict(strength, strength > self.rule.z, (evidence.views >= FEWEST_VIEWS) & useless)
+        return Verdict(strength, strength > self.rule.z, self.useless(evidence.views, evidence.weight))
+
+    def useless(self, views: Tensor, weight: Tensor) -> Tensor:
+        """(N,) bool: what is pruned, by the number of views that show it (N,) and its weight in them (N,), px."""
+        return (views >= FEWEST_VIEWS) & (self.curriculum.scale**2 * weight < self.rule.min_weight * views)
 
     def chosen(self, turn: int) -> list[View]:
         """The views of a round: evenly spread, one further in every round."""
@@ -85,7 +100,7 @@ class Significance:
         looks = min(self.rule.views, len(views))
         return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
 
-    def _look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
+    def look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         """Footprints in what a view shows and the Gaussians do not."""
         camera = Pinhole.of(view.camera).to(gaussians.means)
         active = gaussians.activated(degree)

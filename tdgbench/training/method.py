@@ -19,7 +19,6 @@ from tdgbench.thermal import ThermalCamera
 from tdgbench.training.budget import Budget
 from tdgbench.training.camera import CameraOptions, IdealCamera, camera_of
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.growth import Significance
 from tdgbench.training.images import THERMAL, Modality
 from tdgbench.training.model import SplatModel, ViewRules
 from tdgbench.training.pixels import schedule
@@ -113,9 +112,9 @@ class Context:
             background = torch.from_numpy(modality.mean(self.scene.train)).to(self.device)
         significance = None
         if self.budget.growth is not None and self.skips.growth.allowed:
-            significance = Significance(
-                self.budget.growth, self.scene.train, modality, self.curriculum, self.backend, camera, background
-            )  # fmt: skip
+            significance = self.budget.growth.significance(
+                self.scene.train, modality, self.curriculum, self.backend, camera, background
+            )
         rules = ViewRules(self.curriculum, camera, significance, background)
         return SplatModel(
             start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, rules
