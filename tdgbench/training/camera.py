@@ -43,7 +43,7 @@ class Refinement:
     offset_rate: NonNegativeFloat  # image values, at the start
     gain_rate: NonNegativeFloat
     vignette_rate: NonNegativeFloat  # image values, standard deviation over the image
-    offsets_alone: NonNegativeFloat  # rounds before gains and vignette are learned, if offsets are
+    offsets_alone: NonNegativeFloat  # rounds before gains and vignette are learned
     pace: PositiveFloat  # rounds after which a rate is a quarter of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
@@ -59,8 +59,7 @@ class Refinement:
         if term not in self.terms:
             return 0.0
         start = {"offsets": self.offset_rate, "gains": self.gain_rate, "vignette": self.vignette_rate}[term]
-        waits = term != "offsets" and "offsets" in self.terms
-        return self._fallen(start, rounds - self.offsets_alone if waits else rounds)
+        return self._fallen(start, rounds if term == "offsets" else rounds - self.offsets_alone)
 
     def embedding_rate(self, rounds: float) -> float:
         """Learning rate of the embeddings and their network after so many rounds; 0 if there are none."""

@@ -74,12 +74,13 @@ def test_embeddings_are_learned_after_some_rounds(small_gray_scene):
     assert camera.own.all().any()
 
 
-@pytest.mark.parametrize(("terms", "waits"), [(["vignette"], False), (["vignette", "offsets"], True)])
-def test_the_vignette_waits_for_offsets_that_are_learned(small_gray_scene, terms, waits):
-    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=0.02)
-    camera = refined(scene, options=CameraOptions(refine=replace(RULES, offsets_alone=3, terms=terms)))
-    fit_to(camera, scene, small_gray_scene, 8)
-    assert camera.map(48, 36).any() != waits
+def test_gains_and_vignette_wait_until_offsets_are_learned(small_gray_scene):
+    scene = with_response(small_gray_scene, drift(8, 0.1), 1 + drift(8, 0.03, seed=1), bowl=0.02)
+    camera = refined(scene, options=CameraOptions(refine=replace(RULES, offsets_alone=3)))
+    fit_to(camera, scene, small_gray_scene, 8 * 3)
+    assert camera.offsets.any() and not camera.map(48, 36).any() and (camera.gains == 1).all()
+    fit_to(camera, scene, small_gray_scene, 8 * 3)
+    assert camera.map(48, 36).any() and (camera.gains != 1).any()
 
 
 def test_a_view_without_an_embedding_has_the_shared_vignette(small_gray_scene):
