@@ -34,9 +34,15 @@ KINDS = {
     "halves": [],
     "gradient": ["skip.growth=false"],
     "residual": [f"{RULES}.ResidualRule"],
-    "count": [f"{RULES}.CountRule", "budget.growth.z=3", "+budget.growth.share=0.1", "+budget.growth.pixels=5"],
-    "opacity": [f"{RULES}.OpacityRule", "+budget.growth.target=1000000", "+budget.growth.last=24"],
-}
+    "count": [
+        f"{RULES}.CountRule", "budget.growth.z=3", "+budget.growth.share=0.1", "+budget.growth.pixels=5",
+        "+budget.growth.clone_max_scale=${budget.density.clone_max_scale}",
+    ],
+    "opacity": [
+        f"{RULES}.OpacityRule", "+budget.growth.target=1000000", "+budget.growth.last=24",
+        "+budget.growth.seed=${seed}",
+    ],
+}  # fmt: skip
 HEAD = f"{'kind':<9}{'seed':>5}{'PSNR':>8}{'SSIM':>8}{'LPIPS':>8}{'iterations':>12}{'Gaussians':>11}{'seconds':>9}"
 
 

@@ -12,12 +12,13 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from pydantic import NonNegativeFloat, PositiveInt
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 from torch import Tensor
 
 from benchmarks.evidence.fragments import Fragments, compile_kernel, fragments
 from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends import load_backend
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
@@ -25,6 +26,7 @@ from tdgbench.training.evidence import Footprints
 from tdgbench.training.growth import FEWEST_VIEWS, GrowthRule, Significance
 from tdgbench.training.losses import photometric
 
+ROUNDS = 10_000  # more than a training has
 LAMBDA_DSSIM = 0.2  # of the loss of 3DGS, FastGS and LiteGS, whose gradients are taken
 
 
@@ -82,16 +84,19 @@ class OpacityRule(GrowthRule):
 
     target: PositiveInt = 1_000_000  # arguments.py, `target_primitives`
     last: PositiveInt = 24  # round in iteration 2400: 0.8 of `budget.expected_iterations`, as `densify_until`
+    seed: NonNegativeInt = 0  # of the draws
 
     def significance(self, *given) -> Significance:
         return _Opacity(self, *given)
 
 
 class _OfFragments(Significance):
-    """Decides by sums over fragments of the views of a round."""
+    """Decides by sums over fragments of the views of a round, on the CPU."""
 
     def __init__(self, *given) -> None:
         super().__init__(*given)
+        if load_backend(self.backend).device != "cpu":
+            raise ValueError(f"fragments are summed on the CPU, not for backend={self.backend}; set backend=cpu")
         compile_kernel()  # now, so that training does not pay for it
 
     def looks(self, gaussians: Gaussians, degree: int, turn: int) -> Iterator[tuple[View, Fragments]]:
@@ -162,16 +167,17 @@ class _Opacity(_OfFragments):
             total += seen.opacity
             squares += seen.opacity_squares
         variance = squares / (count + 1) - (total / (count + 1)).square()  # as `get_var` in `statistic_helper.py`
-        score = variance.clamp_min(0) * count * gaussians.opacities.square()
         useless = self.useless(views, weight)
+        score = variance.clamp_min(0) * count * gaussians.opacities.square()
+        score = torch.where(useless | (views < FEWEST_VIEWS), 0.0, score)
         grow = torch.zeros_like(useless)
         grow[self._drawn(score, turn, int(useless.sum()))] = True
-        return Verdict(score, grow & (views >= FEWEST_VIEWS), useless)
+        return Verdict(score, grow, useless)
 
     def _drawn(self, score: Tensor, turn: int, pruned: int) -> Tensor:
         """Indices of the Gaussians that grow in a round, drawn by their scores (N,)."""
         if turn >= self.rule.last or not bool((score > 0).any()):
             return score.new_zeros(0, dtype=torch.long)
         due = max(math.ceil((self.rule.target - len(score)) / (self.rule.last - turn)), 1) + pruned
-        generator = torch.Generator().manual_seed(turn)
+        generator = torch.Generator().manual_seed(ROUNDS * self.rule.seed + turn)
         return torch.multinomial(score, min(due, int((score > 0).sum())), generator=generator)

@@ -12,7 +12,7 @@ from tdgbench.scenes import Scene
 from tdgbench.thermal import ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.estimate import units
 from tdgbench.thermal.polynomials import evaluate
-from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera
+from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement
 from tdgbench.training.method import Context
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
@@ -35,7 +35,7 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
 
     Only terms that the estimate supports are refined: in a capture that has no drift, they would learn the errors of an
     unfinished scene. Views get vignettes of their own where it supports a vignette. Where the camera cannot be
-    estimated, images stay as they are and all terms are refined.
+    estimated, images stay as they are and all that was asked for is refined.
     """
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
@@ -43,20 +43,24 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
         return Prepared(scene, options, {"unknown": found.reason}, notes)
     notes = []
     if options.refine is not None:
-        wanted_terms, embedding = options.refine.terms, options.refine.embedding
-        terms = [term for term in wanted_terms if term in found.terms]
-        if embedding is not None and "vignette" not in found.terms:
-            embedding = None
+        wanted = [*options.refine.terms, *(["vignettes of the views"] if options.refine.embedding else [])]
+        refine = _supported(options.refine, found)
+        if refine is None:
+            notes.append(f"camera: nothing is refined: sparse points do not support {', '.join(wanted) or 'more'}")
+        elif refine.embedding != options.refine.embedding:
             notes.append("camera: no view has a vignette of its own: sparse points do not support a vignette")
-        refine = replace(options.refine, terms=terms, embedding=embedding)
-        options = replace(options, refine=refine if terms or embedding is not None else None)
-        if options.refine is None:
-            wanted = ", ".join(wanted_terms) or "any of no terms"
-            notes.append(f"camera: nothing is refined: sparse points do not support {wanted}")
+        options = replace(options, refine=refine)
     if options.estimate:
         before, scene = len(scene.notes), corrected(scene, found)
         notes += [f"camera: {note}" for note in scene.notes[before:]]
     return Prepared(scene, options, _estimated(found), notes, found if options.estimate else None)
+
+
+def _supported(refinement: Refinement, found: ThermalCamera) -> Refinement | None:
+    """What is left of a refinement; None if that is nothing."""
+    terms = [term for term in refinement.terms if term in found.terms]
+    embedding = refinement.embedding if "vignette" in found.terms else None
+    return replace(refinement, terms=terms, embedding=embedding) if terms or embedding else None
 
 
 def added_by_camera(context: Context, contrast: str, width: int, height: int) -> np.ndarray | None:
@@ -79,13 +83,16 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
     if not isinstance(camera, RefinedCamera):
         return {"unknown": camera.reason} if camera.reason else {}
     unit, scale, zero = units(scene)
+    own = {}
+    if camera.own_vignettes is not None:
+        own["own_vignettes"] = [_rounded(scale * coefficients) for coefficients in camera.own_vignettes.all()]
     return {
         "unit": unit, "terms": list(camera.refinement.terms),
         **_numbers(
             camera.names, scale * camera.reference + zero, scale * camera.offsets, camera.gains,
             scale * camera.vignette.values[0],
         ),
-        **({} if camera.own is None else {"own_vignettes": [_rounded(scale * own) for own in camera.own.all()]}),
+        **own,
     }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import json
 import math
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import is_dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -78,7 +79,7 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
     ['seed=2.5: must be a whole number']
     """
     if not _is_plain(hint):
-        return list(not_finite(value, name))
+        return [*_not_options(hint, value, name), *not_finite(value, name)]
     try:
         _adapter(hint).validate_python(value)
     except ValidationError as error:
@@ -132,6 +133,14 @@ def _is_plain(hint: Any) -> bool:
     if origin is Annotated:
         return _is_plain(get_args(hint)[0])
     return origin is Literal or (origin in (Union, types.UnionType, list, dict) and all(map(_is_plain, get_args(hint))))
+
+
+def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
+    """The problem of a value in the place of options that a `_target_` makes."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if value is not None and all(kind is types.NoneType or is_dataclass(kind) for kind in kinds):
+        choices = "options with a _target_, or null" if types.NoneType in kinds else "options with a _target_"
+        yield Problem(name, f"must be {choices}; choose a configuration that has them", value)
 
 
 def _problem(error: ErrorDetails, name: str) -> Problem:

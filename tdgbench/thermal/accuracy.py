@@ -14,13 +14,18 @@ from tdgbench.thermal.camera import Response, ThermalCamera, in_gauge
 class Truth(NamedTuple):
     """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C.
 
-    vignette: the mean of the views'. changes: (V,) of a view's own, as multiples of it.
+    shape: (H, W), of which a view's vignette is a share, shares: (V,).
     """
 
     response: Response
-    vignette: np.ndarray
-    changes: np.ndarray
+    shape: np.ndarray
+    shares: np.ndarray
     pattern: np.ndarray
+
+    @property
+    def vignette(self) -> np.ndarray:
+        """(H, W), the mean of the views'."""
+        return np.asarray(self.shares.mean() * self.shape)
 
 
 class Errors(NamedTuple):
@@ -38,8 +43,7 @@ def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -
     gains, shares = true.gains[index], true.shares[index]
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + shares * true.vignette.mean()
     response = in_gauge(Response(offsets + true.pattern.mean(), gains))
-    vignette = shares.mean() * (true.vignette - true.vignette.mean())
-    return Truth(response, vignette, shares / shares.mean() - 1, true.pattern - true.pattern.mean())
+    return Truth(response, true.vignette - true.vignette.mean(), shares, true.pattern - true.pattern.mean())
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> Errors:

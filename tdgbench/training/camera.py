@@ -24,7 +24,7 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.polynomials import TERMS, evaluate
-from tdgbench.training.embedding import Embedding, OwnVignettes
+from tdgbench.training.embedding import EmbeddingRules, OwnVignettes
 from tdgbench.training.images import THERMAL
 from tdgbench.training.learned import LearnedRows
 from tdgbench.training.response import Response, Sums, best_fit, shown
@@ -37,17 +37,18 @@ ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
 class Refinement:
     """What is learned of a camera, and Adam's learning rates, which fall with the rounds of all views.
 
-    A rate is 1 / (1 + rounds / pace)² of its start, whatever the length of the training.
+    A rate is 1 / (1 + rounds / pace)² of its start, whatever the length of the training. Rounds count from where the
+    term begins to be learned.
     """
 
     offset_rate: NonNegativeFloat  # image values, at the start
-    gain_rate: NonNegativeFloat
-    vignette_rate: NonNegativeFloat  # image values, standard deviation over the image
+    gain_rate: NonNegativeFloat  # after `offsets_alone`
+    vignette_rate: NonNegativeFloat  # image values, standard deviation over the image; after `offsets_alone`
     offsets_alone: NonNegativeFloat  # rounds before gains and vignette are learned
     pace: PositiveFloat  # rounds after which a rate is a quarter of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
-    embedding: Embedding | None = None  # of each view, from which its own vignette is made; None: there is none
+    embedding: EmbeddingRules | None = None  # of each view, from which its own vignette is made; None: there is none
 
     def rate(self, term: Term, rounds: float) -> float:
         """Learning rate of a term after so many rounds.
@@ -128,9 +129,9 @@ class RefinedCamera(IdealCamera):
         self.reference = float(THERMAL.mean(views).mean())
         self.views = LearnedRows(np.zeros((len(self.names), 2)))  # offset, gain − 1
         self.vignette = LearnedRows(np.zeros((1, len(TERMS))))
-        self.own = None
+        self.own_vignettes = None
         if refinement.embedding is not None:
-            self.own = OwnVignettes(refinement.embedding, len(self.names), len(TERMS), seed)
+            self.own_vignettes = OwnVignettes(refinement.embedding, len(self.names), len(TERMS), seed)
         self._pending: list[_Gradient] = []
 
     @property
@@ -177,22 +178,22 @@ class RefinedCamera(IdealCamera):
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
             if of_vignette > 0:
                 self.vignette.step(0, sums.vignette.numpy(), of_vignette, rules.decay)
-            if self.own is not None and of_embedding > 0:
-                self.own.step(index, sums.vignette.numpy(), of_embedding, rules.decay)
         first = self.is_first
         self.views.values[first] -= self.views.values[first].mean(axis=0)
-        if self.own is not None:
-            self.own.center(first)
+        if self.own_vignettes is not None and of_embedding > 0:
+            by_views = [(index, sums.vignette.numpy()) for index, sums in pending]
+            self.own_vignettes.step(by_views, of_embedding, rules.decay)
+            self.own_vignettes.center(first)
 
     def state_dict(self) -> dict[str, Any]:
-        own = {} if self.own is None else {"own": self.own.state_dict()}
+        own = {} if self.own_vignettes is None else {"own": self.own_vignettes.state_dict()}
         return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict(), **own}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         self.views.load_state_dict(saved["views"])
         self.vignette.load_state_dict(saved["vignette"])
-        if self.own is not None:
-            self.own.load_state_dict(saved["own"])
+        if self.own_vignettes is not None:
+            self.own_vignettes.load_state_dict(saved["own"])
 
     def _response(self, index: int) -> Response:
         offset, gain = self.views.values[index].tolist()
@@ -201,7 +202,7 @@ class RefinedCamera(IdealCamera):
     def _vignette(self, index: int) -> np.ndarray:
         """Coefficients (K,) of a view's vignette: the shared one and its own."""
         shared: np.ndarray = self.vignette.values[0]
-        return shared if self.own is None else shared + self.own.of(index)
+        return shared if self.own_vignettes is None else shared + self.own_vignettes.of(index)
 
     def _fitted(self, view: View, image: Tensor) -> Response:
         """The response with the gain and offset that fit a view best, and the shared vignette so far."""

@@ -11,11 +11,12 @@ an embedding moves no mean temperature.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat
 
 from tdgbench.training.learned import LearnedRows
 
@@ -23,12 +24,12 @@ STREAM = 7  # of random numbers, beside those of other uses of the seed
 
 
 @dataclass(frozen=True)
-class Embedding:
+class EmbeddingRules:
     """Embeddings of the views, and their network."""
 
-    size: PositiveInt  # numbers of a view
-    hidden: PositiveInt  # units of the network's one hidden layer
-    scale: PositiveFloat  # image values, standard deviation over the image, that an output of 1 stands for
+    size: Annotated[int, Field(ge=1, le=64)]  # numbers of a view
+    hidden: Annotated[int, Field(ge=1, le=256)]  # units of the network's one hidden layer
+    scale: Annotated[float, Field(gt=0, le=1)]  # image values, standard deviation over the image, of an output of 1
     rate: NonNegativeFloat  # Adam's at the start, of embeddings and network; it falls as those of `Refinement`
     after: NonNegativeFloat  # rounds of all views before they are learned
 
@@ -36,7 +37,7 @@ class Embedding:
 class OwnVignettes:
     """Coefficients (K,) of the vignettes of V views, by embeddings (E,) and a network; float64, on the CPU."""
 
-    def __init__(self, rules: Embedding, views: int, outputs: int, seed: int) -> None:
+    def __init__(self, rules: EmbeddingRules, views: int, outputs: int, seed: int) -> None:
         """outputs: K. seed: of the network's first weights."""
         size, hidden = rules.size, rules.hidden
         random = np.random.default_rng([seed, STREAM])
@@ -57,12 +58,13 @@ class OwnVignettes:
         """Coefficients (V, K) of all views."""
         return np.stack([self.of(index) for index in range(len(self.embeddings.values))])
 
-    def step(self, index: int, by_output: np.ndarray, rate: float, decay: float) -> None:
-        """Adam's step of a view's embedding and of the network, for a loss with the gradient (K,) by `of(index)`."""
-        by_embedding, *by_network = self._gradients(index, by_output)
-        self.embeddings.step(index, by_embedding, rate, decay)
-        for weights, gradient in zip(self._network, by_network, strict=True):
-            weights.step(0, gradient, rate, decay)
+    def step(self, by_outputs: Sequence[tuple[int, np.ndarray]], rate: float, decay: float) -> None:
+        """Adam's steps of embeddings and network, for losses of views (index) with gradients (K,) by `of(index)`."""
+        gradients = [(index, self._gradients(index, by_output)) for index, by_output in by_outputs]
+        for index, (by_embedding, *by_network) in gradients:
+            self.embeddings.step(index, by_embedding, rate, decay)
+            for weights, gradient in zip(self._network, by_network, strict=True):
+                weights.step(0, gradient, rate, decay)
 
     def center(self, which: np.ndarray) -> None:
         """Make the mean embedding of some views, (V,) bool, 0."""
@@ -70,12 +72,15 @@ class OwnVignettes:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes, as `torch.save` takes it."""
-        return {"rows": [rows.state_dict() for rows in (self.embeddings, *self._network)]}
+        return {name: rows.state_dict() for name, rows in self._rows().items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        for rows, state in zip((self.embeddings, *self._network), saved["rows"], strict=True):
-            rows.load_state_dict(state)
+        for name, rows in self._rows().items():
+            rows.load_state_dict(saved[name])
+
+    def _rows(self) -> dict[str, LearnedRows]:
+        return {"embeddings": self.embeddings, "inner": self._inner, "bias": self._bias, "outer": self._outer}
 
     def _hidden(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """The hidden layer (hidden,) for a view's embedding, and for embedding 0."""

@@ -41,11 +41,15 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
         s for s in SCALES
         if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
     )  # fmt: skip
-    images = (nearest_valid(view.thermal, view.valid) for view in views)  # the border of a mask is no detail
-    noises = (noise_of(view.thermal, view.valid) for view in views)
-    shares = np.mean([significant_amplitudes(*one, scales) for one in zip(images, noises, strict=True)], axis=0)
+    shares = np.mean([_shares(view, scales) for view in views], axis=0)
     ends = [int(share * rule.until * iterations) for share in shares]
     return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
+
+
+def _shares(view: View, scales: tuple[int, ...]) -> np.ndarray:
+    """Shares (scales,) of the amplitudes of a view's thermal image. The border of a mask is no detail."""
+    filled = nearest_valid(view.thermal, view.valid)
+    return significant_amplitudes(filled, noise_of(view.thermal, view.valid), scales)
 
 
 def shrunk(view: View, scale: int) -> View:

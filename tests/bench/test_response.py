@@ -13,7 +13,7 @@ from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ThermalCamera, Unknown
 from tdgbench.thermal.polynomials import TERMS
 from tdgbench.training.camera import CameraOptions, IdealCamera, Refinement, camera_of
-from tdgbench.training.embedding import Embedding
+from tdgbench.training.embedding import EmbeddingRules
 from tests.helpers.configs import SMALL, config
 from tests.helpers.training import ready_to_train
 
@@ -23,7 +23,7 @@ STILL = (
 )  # fmt: skip
 DRIFT = (*STILL, "dataset.loader.errors.camera.walk_degC=4", "dataset.loader.errors.camera.shutter_views=6")
 REFINE = Refinement(0.02, 0.02, 0.0005, 20, 10, 0.01)
-EMBEDDED = replace(REFINE, embedding=Embedding(size=2, hidden=4, scale=0.1, rate=0.02, after=0))
+EMBEDDED = replace(REFINE, embedding=EmbeddingRules(size=2, hidden=4, scale=0.1, rate=0.02, after=0))
 
 
 @pytest.fixture
@@ -100,12 +100,28 @@ def test_nothing_is_refined_where_nothing_is_supported(small_gray_scene, monkeyp
     ]
 
 
-@pytest.mark.parametrize(("supported", "asked"), [((), True), (("offsets",), True), (("offsets",), False)])
-def test_views_have_no_vignette_of_their_own_where_none_is_supported(small_gray_scene, monkeypatch, supported, asked):
+@pytest.mark.parametrize(
+    ("supported", "wanted", "notes"),
+    [
+        (("offsets",), EMBEDDED, ["no view has a vignette of its own: sparse points do not support a vignette"]),
+        (("offsets",), REFINE, []),
+        (
+            (), EMBEDDED,
+            ["nothing is refined: sparse points do not support vignette, offsets, gains, vignettes of the views"],
+        ),
+        (
+            ("offsets",), replace(EMBEDDED, terms=[]),
+            ["nothing is refined: sparse points do not support vignettes of the views"],
+        ),
+    ],
+)  # fmt: skip
+def test_views_have_no_vignette_of_their_own_where_none_is_supported(
+    small_gray_scene, monkeypatch, supported, wanted, notes
+):
     monkeypatch.setattr(response, "estimate_camera", lambda scene: estimated(scene, supported))
-    found = prepare(small_gray_scene, CameraOptions(refine=EMBEDDED if asked else REFINE))
+    found = prepare(small_gray_scene, CameraOptions(refine=wanted))
     assert found.options.refine is None or found.options.refine.embedding is None
-    assert any("no view has a vignette of its own" in note for note in found.notes) == asked
+    assert found.notes == [f"camera: {note}" for note in notes]
 
 
 def test_views_have_vignettes_of_their_own_where_one_is_supported(small_gray_scene, monkeypatch):
@@ -149,10 +165,12 @@ def test_facts_are_in_the_unit_of_the_scene(small_gray_scene):
 
 def test_vignettes_of_the_views_are_facts_in_the_unit_of_the_scene(small_gray_scene):
     camera = camera_of(small_gray_scene, CameraOptions(refine=EMBEDDED), [])
-    camera.own.embeddings.values[:] = np.linspace(-1, 1, 16).reshape(8, 2)
+    camera.own_vignettes.embeddings.values[:] = np.linspace(-1, 1, 16).reshape(8, 2)
     span = small_gray_scene.temperature.max - small_gray_scene.temperature.min
     own = np.array(refined_facts(camera, small_gray_scene)["own_vignettes"])
-    assert own == pytest.approx(span * camera.own.all(), abs=1e-5) and own.shape == (8, len(TERMS)) and own.any()
+    assert (
+        own == pytest.approx(span * camera.own_vignettes.all(), abs=1e-5) and own.shape == (8, len(TERMS)) and own.any()
+    )
 
 
 VIGNETTE = (*STILL, "dataset.loader.errors.camera.vignette_degC=4")

@@ -9,14 +9,16 @@ from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.thermal import Unknown
 from tdgbench.thermal.polynomials import evaluate
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement, camera_of
-from tdgbench.training.embedding import Embedding
+from tdgbench.training.embedding import EmbeddingRules
 from tdgbench.training.loop import stopping_of, train
 from tests.helpers.drift import BOWL, drift, with_response
 from tests.helpers.training import digest, ready_to_train
 
 RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, pace=30, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
-EMBEDDED = CameraOptions(refine=replace(RULES, embedding=Embedding(size=4, hidden=16, scale=0.1, rate=0.02, after=0)))
+EMBEDDED = CameraOptions(
+    refine=replace(RULES, embedding=EmbeddingRules(size=4, hidden=16, scale=0.1, rate=0.02, after=0))
+)
 
 
 def refined(scene, held=(), options=REFINED) -> RefinedCamera:
@@ -69,9 +71,9 @@ def test_embeddings_are_learned_after_some_rounds(small_gray_scene):
     later = replace(EMBEDDED, refine=replace(EMBEDDED.refine, embedding=replace(EMBEDDED.refine.embedding, after=3)))
     camera = refined(scene, options=later)
     fit_to(camera, scene, small_gray_scene, 8 * 3)
-    assert not camera.own.all().any() and camera.offsets.any()
+    assert not camera.own_vignettes.all().any() and camera.offsets.any()
     fit_to(camera, scene, small_gray_scene, 8 * 3)
-    assert camera.own.all().any()
+    assert camera.own_vignettes.all().any()
 
 
 def test_gains_and_vignette_wait_until_offsets_are_learned(small_gray_scene):
@@ -104,9 +106,12 @@ def test_the_gauge_is_kept_after_every_step(small_gray_scene, options):
         fit_to(camera, scene, small_gray_scene, steps)
         assert camera.offsets[first].mean() == pytest.approx(0.0, abs=1e-12)
         assert camera.gains[first].mean() == pytest.approx(1.0, abs=1e-12)
-        assert camera.map(31, 23).mean() == pytest.approx(0.0, abs=1e-12)
+        if camera.own_vignettes is not None:
+            assert camera.own_vignettes.embeddings.values[first].mean(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
         for index in range(8):
-            assert evaluate(camera._vignette(index), 31, 23).mean() == pytest.approx(0.0, abs=1e-12)
+            shown = camera._response(index)
+            added = shown.added(torch.zeros(23, 31, 1, dtype=torch.float64)).numpy()
+            assert added.mean() == pytest.approx(shown.offset + (1 - shown.gain) * camera.reference, abs=1e-9)
     assert np.abs(camera.offsets).max() > 0.01
 
 
@@ -148,19 +153,26 @@ def test_a_method_that_does_not_use_the_camera_is_an_error(small_gray_scene):
         train(method, 20)
 
 
-@pytest.mark.parametrize(
-    ("name", "choice"),
-    [("splat", "refined"), ("thermal", "refined"), ("tdg", "refined"), ("msmg", "refined"), ("tdg", "embedded")],
-)
-def test_every_method_refines_it(small_gray_scene, name, choice):
+@pytest.mark.parametrize("name", ["splat", "thermal", "tdg", "msmg"])
+def test_every_method_refines_it(small_gray_scene, name):
     scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8))
-    method, context = ready_to_train(scene, name, 60, f"camera={choice}")
+    method, context = ready_to_train(scene, name, 60, "camera=refined")
     train(method, 60)
     assert np.corrcoef(context.camera.offsets, drift(8, 0.1))[0, 1] > 0.8
     assert context.camera.views.steps.sum() == 59  # the last iteration only measures
     models = method.models()
     assert models["thermal"].camera is context.camera
     assert "rgb" not in models or type(models["rgb"].camera) is IdealCamera
+
+
+def test_vignettes_of_the_views_are_learned_with_the_scene(small_gray_scene, monkeypatch):
+    monkeypatch.setattr(response, "estimate_camera", lambda scene: Unknown("not asked"))
+    bowls = drift(8, 0.05)
+    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=bowls)
+    method, context = ready_to_train(scene, "tdg", 300, "camera=embedded", "camera.refine.embedding.after=10")
+    train(method, 300)
+    along = context.camera.own_vignettes.all() @ BOWL
+    assert np.corrcoef(along, bowls)[0, 1] > 0.8 and along.std() > 0.01
 
 
 def test_gray_images_of_three_channels(small_gray_scene):

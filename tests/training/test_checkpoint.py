@@ -4,12 +4,17 @@ import os
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from tdgbench.bench import response
+from tdgbench.thermal import Unknown
+from tdgbench.training.camera import RefinedCamera
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, stopping_of, train
 from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tests.helpers.drift import drift, with_response
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
@@ -64,20 +69,29 @@ def plain(state):
     return {k: plain(v) if isinstance(v, dict) else v.tolist() for k, v in state.items()}
 
 
+@pytest.fixture
+def drifting_scene(small_gray_scene, monkeypatch):
+    """A scene in which every term of a camera is refined: it has too few points for an estimate."""
+    monkeypatch.setattr(response, "estimate_camera", lambda scene: Unknown("it is not asked"))
+    return with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=0.02 + drift(8, 0.02))
+
+
 def timeless(log: TrainingLog):
     return log.iterations, [(n.iteration, n.loss, n.psnr, n.gaussians, n.terms) for n in log.lines]
 
 
 @pytest.mark.parametrize("name", ["tdg", "msmg", "splat", *CAMERAS])
-def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
-    method, context, stopping = set_up(small_gray_scene, name)
+def test_a_killed_training_ends_with_the_same_bytes(drifting_scene, tmp_path, name):
+    method, context, stopping = set_up(drifting_scene, name)
+    assert isinstance(context.camera, RefinedCamera) == (name in ("refined", "embedded"))
     calm = train(method, ITERATIONS, stopping=stopping)
     wanted = digest(method)
     camera = plain(context.camera.state_dict())
+    assert name != "embedded" or context.camera.own_vignettes.all().any()
     log = TrainingLog()
     stops = [1, 9, 10, 26, 47, ITERATIONS]
     for stop in stops:
-        method, context, stopping = set_up(small_gray_scene, name)
+        method, context, stopping = set_up(drifting_scene, name)
         checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
         log = checkpoint.take_up(method, context, stopping)
         checkpoint._next = 0.0  # every step, however long writing takes
@@ -98,7 +112,7 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
     assert digest(method) == wanted
     assert plain(context.camera.state_dict()) == camera
     # once it has ended, nothing is left to do
-    method, context, stopping = set_up(small_gray_scene, name)
+    method, context, stopping = set_up(drifting_scene, name)
     ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, stopping)
     assert timeless(train(method, ITERATIONS, stopping=stopping, log=ended)) == timeless(calm)
     assert digest(method) == wanted

@@ -62,7 +62,10 @@ def draw_cameras(compared: Sequence[Comparison], target: Path) -> bool:
         row[0].set_ylabel("offset, °C", fontsize=8)
         row[0].set_xlabel("training view", fontsize=8)
         row[0].legend(fontsize=6)
-        maps = {"true vignette": one.true_vignette, **{name: found.found_vignette for name, found in cameras.items()}}
+        maps = {
+            "true vignette, mean": one.true_vignette,
+            **{name: found.found_vignette for name, found in cameras.items()},
+        }
         largest = max(float(np.abs(map_).max()) for map_ in maps.values()) or 1.0
         for panel, (name, values) in zip(row[1:], maps.items(), strict=False):
             panel.imshow(values, cmap="RdBu_r", vmin=-largest, vmax=largest)

@@ -27,8 +27,7 @@ class Found(NamedTuple):
 class Comparison:
     """A found camera and the true one in its gauge: offsets and gains (V,), vignettes in °C.
 
-    found_vignettes: (V, K) coefficients. true_vignette: (H, W), the mean of the views'; changes: (V,) of a view's own,
-    as multiples of it.
+    found_vignettes: (V, K) coefficients. shape: (H, W), of which a view's true vignette is a share, shares: (V,).
     """
 
     scene: str
@@ -40,8 +39,8 @@ class Comparison:
     found: Response
     true: Response
     found_vignettes: np.ndarray
-    true_vignette: np.ndarray
-    changes: np.ndarray
+    shape: np.ndarray
+    shares: np.ndarray
 
     @property
     def found_vignette(self) -> np.ndarray:
@@ -49,11 +48,16 @@ class Comparison:
         return self._map(self.found_vignettes.mean(axis=0))
 
     @property
+    def true_vignette(self) -> np.ndarray:
+        """(H, W), the mean of the views'."""
+        return np.asarray(self.shares.mean() * self.shape)
+
+    @property
     def errors(self) -> dict[str, float]:
         """Root mean square and largest errors, of the vignette over all views."""
         vignettes = [
-            self._map(found) - (1 + change) * self.true_vignette
-            for found, change in zip(self.found_vignettes, self.changes, strict=True)
+            self._map(found) - share * self.shape
+            for found, share in zip(self.found_vignettes, self.shares, strict=True)
         ]
         parts = {
             "offset_degC": self.found.offsets - self.true.offsets, "gain": self.found.gains - self.true.gains,
@@ -66,7 +70,7 @@ class Comparison:
         }
 
     def _map(self, coefficients: np.ndarray) -> np.ndarray:
-        height, width = self.true_vignette.shape
+        height, width = self.shape.shape
         return evaluate(coefficients, width, height)
 
 
@@ -83,7 +87,7 @@ def compare(
     true = truth_in_gauge(truth, found.views, found.reference)
     return Comparison(
         record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
-        true.response, found.vignettes, true.vignette, true.changes,
+        true.response, found.vignettes, true.shape, true.shares,
     )  # fmt: skip
 
 

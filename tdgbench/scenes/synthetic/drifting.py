@@ -19,7 +19,7 @@ from tdgbench.scenes.synthetic.thermal_files import levels
 from tdgbench.scenes.synthetic.truth import CameraTruth
 
 ROOM = 1.0  # °C between the values and the ends of the range
-NOISE = 1  # number of the random stream; those of the camera are others
+NOISE = 9  # number of the random stream; those of the camera are others
 
 
 class DriftingDataset:
