@@ -96,6 +96,14 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
     }  # fmt: skip
 
 
+def too_short(camera: IdealCamera) -> list[str]:
+    """A note if training ended before it began to learn all of the camera."""
+    if not isinstance(camera, RefinedCamera) or not camera.not_begun:
+        return []
+    rounds = f"{camera.rounds:.0f} rounds of the views"
+    return [f"camera: training ended after {rounds}, too soon to learn {', '.join(camera.not_begun)}"]
+
+
 def _estimated(camera: ThermalCamera) -> Facts:
     pattern = {"columns": camera.columns, "rows": camera.rows}
     return {

@@ -24,7 +24,7 @@ from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
 from tdgbench.bench.renders import Added, render_views, write_renders
-from tdgbench.bench.response import Facts, added_by_camera, refined_facts
+from tdgbench.bench.response import Facts, added_by_camera, refined_facts, too_short
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
@@ -271,6 +271,7 @@ class CellRun(SetupObserver):
             self.record.notes.append(f"camera: none is refined: {context.camera.reason}")
         elif facts and unchecked:
             self.record.notes.append(f"camera: refined whether or not the capture needs it: {unchecked}")
+        self.record.notes += too_short(context.camera)
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -144,6 +144,20 @@ class RefinedCamera(IdealCamera):
         """(V,)."""
         return 1.0 + self.views.values[:, 1]
 
+    @property
+    def rounds(self) -> float:
+        """Steps so far, in rounds of all views."""
+        return float(self.views.steps.mean())
+
+    @property
+    def not_begun(self) -> list[str]:
+        """What is to be learned in later rounds than those so far."""
+        rules = self.refinement
+        begins: dict[str, float] = {term: rules.offsets_alone for term in rules.terms if term != "offsets"}
+        if rules.embedding is not None:
+            begins["vignettes of the views"] = rules.embedding.after
+        return [name for name, begin in begins.items() if self.rounds <= begin]
+
     def map(self, width: int, height: int) -> np.ndarray:
         return evaluate(self.vignette.values[0], width, height)
 
@@ -170,7 +184,7 @@ class RefinedCamera(IdealCamera):
                     "model.show(view), or set camera=ideal"
                 )
             return
-        rules, rounds = self.refinement, float(self.views.steps.mean())
+        rules, rounds = self.refinement, self.rounds
         rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
         of_vignette = slowdown * rules.rate("vignette", rounds)
         of_embedding = slowdown * rules.embedding_rate(rounds)

@@ -8,7 +8,7 @@ from tdgbench.bench import response
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.response import added_by_camera, prepare, refined_facts
+from tdgbench.bench.response import added_by_camera, prepare, refined_facts, too_short
 from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ThermalCamera, Unknown
 from tdgbench.thermal.polynomials import TERMS
@@ -48,6 +48,7 @@ def test_a_record_says_what_was_estimated_and_refined(record_of, tmp_path):
     assert estimated["offset_rms"] > 0.5 and estimated["residual_after"] < estimated["residual_before"]
     assert refined["offset_rms"] < estimated["offset_rms"]
     assert any(note.startswith("camera: training views are corrected") for note in record.notes)
+    assert any("too soon to learn" in note for note in record.notes)  # 40 iterations
     assert record.seconds["camera"] > 0 and record.setting("camera.estimate") is True
     again = record_of("camera=ideal", *DRIFT, root=tmp_path / "drifting")
     assert again.key != record.key and again.camera == {} and "camera" not in again.seconds
@@ -171,6 +172,16 @@ def test_vignettes_of_the_views_are_facts_in_the_unit_of_the_scene(small_gray_sc
     assert (
         own == pytest.approx(span * camera.own_vignettes.all(), abs=1e-5) and own.shape == (8, len(TERMS)) and own.any()
     )
+
+
+def test_a_training_that_ends_before_a_term_is_learned_says_so(small_gray_scene):
+    camera = camera_of(small_gray_scene, CameraOptions(refine=replace(EMBEDDED, terms=["offsets", "vignette"])), [])
+    camera.views.steps[:] = 20
+    assert too_short(camera) == ["camera: training ended after 20 rounds of the views, too soon to learn vignette"]
+    camera.views.steps[:] = 0
+    assert too_short(camera)[0].endswith("too soon to learn vignette, vignettes of the views")
+    camera.views.steps[0] = 200
+    assert too_short(camera) == [] == too_short(IdealCamera())
 
 
 VIGNETTE = (*STILL, "dataset.loader.errors.camera.vignette_degC=4")
