@@ -78,8 +78,8 @@ class OpacityRule(GrowthRule):
     A fragment's part in ∂L/∂opacity has a variance over all fragments of all views looked at. The score is variance ×
     number of fragments × opacity², and those that grow are drawn by it without replacement (`get_score`,
     `split_and_clone` in `training/densify.py`). Their number rises linearly to `target` Gaussians in the round `last`;
-    it is at least 1, and what is pruned is replaced. LiteGS sums the squares in its kernel over running sums of
-    the pixels of a thread; here they are those of single pixels. `z` has no part in it.
+    it is at least 1, and what is pruned for its weight is replaced. LiteGS sums the squares in its kernel over running
+    sums of the pixels of a thread; here they are those of single pixels. `z` has no part in it.
     """
 
     target: PositiveInt = 1_000_000  # arguments.py, `target_primitives`
