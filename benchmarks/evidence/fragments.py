@@ -14,10 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.backends.reference import project
+from tdgbench.splats.backends.reference import project, seen_colors
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.view import GaussianTensors, Pinhole
 
 MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = AS_3DGS.max_alpha, AS_3DGS.min_alpha, AS_3DGS.min_transmittance
@@ -45,8 +44,7 @@ def fragments(
     gradient: (H, W, C) of L by the image. high: (H, W) bool, the map. valid: (H, W) bool; masked pixels hold none.
     """
     valid = torch.ones_like(high) if valid is None else valid
-    means, quats, scales, opacities, sh, degree = gaussians
-    assert degree is not None
+    means, quats, scales, opacities = gaussians[:4]
     sums = np.zeros((len(means), COLUMNS))
     depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     drawn = ((depths > camera.near_plane) & (depths < camera.far_plane) & (opacities >= MIN_ALPHA)).nonzero().squeeze(1)
@@ -54,8 +52,7 @@ def fragments(
     centres, conics, covariance, _ = project(
         means[drawn], quats[drawn], scales[drawn], camera.viewmat, camera.K, camera.width, camera.height, camera.eps2d
     )
-    eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
-    colors = colors_from_sh(sh[drawn], torch.nn.functional.normalize(means[drawn] - eye, dim=-1), degree)
+    colors = seen_colors(gaussians, drawn, camera)
     reach = (2 * (opacities[drawn] / MIN_ALPHA).log())[:, None] * torch.diagonal(covariance, dim1=1, dim2=2)
     given = (drawn, centres, conics, reach.sqrt(), opacities[drawn], colors, image, gradient, high, valid)
     sum_fragments(*(np.ascontiguousarray(tensor.numpy()) for tensor in given), sums)

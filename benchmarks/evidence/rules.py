@@ -8,15 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
-import numpy as np
 import torch
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 from torch import Tensor
 
 from benchmarks.evidence.fragments import Fragments, compile_kernel, fragments
 from tdgbench.scenes import View
+from tdgbench.scenes.scene import extent_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import load_backend
 from tdgbench.splats.density import Verdict
@@ -30,64 +29,10 @@ ROUNDS = 10_000  # more than a training has
 LAMBDA_DSSIM = 0.2  # of the loss of 3DGS, FastGS and LiteGS, whose gradients are taken
 
 
-@dataclass(frozen=True)
-class ResidualRule(GrowthRule):
-    """A Gaussian grows by the signed residual under its whole footprint.
-
-    |Σ_views Σ_pixels w r| > z σ √(Σ w), as the difference of the halves in `tdgbench.training.growth`. This sum is also
-    what another colour of the Gaussian would explain, without any growth.
-    """
-
-    def significance(self, *given) -> Significance:
-        return _Residual(self, *given)
-
-
 class _Residual(Significance):
     def look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         seen = super().look(view, gaussians, degree)
         return seen._replace(difference=seen.residual)
-
-
-@dataclass(frozen=True)
-class CountRule(GrowthRule):
-    """FastGS's densification (Ren et al. 2025, arXiv:2511.04283; fastgs/FastGS 44e02a5), with a floor for noise.
-
-    A pixel counts if its absolute error e, the mean over the channels, has (e − min e) / (max e − min e) > `share` in
-    its view, as in `utils/fast_utils.py`, and here also e > z σ of the images' noise. A Gaussian grows if the pixels
-    that count among its fragments are more than `pixels` in the mean over all views looked at, rounded down, and the
-    gradient of its centre in the image is large (`densify_and_prune_fastgs`): of those that are to be cloned the
-    gradient's length, of those that are to be split the length of the sums of absolute values (AbsGS). Gradients are in
-    units of half the image, means over the views looked at; FastGS takes those of the iterations since the last round.
-    Pixels are those of the images at the resolution of the iteration.
-    """
-
-    share: NonNegativeFloat = 0.1  # arguments/__init__.py, `loss_thresh`
-    pixels: NonNegativeFloat = 5.0
-    gradient: NonNegativeFloat = 2e-4  # `grad_thresh`
-    absolute_gradient: NonNegativeFloat = 1.2e-3  # `grad_abs_thresh`
-    clone_max_scale: NonNegativeFloat = 0.01  # × extent: that of the budget, so that the density control agrees
-
-    def significance(self, *given) -> Significance:
-        return _Count(self, *given)
-
-
-@dataclass(frozen=True)
-class OpacityRule(GrowthRule):
-    """LiteGS's densification (Liao et al. 2025, arXiv:2503.01199; MooreThreads/LiteGS 004b952).
-
-    A fragment's part in ∂L/∂opacity has a variance over all fragments of all views looked at. The score is variance ×
-    number of fragments × opacity², and those that grow are drawn by it without replacement (`get_score`,
-    `split_and_clone` in `training/densify.py`). Their number rises linearly to `target` Gaussians in the round `last`;
-    it is at least 1, and what is pruned for its weight is replaced. LiteGS sums the squares in its kernel over running
-    sums of the pixels of a thread; here they are those of single pixels. `z` has no part in it.
-    """
-
-    target: PositiveInt = 1_000_000  # arguments.py, `target_primitives`
-    last: PositiveInt = 24  # round in iteration 2400: 0.8 of `budget.expected_iterations`, as `densify_until`
-    seed: NonNegativeInt = 0  # of the draws
-
-    def significance(self, *given) -> Significance:
-        return _Opacity(self, *given)
 
 
 class _OfFragments(Significance):
@@ -127,12 +72,6 @@ class _Count(_OfFragments):
         high = error > (low + self.rule.share * (top - low)).clamp_min(self.rule.z * self.noise)
         return high if valid is None else high & valid
 
-    @cached_property
-    def extent(self) -> float:
-        """3DGS's extent, as `Scene.extent`, world units."""
-        centers = np.stack([view.camera.center for view in self.views])
-        return float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
-
     @torch.no_grad()
     def judge(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
         views, weight, high, gradient, absolute = gaussians.means.new_zeros(5, len(gaussians))
@@ -146,7 +85,7 @@ class _Count(_OfFragments):
             absolute += (half * seen.centre_parts).norm(dim=1)
             looks += 1
         shown = views.clamp_min(1)
-        is_small = gaussians.scales.amax(dim=1) <= self.rule.clone_max_scale * self.extent
+        is_small = gaussians.scales.amax(dim=1) <= self.rule.clone_max_scale * extent_of(self.views)
         is_hot = torch.where(
             is_small, gradient / shown >= self.rule.gradient, absolute / shown >= self.rule.absolute_gradient
         )
@@ -181,3 +120,54 @@ class _Opacity(_OfFragments):
         due = max(math.ceil((self.rule.target - len(score)) / (self.rule.last - turn)), 1) + pruned
         generator = torch.Generator().manual_seed(ROUNDS * self.rule.seed + turn)
         return torch.multinomial(score, min(due, int((score > 0).sum())), generator=generator)
+
+
+@dataclass(frozen=True)
+class ResidualRule(GrowthRule):
+    """A Gaussian grows by the signed residual under its whole footprint.
+
+    |Σ_views Σ_pixels w r| > z σ √(Σ w), as the difference of the halves in `tdgbench.training.growth`. This sum is also
+    what another colour of the Gaussian would explain, without any growth.
+    """
+
+    significance = _Residual
+
+
+@dataclass(frozen=True)
+class CountRule(GrowthRule):
+    """FastGS's densification (Ren et al. 2025, arXiv:2511.04283; fastgs/FastGS 44e02a5), with a floor for noise.
+
+    A pixel counts if its absolute error e, the mean over the channels, has (e − min e) / (max e − min e) > `share` in
+    its view, as in `utils/fast_utils.py`, and here also e > z σ of the images' noise. A Gaussian grows if the pixels
+    that count among its fragments are more than `pixels` in the mean over all views looked at, rounded down, and the
+    gradient of its centre in the image is large (`densify_and_prune_fastgs`): of those that are to be cloned the
+    gradient's length, of those that are to be split the length of the sums of absolute values (AbsGS). Gradients are in
+    units of half the image, means over the views looked at; FastGS takes those of the iterations since the last round.
+    Pixels are those of the images at the resolution of the iteration.
+    """
+
+    share: NonNegativeFloat = 0.1  # arguments/__init__.py, `loss_thresh`
+    pixels: NonNegativeFloat = 5.0
+    gradient: NonNegativeFloat = 2e-4  # `grad_thresh`
+    absolute_gradient: NonNegativeFloat = 1.2e-3  # `grad_abs_thresh`
+    clone_max_scale: NonNegativeFloat = 0.01  # × extent: that of the budget, so that the density control agrees
+
+    significance = _Count
+
+
+@dataclass(frozen=True)
+class OpacityRule(GrowthRule):
+    """LiteGS's densification (Liao et al. 2025, arXiv:2503.01199; MooreThreads/LiteGS 004b952).
+
+    A fragment's part in ∂L/∂opacity has a variance over all fragments of all views looked at. The score is variance ×
+    number of fragments × opacity², and those that grow are drawn by it without replacement (`get_score`,
+    `split_and_clone` in `training/densify.py`). Their number rises linearly to `target` Gaussians in the round `last`;
+    it is at least 1, and what is pruned for its weight is replaced. LiteGS sums the squares in its kernel over running
+    sums of the pixels of a thread; here they are those of single pixels. `z` has no part in it.
+    """
+
+    target: PositiveInt = 1_000_000  # arguments.py, `target_primitives`
+    last: PositiveInt = 24  # round in iteration 2400: 0.8 of `budget.expected_iterations`, as `densify_until`
+    seed: NonNegativeInt = 0  # of the draws
+
+    significance = _Opacity

@@ -43,10 +43,10 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
         return Prepared(scene, options, {"unknown": found.reason}, notes)
     notes = []
     if options.refine is not None:
-        wanted = [*options.refine.terms, *(["vignettes of the views"] if options.refine.embedding else [])]
         refine = _supported(options.refine, found)
         if refine is None:
-            notes.append(f"camera: nothing is refined: sparse points do not support {', '.join(wanted) or 'more'}")
+            wanted = ", ".join(options.refine.learned) or "more"
+            notes.append(f"camera: nothing is refined: sparse points do not support {wanted}")
         elif refine.embedding != options.refine.embedding:
             notes.append("camera: no view has a vignette of its own: sparse points do not support a vignette")
         options = replace(options, refine=refine)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -172,16 +172,15 @@ class Scene:
 
     @cached_property
     def extent(self) -> float:
-        """3DGS's scene extent in world units: 1.1 × the largest distance of a training camera from their mean.
+        """`extent_of` the training views.
 
         Raises SceneError if it is zero, or if float32 coordinates are too coarse for it.
         """
-        centers = np.stack([view.camera.center for view in self.train])
-        extent = float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
-        farthest = float(np.abs(centers).max())
+        extent = extent_of(self.train)
+        farthest = float(np.abs([view.camera.center for view in self.train]).max())
         if extent <= 1e-9 * max(farthest, 1.0):
             raise SceneError(
-                f"{self.name}: its {len(centers)} training cameras stand in one place; move the camera between views"
+                f"{self.name}: its {len(self.train)} training cameras stand in one place; move the camera between views"
             )
         step = float(np.spacing(np.float32(farthest)))
         if step > MAX_STEP * extent:
@@ -190,3 +189,9 @@ class Scene:
                 f"{step:.1g}, but the scene's extent is {extent:.3g}; subtract an offset from cameras and points"
             )
         return extent
+
+
+def extent_of(views: Sequence[View]) -> float:
+    """3DGS's scene extent in world units: 1.1 × the largest distance of a camera from their mean."""
+    centers = np.stack([view.camera.center for view in views])
+    return float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())

@@ -31,6 +31,7 @@ from tdgbench.training.response import Response, Sums, best_fit, shown
 
 Term = Literal["vignette", "offsets", "gains"]
 ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
+OWN = "vignettes of the views"
 
 
 @dataclass(frozen=True)
@@ -50,24 +51,25 @@ class Refinement:
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
     embedding: EmbeddingRules | None = None  # of each view, from which its own vignette is made; None: there is none
 
-    def rate(self, term: Term, rounds: float) -> float:
-        """Learning rate of a term after so many rounds.
+    def rate(self, term: str, rounds: float) -> float:
+        """Learning rate of what is learned, a term or OWN, after so many rounds; 0 for the others.
 
         >>> rules = Refinement(0.02, 0.02, 0.0005, offsets_alone=20, pace=10, decay=0.0)
         >>> rules.rate("offsets", 10), rules.rate("gains", 10), rules.rate("gains", 30)
         (0.005, 0.0, 0.005)
         """
-        if term not in self.terms:
-            return 0.0
-        start = {"offsets": self.offset_rate, "gains": self.gain_rate, "vignette": self.vignette_rate}[term]
-        return self._fallen(start, rounds if term == "offsets" else rounds - self.offsets_alone)
+        start, begin = self.learned.get(term, (0.0, 0.0))
+        return 0.0 if rounds < begin else start / (1 + (rounds - begin) / self.pace) ** 2
 
-    def embedding_rate(self, rounds: float) -> float:
-        """Learning rate of the embeddings and their network after so many rounds; 0 if there are none."""
-        return 0.0 if self.embedding is None else self._fallen(self.embedding.rate, rounds - self.embedding.after)
-
-    def _fallen(self, start: float, since: float) -> float:
-        return 0.0 if since < 0 else start / (1 + since / self.pace) ** 2
+    @property
+    def learned(self) -> dict[str, tuple[float, float]]:
+        """Rate at the start, and rounds before that, of each term, and of the embeddings (OWN)."""
+        every = {
+            "offsets": (self.offset_rate, 0.0), "gains": (self.gain_rate, self.offsets_alone),
+            "vignette": (self.vignette_rate, self.offsets_alone),
+        }  # fmt: skip
+        own = {} if self.embedding is None else {OWN: (self.embedding.rate, self.embedding.after)}
+        return {term: every[term] for term in self.terms} | own
 
 
 @dataclass(frozen=True)
@@ -152,11 +154,8 @@ class RefinedCamera(IdealCamera):
     @property
     def not_begun(self) -> list[str]:
         """What is to be learned in later rounds than those so far."""
-        rules = self.refinement
-        begins: dict[str, float] = {term: rules.offsets_alone for term in rules.terms if term != "offsets"}
-        if rules.embedding is not None:
-            begins["vignettes of the views"] = rules.embedding.after
-        return [name for name, begin in begins.items() if self.rounds <= begin]
+        learned = self.refinement.learned.items()
+        return [name for name, (_, begin) in learned if name != "offsets" and self.rounds <= begin]
 
     def map(self, width: int, height: int) -> np.ndarray:
         return evaluate(self.vignette.values[0], width, height)
@@ -187,7 +186,7 @@ class RefinedCamera(IdealCamera):
         rules, rounds = self.refinement, self.rounds
         rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
         of_vignette = slowdown * rules.rate("vignette", rounds)
-        of_embedding = slowdown * rules.embedding_rate(rounds)
+        of_embedding = slowdown * rules.rate(OWN, rounds)
         for index, sums in pending:
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
             if of_vignette > 0:

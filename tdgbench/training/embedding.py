@@ -42,11 +42,13 @@ class OwnVignettes:
         size, hidden = rules.size, rules.hidden
         random = np.random.default_rng([seed, STREAM])
         self._scale = rules.scale
-        self.embeddings = LearnedRows(np.zeros((views, size)))
-        self._inner = LearnedRows(random.normal(0, size**-0.5, (1, hidden, size)))  # A
-        self._bias = LearnedRows(random.normal(0, 1, (1, hidden)))  # a
-        self._outer = LearnedRows(random.normal(0, hidden**-0.5, (1, outputs, hidden)))  # B
-        self._network = self._inner, self._bias, self._outer
+        self._rows = {
+            "embeddings": LearnedRows(np.zeros((views, size))),
+            "inner": LearnedRows(random.normal(0, size**-0.5, (1, hidden, size))),  # A
+            "bias": LearnedRows(random.normal(0, 1, (1, hidden))),  # a
+            "outer": LearnedRows(random.normal(0, hidden**-0.5, (1, outputs, hidden))),  # B
+        }
+        self.embeddings, self._inner, self._bias, self._outer = self._rows.values()
 
     def of(self, index: int) -> np.ndarray:
         """Coefficients (K,) of a view's vignette, image values."""
@@ -61,10 +63,9 @@ class OwnVignettes:
     def step(self, by_outputs: Sequence[tuple[int, np.ndarray]], rate: float, decay: float) -> None:
         """Adam's steps of embeddings and network, for losses of views (index) with gradients (K,) by `of(index)`."""
         gradients = [(index, self._gradients(index, by_output)) for index, by_output in by_outputs]
-        for index, (by_embedding, *by_network) in gradients:
-            self.embeddings.step(index, by_embedding, rate, decay)
-            for weights, gradient in zip(self._network, by_network, strict=True):
-                weights.step(0, gradient, rate, decay)
+        for index, parts in gradients:
+            for rows, row, gradient in zip(self._rows.values(), (index, 0, 0, 0), parts, strict=True):
+                rows.step(row, gradient, rate, decay)
 
     def center(self, which: np.ndarray) -> None:
         """Make the mean embedding of some views, (V,) bool, 0."""
@@ -72,15 +73,12 @@ class OwnVignettes:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes, as `torch.save` takes it."""
-        return {name: rows.state_dict() for name, rows in self._rows().items()}
+        return {name: rows.state_dict() for name, rows in self._rows.items()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        for name, rows in self._rows().items():
+        for name, rows in self._rows.items():
             rows.load_state_dict(saved[name])
-
-    def _rows(self) -> dict[str, LearnedRows]:
-        return {"embeddings": self.embeddings, "inner": self._inner, "bias": self._bias, "outer": self._outer}
 
     def _hidden(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """The hidden layer (hidden,) for a view's embedding, and for embedding 0."""

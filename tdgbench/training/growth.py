@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import torch
 from pydantic import NonNegativeFloat, PositiveInt
@@ -31,27 +32,6 @@ from tdgbench.training.images import Modality
 from tdgbench.training.noise import typical_noise
 
 FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
-
-
-@dataclass(frozen=True)
-class GrowthRule:
-    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold."""
-
-    views: PositiveInt  # training views that a round looks at
-    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
-    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
-
-    def significance(
-        self,
-        views: list[View],
-        modality: Modality,
-        curriculum: Curriculum,
-        backend: str,
-        camera: IdealCamera | None = None,
-        background: Tensor | None = None,
-    ) -> Significance:
-        """What decides by this rule in a training; the arguments are those of `Significance`."""
-        return Significance(self, views, modality, curriculum, backend, camera, background)
 
 
 class Significance:
@@ -107,3 +87,13 @@ class Significance:
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         residual = self.modality.tensor(view, image.device) - self.camera.compare(view, image)
         return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)
+
+
+@dataclass(frozen=True)
+class GrowthRule:
+    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold."""
+
+    views: PositiveInt  # training views that a round looks at
+    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
+    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
+    significance: ClassVar[type[Significance]] = Significance  # what decides by the rule

@@ -112,9 +112,10 @@ class Context:
             background = torch.from_numpy(modality.mean(self.scene.train)).to(self.device)
         significance = None
         if self.budget.growth is not None and self.skips.growth.allowed:
-            significance = self.budget.growth.significance(
-                self.scene.train, modality, self.curriculum, self.backend, camera, background
-            )
+            rule = self.budget.growth
+            significance = rule.significance(
+                rule, self.scene.train, modality, self.curriculum, self.backend, camera, background
+            )  # fmt: skip
         rules = ViewRules(self.curriculum, camera, significance, background)
         return SplatModel(
             start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, rules

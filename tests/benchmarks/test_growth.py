@@ -34,7 +34,7 @@ def nothing(x, y, number):
 
 
 def judge(rule, given, turn=1):
-    return rule.significance(given, THERMAL, Curriculum(), "cpu").judge(two(), 0, turn)
+    return rule.significance(rule, given, THERMAL, Curriculum(), "cpu").judge(two(), 0, turn)
 
 
 def test_fragments_sum_to_the_gradients_of_the_reference():

@@ -25,7 +25,7 @@ LEAN = (  # every rule of the lean budget: images are small at first; it settles
 )  # fmt: skip
 CAMERAS = {
     "lean": [],
-    "refined": ["camera=refined"],
+    "refined": ["camera=refined", "camera.refine.offsets_alone=1"],
     "embedded": ["camera=embedded", "camera.refine.embedding.after=1"],
 }
 

@@ -38,7 +38,7 @@ def test_a_view_starts_without_a_vignette_of_its_own():
 def test_gradients_are_those_of_finite_differences(part):
     own = moved(vignettes())
     gradient = own._gradients(2, 2 * (own.of(2) - TARGET[2]))[part]
-    rows = (own.embeddings, *own._network)[part]
+    rows = list(own._rows.values())[part]
     values = rows.values[2] if part == 0 else rows.values[0]
     expected = np.zeros_like(values)
     for place in np.ndindex(values.shape):

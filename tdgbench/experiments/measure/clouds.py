@@ -8,8 +8,9 @@ import torch
 
 from tdgbench.bench.backend_check.compare import Cloud
 from tdgbench.scenes import FolderDataset, ReadOptions
-from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.backends.reference import seen_colors
 from tdgbench.splats.ply import load_ply
+from tdgbench.splats.view import Pinhole
 
 
 def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
@@ -35,19 +36,16 @@ def trained_cloud(ply: Path, scene_folder: Path, view: int = 0) -> Cloud:
     """`model.ply` of a cell and a test camera of the capture it was trained on; one channel becomes three."""
     gaussians = load_ply(ply)
     scene = FolderDataset(str(scene_folder), ReadOptions()).load(None)
-    camera = scene.test[view].camera
-    viewmat = torch.tensor(camera.world_to_camera, dtype=torch.float32)
-    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
-    directions = torch.nn.functional.normalize(gaussians.means - centre, dim=1)
-    colors = colors_from_sh(gaussians.sh, directions, gaussians.sh_degree)
+    camera = Pinhole.of(scene.test[view].camera).to(gaussians.means)
+    colors = seen_colors(gaussians.activated(gaussians.sh_degree), torch.arange(len(gaussians)), camera)
     return Cloud(
         means=gaussians.means,
         quats=gaussians.quats,
         scales=gaussians.scales,
         opacities=gaussians.opacities,
         colors=colors.expand(-1, 3).contiguous(),
-        viewmat=viewmat,
-        K=torch.tensor(camera.K, dtype=torch.float32),
+        viewmat=camera.viewmat,
+        K=camera.K,
         width=camera.width,
         height=camera.height,
     )

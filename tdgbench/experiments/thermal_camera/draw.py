@@ -54,7 +54,7 @@ def draw_cameras(compared: Sequence[Comparison], target: Path) -> bool:
     axes = np.atleast_2d(figure.subplots(len(drifting), widest + 2, width_ratios=[2.4] + [1] * (widest + 1)))
     for row, (capture, cameras) in zip(axes, drifting.items(), strict=True):
         one = next(iter(cameras.values()))
-        truth = dict(zip(one.views, one.true.offsets, strict=True))
+        truth = dict(zip(one.views, one.true.response.offsets, strict=True))
         row[0].plot(list(truth.values()), color="black", linewidth=2.4, alpha=0.35, label="true")
         for name, found in cameras.items():
             row[0].plot(found.found.offsets, linewidth=1, label=plain(name))
@@ -63,7 +63,7 @@ def draw_cameras(compared: Sequence[Comparison], target: Path) -> bool:
         row[0].set_xlabel("training view", fontsize=8)
         row[0].legend(fontsize=6)
         maps = {
-            "true vignette, mean": one.true_vignette,
+            "true vignette, mean": one.true.vignette,
             **{name: found.found_vignette for name, found in cameras.items()},
         }
         largest = max(float(np.abs(map_).max()) for map_ in maps.values()) or 1.0
@@ -77,4 +77,4 @@ def draw_cameras(compared: Sequence[Comparison], target: Path) -> bool:
 
 
 def _has_truth(one: Comparison) -> bool:
-    return max(float(np.abs(one.true.offsets).max()), float(np.abs(one.true_vignette).max())) > TINY
+    return max(float(np.abs(one.true.response.offsets).max()), float(np.abs(one.true.vignette).max())) > TINY

@@ -9,7 +9,7 @@ import numpy as np
 
 from tdgbench.bench.record import Record
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.accuracy import truth_in_gauge
+from tdgbench.thermal.accuracy import Truth, truth_in_gauge
 from tdgbench.thermal.camera import Response, in_gauge
 from tdgbench.thermal.polynomials import TERMS, evaluate
 
@@ -27,7 +27,7 @@ class Found(NamedTuple):
 class Comparison:
     """A found camera and the true one in its gauge: offsets and gains (V,), vignettes in °C.
 
-    found_vignettes: (V, K) coefficients. shape: (H, W), of which a view's true vignette is a share, shares: (V,).
+    found_vignettes: (V, K) coefficients.
     """
 
     scene: str
@@ -37,10 +37,8 @@ class Comparison:
     seed: int
     views: list[str]
     found: Response
-    true: Response
     found_vignettes: np.ndarray
-    shape: np.ndarray
-    shares: np.ndarray
+    true: Truth
 
     @property
     def found_vignette(self) -> np.ndarray:
@@ -48,19 +46,15 @@ class Comparison:
         return self._map(self.found_vignettes.mean(axis=0))
 
     @property
-    def true_vignette(self) -> np.ndarray:
-        """(H, W), the mean of the views'."""
-        return np.asarray(self.shares.mean() * self.shape)
-
-    @property
     def errors(self) -> dict[str, float]:
         """Root mean square and largest errors, of the vignette over all views."""
         vignettes = [
-            self._map(found) - share * self.shape
-            for found, share in zip(self.found_vignettes, self.shares, strict=True)
+            self._map(found) - share * self.true.shape
+            for found, share in zip(self.found_vignettes, self.true.shares, strict=True)
         ]
+        true = self.true.response
         parts = {
-            "offset_degC": self.found.offsets - self.true.offsets, "gain": self.found.gains - self.true.gains,
+            "offset_degC": self.found.offsets - true.offsets, "gain": self.found.gains - true.gains,
             "vignette_degC": np.stack(vignettes),
         }  # fmt: skip
         return {
@@ -70,7 +64,7 @@ class Comparison:
         }
 
     def _map(self, coefficients: np.ndarray) -> np.ndarray:
-        height, width = self.shape.shape
+        height, width = self.true.shape.shape
         return evaluate(coefficients, width, height)
 
 
@@ -87,7 +81,7 @@ def compare(
     true = truth_in_gauge(truth, found.views, found.reference)
     return Comparison(
         record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
-        true.response, found.vignettes, true.shape, true.shares,
+        found.vignettes, true,
     )  # fmt: skip
 
 

@@ -101,7 +101,7 @@ class ReferenceBackend(Backend):
         all_means2d = zeros.index_put((in_front,), means2d)
         if all_means2d.requires_grad:
             all_means2d.retain_grad()
-        channels = _channels(gaussians, in_front, camera)
+        channels = seen_colors(gaussians, in_front, camera)
         if options.depth:
             channels = torch.cat([channels, z[:, None]], dim=1)
         order = torch.argsort(z.detach(), stable=True)
@@ -115,7 +115,7 @@ class ReferenceBackend(Backend):
         return Render(image, depth, transmittance, Projection(all_means2d, radii, depths.detach()))
 
 
-def _channels(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> Tensor:
+def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> Tensor:
     """Colours (n, D) of the Gaussians at an index (n,), as the camera sees them."""
     if gaussians.sh_degree is None:
         return gaussians.colors[index]

@@ -73,7 +73,10 @@ def test_an_estimate_that_was_not_used_does_not_count():
     true = truth()
     found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
     one = compare(record(estimate=False, estimated=found), "drift", "refined", true, NAMES[1:])
-    assert one.errors["offset_degC_worst"] == pytest.approx(np.abs(one.true.offsets).max()) and one.views == NAMES[1:]
+    assert (
+        one.errors["offset_degC_worst"] == pytest.approx(np.abs(one.true.response.offsets).max())
+        and one.views == NAMES[1:]
+    )
 
 
 def test_without_temperatures_there_is_nothing_to_compare():
