@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,30 +18,21 @@ from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
+from tdgbench.thermal import ImageResponse
 from tdgbench.training.method import Method
 
-Added = Callable[[int, int], np.ndarray | None]
+IDEAL = ImageResponse()
 
 
-def _unknown(width: int, height: int) -> None:
-    """What the thermal camera adds to an image, if nobody says."""
-
-
-def render_views(method: Method, views: list[View], added: Added = _unknown) -> dict[str, RenderedImages]:
-    """Render each view, by name, also with the method's RGB model if it trains one.
-
-    added: what the thermal camera adds to an image of a width and height (`RenderedImages.added`).
-    """
-    return {
-        view.name: replace(
-            render_images(method, view, with_rgb=True), added=added(view.camera.width, view.camera.height)
-        )
-        for view in views
-    }
+def render_views(method: Method, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
+    """Render each view, by name, also with the method's RGB model if it trains one. response: of the thermal camera."""
+    return {view.name: render_images(method, view, with_rgb=True, response=response) for view in views}
 
 
 @torch.no_grad()
-def render_images(method: Method, view: View, *, with_rgb: bool) -> RenderedImages:
+def render_images(
+    method: Method, view: View, *, with_rgb: bool, response: ImageResponse = IDEAL
+) -> RenderedImages:  # fmt: skip
     """Thermal image (H, W, C) and expected depth (H, W, world units) of a view; RGB image (H, W, 3) if asked for."""
     render = method.render(view.camera).cpu()
     if render.depth is None:
@@ -51,7 +40,8 @@ def render_images(method: Method, view: View, *, with_rgb: bool) -> RenderedImag
     depth = render.depth / render.alpha.clamp_min(1e-6)
     model = method.models().get("rgb") if with_rgb else None
     rgb = None if model is None else model.render(view.camera).cpu().image.numpy()
-    return RenderedImages(render.image.numpy(), depth.numpy(), rgb)
+    image = render.image.numpy()
+    return RenderedImages(response.of(image, view.name), depth.numpy(), rgb, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:

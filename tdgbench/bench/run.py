@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import cast
@@ -23,8 +22,8 @@ from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
-from tdgbench.bench.renders import Added, render_views, write_renders
-from tdgbench.bench.response import Facts, added_by_camera, refined_facts, too_short
+from tdgbench.bench.renders import render_views, write_renders
+from tdgbench.bench.response import Facts, refined_facts, too_short
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
@@ -35,6 +34,7 @@ from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores, to_8bit
 from tdgbench.splats.ply import save_ply
+from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, stopping_of, train
@@ -53,7 +53,7 @@ class CellRun(SetupObserver):
     scorer: Scorer
     log: TrainingLog
     checkpoint: Checkpoint
-    _added: Added  # by the thermal camera
+    response: ImageResponse  # of the thermal camera, for renders
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
@@ -127,14 +127,13 @@ class CellRun(SetupObserver):
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
         )  # fmt: skip
-        self.scene = training.context.scene  # its thermal images may be changed
+        self.scene, self.response = training.scored, training.response
         self._describe_images()
         if self.cfg.ceiling:
             with self.stage("ceiling"):
                 self._estimate_ceiling()
         with self.stage("train"):
             self._train(training)
-        self._added = cache(partial(added_by_camera, training.context, self.cfg.contrast.training))
         self._describe_training(training)
 
     def _estimate_ceiling(self) -> None:
@@ -146,7 +145,7 @@ class CellRun(SetupObserver):
 
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
-        method, context = training
+        method, context = training.method, training.context
         stopping = stopping_of(method, context)
         self.checkpoint = self._open_checkpoint()
         log = self.checkpoint.take_up(method, context, stopping)
@@ -162,12 +161,12 @@ class CellRun(SetupObserver):
         record, scene, method, scorer = self.record, self.scene, self.method, self.scorer
         with whole_folder(self.folder) as part:
             with self.stage("render"):
-                renders = render_views(method, scene.test, self._added)
+                renders = render_views(method, scene.test, self.response)
                 write_renders(renders, scene.test, part)
             with self.stage("score"):
                 scores = scorer.score(scene, renders)
             with self.stage("score_train"):
-                record.train_scores = score_training_views(method, scene, scorer)
+                record.train_scores = score_training_views(method, scene, scorer, self.response)
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
             with self.stage("write"):
                 for name, model in method.models().items():

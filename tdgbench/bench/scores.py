@@ -7,10 +7,11 @@ import math
 from pathlib import Path
 
 from tdgbench.bench.reading import read_table
-from tdgbench.bench.renders import render_images, render_views
+from tdgbench.bench.renders import IDEAL, render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
+from tdgbench.thermal import ImageResponse
 from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.training.method import Method
 
@@ -23,12 +24,14 @@ def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[
     return scorer.score(scene, render_views(method, scene.test))
 
 
-def score_training_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, float | None]:
+def score_training_views(
+    method: Method, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
+) -> dict[str, float | None]:
     """Mean PSNR and SSIM of the training views; a model that overfits scores far higher here than on test views."""
     scores: dict[str, dict[str, float | None]] = {}
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
-        renders = {view.name: render_images(method, view, with_rgb=False) for view in views}
+        renders = {view.name: render_images(method, view, with_rgb=False, response=response) for view in views}
         scores |= scorer.score_all_train(views, renders)
     return mean_scores(scores, TRAIN_METRICS)
 

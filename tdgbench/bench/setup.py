@@ -15,6 +15,7 @@ from tdgbench.bench.init import InitialPoints
 from tdgbench.bench.response import Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.thermal import ImageResponse
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.training.camera import CameraOptions, RefinedCamera
 from tdgbench.training.method import Context, Method
@@ -23,10 +24,15 @@ from tdgbench.training.warmup import compile_kernels
 
 
 class Training(NamedTuple):
-    """A method that is ready to train, and the context it was set up with (scene, priors, budget, seed …)."""
+    """A method that is ready to train, and the context it was set up with (scene, priors, budget, seed …).
+
+    scored: the scene as it is scored, with images as the thermal camera showed them. response: that camera's.
+    """
 
     method: Method
     context: Context
+    scored: Scene
+    response: ImageResponse = ImageResponse()
 
 
 class SetupObserver:
@@ -72,10 +78,10 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    corrected_by = None
+    response, scored = ImageResponse(), scene
     if camera.estimate or camera.refine is not None:
         with observer.stage("camera"):
-            scene, camera, facts, notes, corrected_by = prepare(scene, camera)
+            scene, camera, facts, notes, response = prepare(scene, camera)
         observer.note_camera(facts, notes)
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
@@ -87,7 +93,7 @@ def set_up(
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
         context = Context(
-            scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera, corrected_by
+            scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera
         )
         observer.note_points(init.describe(scene))
         method.setup(context)
@@ -97,7 +103,9 @@ def set_up(
             masked = any(view.valid is not None for view in scene.train)
             responds = isinstance(context.camera, RefinedCamera)
             compile_kernels(channels, budget, backend, masked=masked, responds=responds)
-    return Training(method, context)
+    if cfg.contrast.training != "none":
+        scored, response = scene, ImageResponse()  # of changed images, which the camera never showed
+    return Training(method, context, scored, response)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:

@@ -24,15 +24,20 @@ class NotApplicableError(Exception):
 class RenderedImages:
     """A method's renders of one view.
 
-    image: (H, W, C) float32, not clipped. depth: (H, W) expected z in scene units, 0 where nothing was rendered.
-    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none. added: (H, W) float32 that the thermal
-    camera adds to every image, vignette and fixed pattern, image values; None where that is unknown.
+    image: (H, W, C) float32 as the thermal camera shows it, not clipped. depth: (H, W) expected z in scene units, 0
+    where nothing was rendered. rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none.
+    temperatures: (H, W, C) float32, what an ideal camera would show; None: `image`.
     """
 
     image: np.ndarray
     depth: np.ndarray
     rgb: np.ndarray | None = None
-    added: np.ndarray | None = None
+    temperatures: np.ndarray | None = None
+
+    @property
+    def ideal(self) -> np.ndarray:
+        """(H, W, C), what a camera without a response of its own would show."""
+        return self.image if self.temperatures is None else self.temperatures
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ training views, and that vignette and pattern have a mean of 0 over the image. S
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +31,10 @@ class ThermalCamera:
     vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
-    sightings: (V,) points that a view sees. terms: those that held-out views support, of vignette, offsets, gains and
-    pattern; the others are those of an ideal camera.
+    sightings: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
+    sequence let expect; none of their pixels was read. terms: those that held-out views support, of vignette, offsets,
+    gains and pattern; the others are those of an ideal camera. undetermined: directions of the estimated numbers that
+    the prior determines more than the images do.
     """
 
     unit: str  # "°C" or "image"
@@ -48,15 +51,24 @@ class ThermalCamera:
     residual_before: float
     residual_after: float
     sightings: np.ndarray
+    expected: Mapping[str, float] = field(default_factory=dict)
     terms: tuple[str, ...] = ()
+    undetermined: int = 0
     notes: tuple[str, ...] = ()
 
     def of_view(self, name: str) -> tuple[float, float]:
-        """Offset and gain of a training view. Raises KeyError for another one."""
+        """Offset and gain of a view; the gain of a view that is no training view is 1. Raises KeyError."""
+        if name in self.expected:
+            return self.expected[name], 1.0
         if name not in self.views:
-            raise KeyError(f"view {name} is no training view; its offset and gain are unknown")
+            raise KeyError(f"view {name} is unknown to the thermal camera; estimate it from the scene that has it")
         index = self.views.index(name)
         return float(self.offsets[index]), float(self.gains[index])
+
+    @property
+    def suffix(self) -> str:
+        """The unit, ready to follow a number."""
+        return "" if self.unit == "image" else f" {self.unit}"
 
     def map(self, width: int, height: int) -> np.ndarray:
         """Vignette (height, width) of an image."""
@@ -77,11 +89,6 @@ class ThermalCamera:
                 pattern += np.expand_dims(lines, axis)
         return pattern
 
-    def fits(self, width: int, height: int) -> bool:
-        """Whether the fixed pattern, if there is one, is that of images of this size."""
-        lines = ((self.columns, width), (self.rows, height))
-        return all(found is None or len(found) == size for found, size in lines)
-
     def shared(self, width: int, height: int) -> np.ndarray:
         """What the camera adds in all views, (height, width): vignette and fixed pattern."""
         return self.map(width, height) + self.pattern(width, height)
@@ -89,8 +96,7 @@ class ThermalCamera:
     @property
     def summary(self) -> str:
         """One line for notes and reports."""
-        unit = "" if self.unit == "image" else f" {self.unit}"
-        corners = self.map(64, 48)
+        unit, corners = self.suffix, self.map(64, 48)
         pattern = ", a fixed pattern by " + " and ".join(
             name for name, lines in (("columns", self.columns), ("rows", self.rows)) if lines is not None
         )

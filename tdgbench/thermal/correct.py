@@ -3,83 +3,100 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.thermal.camera import ThermalCamera
 from tdgbench.thermal.estimate import units
+from tdgbench.thermal.shown import ImageResponse
 
-TestViews = Literal["as_is", "shared"]
+DIGITS = 7  # of image values, in a record
+
+
+class Corrected(NamedTuple):
+    """A scene with corrected training views, and what the camera shows of renders of a model of them."""
+
+    scene: Scene
+    response: ImageResponse
 
 
 def correct_values(values: np.ndarray, view: str, camera: ThermalCamera) -> np.ndarray:
     """Temperatures (H, W), or image values, as an ideal camera would show them: the inverse of the response.
 
-    values: (H, W) in the camera's unit. view: the name of a training view; raises KeyError for another one.
+    values: (H, W) in the camera's unit. view: the name of a view; raises KeyError for an unknown one.
     """
     offset, gain = camera.of_view(view)
     height, width = values.shape
     return camera.reference + (values - camera.reference - offset - camera.shared(width, height)) / gain
 
 
-def corrected(scene: Scene, camera: ThermalCamera, test: TestViews = "as_is") -> Scene:
-    """The scene with corrected training views.
+def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
+    """The scene with corrected training views; test views stay as they are.
 
-    test: what test views get. Their offsets and gains are unknown: `as_is` leaves them as they are, `shared` removes
-    what the training views tell about all views, vignette and fixed pattern. The scene keeps its range; values outside
-    are clipped, and a note says how many. Its fingerprint is another one, so that nothing made from its images before,
-    like depth priors, is taken for it. Raises SceneError for training views that the camera does not know.
+    Nothing is clipped: image values 0 and 1 of the training views are other values of the given scene where they have
+    to be, and a note says which. The fingerprint is another one, so that nothing made from the images before, like
+    depth priors, is taken for it. Raises SceneError for training views that the camera does not know.
     """
     unknown = [view.name for view in scene.train if view.name not in camera.views]
     if unknown:
         raise SceneError(
             f"{scene.name}: the thermal camera was estimated without training view {unknown[0]}; estimate it again"
         )
-    train = [
-        (view, _image(view, correct_values(_values(view, scene), view.name, camera), scene)) for view in scene.train
-    ]
-    tested = list(scene.test)
-    if test == "shared":
-        tested = [_replaced(view, _image(view, _without_shared(view, scene, camera), scene)) for view in scene.test]
-    clipped = np.mean([np.mean((image < 0) | (image > 1)) for _, image in train])
-    kept = "as they are" if test == "as_is" else "corrected for vignette and fixed pattern alone"
-    notes = [
-        f"training views are corrected for their thermal camera, test views are {kept}: {camera.summary}",
-        *camera.notes,
-        f"{clipped:.2%} of the corrected pixels are outside of the image's range and clipped",
-    ]
-    return replace(
-        scene, train=[_replaced(*one) for one in train], test=tested, notes=[*scene.notes, *notes],
-        fingerprint=_fingerprint(scene, camera, test),
+    _, scale, zero = units(scene)
+    values = {view.name: (_corrected_values(view, camera, scale, zero) - zero) / scale for view in scene.train}
+    low, high = _range([one if v.valid is None else one[v.valid] for v, one in zip(scene.train, values.values(), strict=True)])
+    span, notes = scene.temperature, [f"training views are corrected for their thermal camera: {camera.summary}"]
+    if (low, high) != (0.0, 1.0):
+        if span is not None:
+            span = TemperatureRange(zero + scale * low, zero + scale * high)
+        notes.append(
+            f"the corrected values need a range of {zero + scale * low:.4g} to {zero + scale * high:.4g}"
+            f"{camera.suffix}, which is 0 to 1 of the images that are trained on; scores are of the given range"
+        )
+    train = [view.with_thermal(_image((values[view.name] - low) / (high - low), view, scene)) for view in scene.train]
+    changed = replace(
+        scene, train=train, temperature=span, notes=[*scene.notes, *notes, *camera.notes],
+        fingerprint=_fingerprint(scene, camera),
+    )  # fmt: skip
+    return Corrected(changed, _response(camera, scale, zero, (low, high)))
+
+
+def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[float, float]) -> ImageResponse:
+    def rounded(values: np.ndarray | None) -> tuple[float, ...]:
+        return () if values is None or not values.any() else tuple(np.round(values / scale, DIGITS).tolist())
+
+    names = [*camera.views, *camera.expected]
+    of_views = [camera.of_view(name) for name in names]
+    return ImageResponse(
+        reference=round((camera.reference - zero) / scale, DIGITS),
+        offsets={name: round(offset / scale, DIGITS) for name, (offset, _) in zip(names, of_views, strict=True) if offset},
+        gains={name: round(gain, DIGITS) for name, (_, gain) in zip(names, of_views, strict=True) if gain != 1},
+        vignette=rounded(camera.vignette), columns=rounded(camera.columns), rows=rounded(camera.rows),
+        low=ends[0], high=ends[1],
     )  # fmt: skip
 
 
-def _fingerprint(scene: Scene, camera: ThermalCamera, test: TestViews) -> str:
+def _range(values: list[np.ndarray]) -> tuple[float, float]:
+    """Image values that become 0 and 1: these, or the ends of all values (N,), to the next thousandth outwards."""
+    low, high = min(float(one.min()) for one in values if one.size), max(float(one.max()) for one in values if one.size)
+    return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)
+
+
+def _fingerprint(scene: Scene, camera: ThermalCamera) -> str:
     arrays = (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows)
     parts = (b"none" if array is None else array.tobytes() for array in arrays)
-    return scene.fingerprint_with(test.encode(), str(camera.reference).encode(), *parts)
+    return scene.fingerprint_with(str(camera.reference).encode(), *parts)
 
 
-def _values(view: View, scene: Scene) -> np.ndarray:
-    """Values (H, W) of a view in the unit of its scene's camera."""
-    _, scale, zero = units(scene)
-    return scale * view.thermal.mean(axis=2, dtype=np.float64) + zero
+def _corrected_values(view: View, camera: ThermalCamera, scale: float, zero: float) -> np.ndarray:
+    """Corrected values (H, W) of a training view in the camera's unit."""
+    return correct_values(scale * view.thermal.mean(axis=2, dtype=np.float64) + zero, view.name, camera)
 
 
-def _without_shared(view: View, scene: Scene, camera: ThermalCamera) -> np.ndarray:
-    return _values(view, scene) - camera.shared(view.camera.width, view.camera.height)
-
-
-def _image(view: View, values: np.ndarray, scene: Scene) -> np.ndarray:
-    """Image (H, W, C) of values (H, W), not clipped; 0 where nothing was measured."""
-    _, scale, zero = units(scene)
-    image = (values - zero) / scale
+def _image(values: np.ndarray, view: View, scene: Scene) -> np.ndarray:
+    """Image (H, W, C) of values (H, W); 0 where nothing was measured."""
     if view.valid is not None:
-        image = np.where(view.valid, image, 0.0)
-    return np.repeat(image[..., None], scene.channels, axis=2).astype(np.float32)
-
-
-def _replaced(view: View, image: np.ndarray) -> View:
-    return view.with_thermal(image.clip(0, 1))
+        values = np.where(view.valid, values, 0.0)
+    return np.repeat(values[..., None], scene.channels, axis=2).astype(np.float32)

@@ -13,11 +13,10 @@ from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
 from tdgbench.thermal.polynomials import basis
+from tdgbench.thermal.priors import Widths, places
 from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 
 FEWEST_SIGHTINGS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
-GAIN_PRIOR = {"°C": 0.05, "image": 0.5}  # standard deviation of gains; cameras in °C are exact to some 5 % (FLIR Lepton
-# Engineering Datasheet 500-0659-00-09), images of automatic gain control are stretched by any factor
 UNSURE = 0.5  # share of its prior; a gain whose standard error is larger is named in a note
 FEWEST_TRAINING_VIEWS = 3
 
@@ -48,7 +47,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
             f"{scene.name}: {np.count_nonzero(counts)} training views see {FEWEST_SIGHTINGS} or more points that "
             f"{FEWEST_VIEWS} views share; a camera needs {FEWEST_TRAINING_VIEWS}: add points, or raise data.width"
         )
-    return _estimate(scene.train, seen, (unit, scale, zero))
+    return _estimate(scene, seen, (unit, scale, zero))
 
 
 def units(scene: Scene) -> tuple[str, float, float]:
@@ -68,13 +67,21 @@ def _well_seen(seen: Sightings, views: int) -> Sightings:
         seen = seen.kept(keep)
 
 
-def _estimate(train: Sequence[View], seen: Sightings, unit: tuple[str, float, float]) -> ThermalCamera:
-    name, scale, zero = unit
+def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> ThermalCamera:
+    (name, scale, zero), train = unit, scene.train
     data = _data(train, seen, scale, zero)
-    found, terms = explain(data, GAIN_PRIOR[name])
     counts = np.bincount(seen.view, minlength=len(train))
+    widths = Widths.of(name, float(np.std(data.value)) or 1.0)
+    place = places([view.name for view in scene.views])
+    at = np.array([place[view.name] for view in train])
+    found, terms, drift = explain(data, widths, at)
     offset_errors, gain_errors, vignette_errors = _errors(found.fit, len(train))
     response = in_gauge(found.fit.response)
+    expected = {}
+    if drift is not None:
+        known, others = counts > 0, [view.name for view in scene.test]
+        offsets = drift.expected(np.array([place[other] for other in others]), at[known], response.offsets[known])
+        expected = dict(zip(others, offsets.tolist(), strict=True))
     return ThermalCamera(
         unit=name,
         views=tuple(view.name for view in train),
@@ -90,8 +97,10 @@ def _estimate(train: Sequence[View], seen: Sightings, unit: tuple[str, float, fl
         residual_before=found.fit.before,
         residual_after=found.fit.after,
         sightings=counts,
+        expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
-        notes=tuple(_notes(train, counts, terms, gain_errors / GAIN_PRIOR[name])),
+        undetermined=found.fit.undetermined,
+        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains)),
     )
 
 

@@ -7,18 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tdgbench.thermal.fit import HUBER, NORMAL, Data, Fit, Terms, fit
+from tdgbench.thermal.fit import HUBER, Data, Fit, Terms, fit
 from tdgbench.thermal.pattern import line_pattern
+from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.priors import NORMAL, Drift, Widths, drift_of
 from tdgbench.thermal.sightings import BLUR
 
 PASSES = 2  # over response and fixed pattern
-LADDER = (Terms(), Terms(vignette=True), Terms(vignette=True, offsets=True), Terms(True, True, gains=True))
+LADDER = (  # from the simplest
+    Terms(), Terms(vignette=True), Terms(offsets=True), Terms(vignette=True, offsets=True),
+    Terms(offsets=True, gains=True), Terms(vignette=True, offsets=True, gains=True),
+)  # fmt: skip
 FOLDS = 4  # groups of views that are held out in turn
 BETTER = 0.98  # share of the simpler terms' error that further ones must reach
+WORSE = 1.01  # share of the simpler terms' error that further ones may reach where they gain elsewhere
 POINTS_TO_CHOOSE = 4_000
 CUT = 3.0  # standard deviations; larger errors of prediction count as this large
 FEWEST_VALUES = 10  # of a held-out view
 FIT_ROUNDS = 10
+RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
 
 Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
 
@@ -36,10 +43,15 @@ class Explained:
         return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
-def explain(data: Data, gain_prior: float) -> tuple[Explained, Terms]:
-    """Fit the terms that held-out views support. Response and fixed pattern take turns."""
-    terms = choose_terms(data, gain_prior)
-    best = Explained(fit(data, terms, gain_prior))
+def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, Terms, Drift]:
+    """Fit the terms that held-out views support. Response and fixed pattern take turns.
+
+    places: (V,) of the views in the sequence, NaN if it is unknown.
+    """
+    terms = choose_terms(data, widths, places)
+    drift = _drift(data, terms, widths, places)
+    precision = prior(data, widths, drift, places)
+    best = Explained(fit(data, terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
@@ -50,18 +62,44 @@ def explain(data: Data, gain_prior: float) -> tuple[Explained, Terms]:
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
-        best = Explained(replace(fit(cleaned, terms, gain_prior), before=best.fit.before), *lines)
-    return best, terms
+        best = Explained(replace(fit(cleaned, terms, precision), before=best.fit.before), *lines)
+    return best, terms, drift
 
 
-def choose_terms(data: Data, gain_prior: float) -> Terms:
-    """The simplest terms with which the other views predict held-out views nearly best.
+def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
+    """The simplest terms with which the other views predict the values of held-out views clearly better.
 
     A drift that the terms do not describe, or a reflection, can look like a gain. Correcting it would not make the
-    temperatures of the points truer, which views that were not used for it tell.
+    temperatures of the points truer, which views that were not used for it tell. Values are predicted as a test view's
+    are: without reading any of them, and after the gain and offset that fit its other half. Terms have to gain in one
+    way and must not lose in the other.
     """
     some = data.kept(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
-    return LADDER[_simplest([held_out_errors(some, terms, gain_prior) for terms in LADDER])]
+    best, least = LADDER[0], held_out_errors(some, LADDER[0], widths, places)
+    for terms in LADDER[1:]:
+        errors = held_out_errors(some, terms, widths, places)
+        change = [_size(b, a) / _size(a, a) for a, b in zip(least, errors, strict=True)]
+        if min(change) < BETTER and max(change) < WORSE:
+            best, least = terms, errors
+    return best
+
+
+def prior(data: Data, widths: Widths, drift: Drift | None, places: np.ndarray) -> np.ndarray:
+    """Precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width, by itself."""
+    variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
+    precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
+    if drift is not None:
+        precision[: data.views, : data.views] = np.linalg.inv(drift.prior(places))
+    return precision
+
+
+def _drift(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
+    """How the offsets change along the sequence; None if they are not estimated, or if there is no sequence."""
+    if not terms.offsets or np.isnan(places).any():
+        return None
+    offsets = fit(data, terms, prior(data, widths, None, places)).response.offsets
+    known = np.bincount(data.view, minlength=data.views) > 0
+    return drift_of(places, offsets - offsets[known].mean(), known, widths.offsets)
 
 
 def _within_points(values: np.ndarray, weights: np.ndarray, data: Data) -> np.ndarray:
@@ -87,46 +125,70 @@ def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.n
 
 def _simplest(errors: list[np.ndarray]) -> int:
     """The first of several models, by their errors (S,) of the same values, that a later one does not clearly beat."""
-    cut = CUT * min(NORMAL * float(np.median(np.abs(one))) for one in errors)
-    size = [float(np.sqrt(np.mean(np.minimum(one**2, cut**2)))) for one in errors]
     best = 0
-    for index in range(1, len(size)):
-        if size[index] < BETTER * size[best]:
+    for index in range(1, len(errors)):
+        if _size(errors[index], errors[0]) < BETTER * _size(errors[best], errors[0]):
             best = index
     return best
 
 
-def held_out_errors(data: Data, terms: Terms, gain_prior: float) -> np.ndarray:
+def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
+    """Root mean square of errors (S,), outliers cut off at CUT robust standard deviations of the simplest model's."""
+    cut = CUT * NORMAL * float(np.median(np.abs(simplest)))
+    return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
+
+
+def held_out_errors(
+    data: Data, terms: Terms, widths: Widths, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Errors of the values of views that are held out in turn, predicted from the points' temperatures in other views.
 
-    The offset and gain of a held-out view are unknown; they are fitted to its values.
+    The first are of values of which none is read: the view has the offset that its neighbours in the sequence let
+    expect, and gain 1. The second are after the gain and offset that fit the other half of the image.
     """
     present = np.unique(data.view)
-    errors = []
+    unread, halves = [np.zeros(0)], [np.zeros(0)]
     for fold in range(FOLDS):
         held = np.isin(data.view, present[fold::FOLDS])
         rest = data.kept(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
-        found = fit(rest, terms, gain_prior)
+        drift = _drift(rest, terms, widths, places)
+        found = fit(rest, terms, prior(data, widths, drift, places))
+        expected = np.zeros(data.views)
+        if drift is not None:
+            known = np.unique(rest.view)
+            expected = drift.expected(places, places[known], found.response.offsets[known])
         test = data.kept(held & seen[data.point])
         shown = test.value - test.terms @ found.vignette
         for view in np.unique(test.view):
             of_view = test.view == view
-            if np.count_nonzero(of_view) >= FEWEST_VALUES:
-                errors.append(_affine_residuals(found.temperatures[test.point[of_view]], shown[of_view]))
-    return np.concatenate(errors) if errors else np.zeros(1)
+            predicted, value = found.temperatures[test.point[of_view]], shown[of_view]
+            unread.append(value - predicted - expected[view])
+            halves.append(_halves(predicted, value, test.terms[of_view, RIGHTWARDS] > 0))
+    return np.concatenate(unread), np.concatenate(halves)
 
 
-def _affine_residuals(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Residuals (N,) of a robust line through values."""
+def _halves(x: np.ndarray, y: np.ndarray, is_right: np.ndarray) -> np.ndarray:
+    """Errors (N,) of values in each half of an image, after the robust line through those of the other half."""
+    left = [np.zeros(0)]
+    for half in (is_right, ~is_right):
+        if np.count_nonzero(~half) >= FEWEST_VALUES and half.any():
+            gain, offset = _line(x[~half], y[~half])
+            left.append(y[half] - gain * x[half] - offset)
+    return np.concatenate(left)
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Gain and offset of a robust line through values."""
     terms, weights = np.stack([x - x.mean(), np.ones_like(x)], axis=1), np.ones_like(x)
+    line = np.zeros(2)
     for _ in range(FIT_ROUNDS):
         root = np.sqrt(weights)
         line = np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0]
         left = y - terms @ line
         sigma = max(NORMAL * float(np.median(np.abs(left))), 1e-9)
         weights = HUBER / np.maximum(np.abs(left) / sigma, HUBER)
-    return left
+    return float(line[0]), float(line[1] - line[0] * x.mean())
 
 
 def _smooth(lines: np.ndarray | None) -> np.ndarray | None:

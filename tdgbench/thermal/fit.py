@@ -4,10 +4,11 @@ Minimises Σ ρ((value − T_p − (gain_v − 1) (T_p − reference) − offset
 offsets, gains and coefficients by Gauss-Newton with weights; temperatures are eliminated (Schur complement). A
 temperature that is an unknown of its own, and no mean of values, leaves the gains unbiased by noise. σ depends on the
 slope of the image, as errors of position do; ρ is Huber's, then Tukey's (Holland and Welsch 1977), which ignores
-outliers. Priors hold what the values tell nothing about at an ideal camera.
+outliers. A prior holds what the values tell little about near an ideal camera.
 
-Errors of neighbouring values are not independent: registration and reflections are wrong for whole surfaces. So the
-covariance is the cluster-robust one (Liang and Zeger 1986), over PATCHES of each view.
+Errors of neighbouring values are not independent: registration and reflections are wrong for whole surfaces. So a patch
+of a view, one of PATCHES × PATCHES, has an error of its own, whose variance limits what all of its values weigh
+together; and the covariance is the cluster-robust one (Liang and Zeger 1986), over these patches.
 """
 
 from __future__ import annotations
@@ -18,17 +19,18 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import Response
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.priors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
 SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
 HUBER, TUKEY = 1.345, 4.685  # 95 % efficient where errors are normal (Holland and Welsch 1977)
-NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation
 SLOPE_BINS = 12
 PATCHES = 8  # columns and rows of patches of a view
+FEWEST_IN_PATCH = 4  # values, of a patch whose mean tells of the patches' own errors
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ class Fit:
     """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
     covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
-    the mean of their point; after: of the residuals.
+    the mean of their point; after: of the residuals. undetermined: directions of the estimated parameters that the
+    prior determines more than the values do.
     """
 
     response: Response
@@ -93,37 +96,33 @@ class Fit:
     covariance: Callable[[], np.ndarray]
     before: float
     after: float
+    undetermined: int
 
 
-def fit(data: Data, terms: Terms, gain_prior: float) -> Fit:
-    """Estimate the response.
-
-    gain_prior: standard deviation of gains about 1, as they are expected. The priors of offsets and coefficients are as
-    wide as the values; with each degree of the vignette, half as wide.
-    """
-    reference, spread = float(np.median(data.value)), float(np.std(data.value)) or 1.0
-    sizes = [data.views, data.views, data.terms.shape[1]]
-    stiffness = 1 / np.repeat([spread**2, gain_prior**2, spread**2], sizes)
-    stiffness[2 * data.views :] *= np.array([4.0 ** sum(degrees) for degrees in TERMS])
+def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
+    """Estimate the response. precision: (2 V + K, 2 V + K) of the prior of offsets, gains and coefficients."""
+    reference = float(np.median(data.value))
     free = terms.free(data)
     theta, temperatures = data.ideal, _means(data)
     residuals = data.value - temperatures[data.point]
     before = _deviation(residuals)
     for round_ in range(ROUNDS):
         sigma = _sigma(residuals, data.slope)
-        weights = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS) / sigma**2
+        robust = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS)
+        weights = _shared(robust / sigma**2, residuals, data.patch)
         system = System(data, theta, temperatures, reference, weights)
-        step = system.solve(residuals, (data.ideal - theta) * stiffness, stiffness, free)
+        step = system.solve(residuals, precision @ (data.ideal - theta), precision, free)
         temperatures = temperatures + system.temperature_step(residuals, step)
         theta = theta + step
         residuals = data.value - predict(data, theta, temperatures, reference)
         if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * _deviation(residuals):
             break
-    inflated = residuals * _inflation(weights * sigma**2, data)
+    inflated = residuals * _inflation(robust, data)
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
-        partial(system.covariance, inflated, data, stiffness, free), before, _deviation(residuals),
+        partial(system.covariance, inflated, data, precision, free), before, _deviation(residuals),
+        system.undetermined(precision, free),
     )  # fmt: skip
 
 
@@ -169,19 +168,29 @@ class System:
         return matrix
 
     def solve(
-        self, residuals: np.ndarray, pull: np.ndarray, stiffness: np.ndarray, free: np.ndarray
+        self, residuals: np.ndarray, pull: np.ndarray, precision: np.ndarray, free: np.ndarray
     ) -> np.ndarray:  # fmt: skip
-        """Step of offsets, gains and coefficients, 0 where not `free`. pull, stiffness: of the priors."""
+        """Step of offsets, gains and coefficients, 0 where not `free`. pull, precision: of the prior."""
         weighted, pulled = self.weights * residuals, (self.by_point @ residuals) / self.curvature
         right = np.r_[
             self.by_view.T @ weighted - self.from_views.T @ pulled, self.terms.T @ weighted - self.from_terms.T @ pulled
         ]
         step = np.zeros(len(free))
-        matrix = (self.matrix + np.diag(stiffness))[np.ix_(free, free)]
+        matrix = (self.matrix + precision)[np.ix_(free, free)]
         step[free] = np.linalg.solve(matrix, (right + pull)[free])
         return step
 
-    def covariance(self, residuals: np.ndarray, data: Data, stiffness: np.ndarray, free: np.ndarray) -> np.ndarray:
+    def undetermined(self, precision: np.ndarray, free: np.ndarray) -> int:
+        """Directions in which the values tell less than the prior: eigenvalues below 1 of the normal matrix by it.
+
+        The mean offset, which no value tells anything about, is one of them, and so is the mean gain.
+        """
+        if not free.any():
+            return 0
+        block = np.ix_(free, free)
+        return int(np.count_nonzero(eigh(self.matrix[block], precision[block], eigvals_only=True) < 1))
+
+    def covariance(self, residuals: np.ndarray, data: Data, precision: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Of offsets, gains and coefficients, robust to errors that are alike in a patch of a view."""
         count, weighted = len(residuals), self.weights * residuals
         size = int(data.patch.max()) + 1
@@ -195,7 +204,7 @@ class System:
             ]
         )
         inverse = np.zeros_like(self.matrix)
-        inverse[np.ix_(free, free)] = np.linalg.inv((self.matrix + np.diag(stiffness))[np.ix_(free, free)])
+        inverse[np.ix_(free, free)] = np.linalg.inv((self.matrix + precision)[np.ix_(free, free)])
         return inverse @ (scores.T @ scores) @ inverse
 
     def temperature_step(self, residuals: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -222,6 +231,22 @@ def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
     floor = max(0.1 * _deviation(residuals), 1e-9)
     deviations = [_deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
     return np.maximum(np.array(deviations), floor)[bins]
+
+
+def _shared(weights: np.ndarray, residuals: np.ndarray, patch: np.ndarray) -> np.ndarray:
+    """Weights (S,) that take into account that a patch has an error of its own, given inverse variances (S,).
+
+    Its variance is that of the patches' means, less what the values' own errors give these.
+    """
+    total = np.bincount(patch, weights)
+    counted = (np.bincount(patch, weights > 0) >= FEWEST_IN_PATCH) & (total > 0)
+    if not counted.any():
+        return weights
+    mean = np.bincount(patch, weights * residuals)[counted] / total[counted]
+    spread = float(np.sum(weights * residuals**2) / np.sum(weights))
+    scale = spread * float(np.sum(weights)) / max(np.count_nonzero(weights), 1)  # of variances: 1 if weights are right
+    variance = max(float(np.mean(mean**2 - scale / total[counted])), 0.0)
+    return np.asarray(weights / (1 + variance * total[patch]))
 
 
 def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:

@@ -69,7 +69,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
-    method, context = set_up(cfg, scene, method=unready, skips=skips)
+    method, context, *_ = set_up(cfg, scene, method=unready, skips=skips)
     scene = context.scene  # its images may be changed
     scorer: Scorer = instantiate(cfg.metrics)
     sampled = _sampled_iterations(context.budget, samples)

@@ -59,8 +59,8 @@ def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scal
 
 
 def _pair(view: View, rendered: RenderedImages, valid: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Rendered values, clipped as their picture is, and true temperatures (N,) of a view's valid pixels."""
-    image, truth = rendered.image.clip(0, 1).mean(axis=2, dtype=np.float64), view.true_temperature
+    """Rendered values, not clipped, and true temperatures (N,) of a view's valid pixels."""
+    image, truth = rendered.ideal.mean(axis=2, dtype=np.float64), view.true_temperature
     if truth is None or truth.shape != image.shape:
         raise NotApplicableError("the true temperatures have another size than the images")
     return at_valid(valid, image).ravel(), at_valid(valid, truth).ravel().astype(np.float64)

@@ -1,0 +1,70 @@
+"""What a thermal camera shows of a model's renders, in image values: the response that was taken out of its training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from tdgbench.thermal.polynomials import evaluate
+
+
+@dataclass(frozen=True)
+class ImageResponse:
+    """Response of a camera in image values, and the range of the images that a model was trained on.
+
+    shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), of T = low + (high − low) · render.
+    offsets, gains: by view. Those of test views are not read from them: an offset is what the neighbours in the
+    sequence let expect, a gain is 1. vignette: (K,) coefficients of `polynomials`. columns, rows: fixed pattern.
+    """
+
+    reference: float = 0.0
+    offsets: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
+    vignette: tuple[float, ...] = ()
+    columns: tuple[float, ...] = ()
+    rows: tuple[float, ...] = ()
+    low: float = 0.0
+    high: float = 1.0
+
+    def temperatures(self, render: np.ndarray) -> np.ndarray:
+        """Values (H, W, C) float32 that an ideal camera would show of a render, not clipped."""
+        return render if (self.low, self.high) == (0.0, 1.0) else _float32(self.low + (self.high - self.low) * render)
+
+    def of(self, render: np.ndarray, view: str) -> np.ndarray:
+        """What the camera shows of a render (H, W, C) of a view, float32, not clipped."""
+        values = self.temperatures(render)
+        if self.is_ideal:
+            return values
+        gain = self.gains.get(view, 1.0)
+        added = self.offsets.get(view, 0.0) + (1 - gain) * self.reference + self.shared(*values.shape[1::-1])
+        return _float32(gain * values + added[..., None])
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it shows temperatures as they are."""
+        return not (self.offsets or self.gains or self.vignette or self.columns or self.rows)
+
+    def shared(self, width: int, height: int) -> np.ndarray:
+        """What the camera adds in all views, (height, width): vignette and fixed pattern."""
+        added = evaluate(np.array(self.vignette), width, height) if self.vignette else np.zeros((height, width))
+        for lines, axis in ((self.columns, 0), (self.rows, 1)):
+            if lines:
+                added = added + np.expand_dims(np.array(lines), axis)
+        return added
+
+    def as_json(self) -> dict[str, Any]:
+        """Its numbers, as a record holds them."""
+        return {name: value for name, value in asdict(self).items() if value not in ((), {})}
+
+
+def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
+    """The response that a record states; that of an ideal camera where it states none. Raises ValueError."""
+    return TypeAdapter(ImageResponse).validate_python({} if stated is None else dict(stated))
+
+
+def _float32(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values, np.float32)
