@@ -119,6 +119,7 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
         patch=(seen.view * PATCHES + down) * PATCHES + across,
         column=seen.x.astype(int),
         row=seen.y.astype(int),
+        cluster=seen.cluster,
         views=len(train),
         points=seen.points,
         size=(int(sizes[0, 0]), int(sizes[0, 1])) if (sizes == sizes[0]).all() else (0, 0),

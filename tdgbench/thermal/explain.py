@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from tdgbench.thermal.evidence import held_back
 from tdgbench.thermal.fit import HUBER, Data, Fit, Terms, fit
 from tdgbench.thermal.pattern import line_pattern
 from tdgbench.thermal.polynomials import TERMS
@@ -51,7 +52,7 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
     terms = choose_terms(data, widths, places)
     drift = _drift(data, terms, widths, places)
     precision = prior(data, widths, drift, places)
-    best = Explained(fit(data, terms, precision))
+    best = Explained(held_back(data, fit(data, terms, precision), terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
@@ -62,7 +63,8 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
-        best = Explained(replace(fit(cleaned, terms, precision), before=best.fit.before), *lines)
+        again = held_back(cleaned, fit(cleaned, terms, precision), terms, precision)
+        best = Explained(replace(again, before=best.fit.before), *lines)
     return best, terms, drift
 
 

@@ -38,7 +38,7 @@ class Data:
     """S values (S,) of points (S,) in views (S,), and what is known of each.
 
     detail: (S,) what a blur took from it. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
-    column, row: (S,) in which it lies. size: numbers of columns and rows.
+    column, row: (S,) in which it lies. cluster: (S,) of points that lie together. size: numbers of columns and rows.
     """
 
     value: np.ndarray
@@ -50,13 +50,14 @@ class Data:
     patch: np.ndarray
     column: np.ndarray
     row: np.ndarray
+    cluster: np.ndarray
     views: int
     points: int
     size: tuple[int, int]
 
     def kept(self, keep: np.ndarray) -> Data:
         """The values where `keep` (S,) is true; views and points keep their numbers."""
-        arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row")
+        arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
 
     @property

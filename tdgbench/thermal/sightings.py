@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
+from scipy.cluster.vq import kmeans2
 
 from tdgbench.priors.visible import grid_width, visible_points
 from tdgbench.scenes import Camera, View
@@ -17,6 +18,8 @@ OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
 BLUR = 1.0  # px, σ; values are those of the blurred image, which has less noise
 MARGIN = 2  # px; pixels up to this far must be valid
 SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
+CLUSTERS = 10  # of points
+FAR = 4.0  # median distances from the middle
 FEWEST_VIEWS = 3  # that must see a point
 
 
@@ -25,7 +28,8 @@ class Sightings:
     """S pairs of a point and a training view that sees it.
 
     point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
-    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. points: how many points the indices are of.
+    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. cluster: (S,) of points that lie together.
+    points: how many points the indices are of.
     """
 
     point: np.ndarray
@@ -35,13 +39,14 @@ class Sightings:
     slope: np.ndarray
     x: np.ndarray
     y: np.ndarray
+    cluster: np.ndarray
     points: int
 
     def kept(self, keep: np.ndarray) -> Sightings:
         """The sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
         keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
         left, point = np.unique(self.point[keep], return_inverse=True)
-        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y")}
+        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y", "cluster")}
         return replace(self, point=point, points=len(left), **arrays)
 
 
@@ -56,8 +61,15 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
         whole = (number, np.full(len(number), index), value, detail, slope, x, y)
         parts.append(tuple(one[usable] for one in whole))
     point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
-    found = Sightings(point, of_view, value, detail, slope, x, y, len(points))
+    found = Sightings(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
     return found.kept(np.ones(len(point), bool))
+
+
+def _clusters(points: np.ndarray) -> np.ndarray:
+    """Cluster (N,) of each point (N, 3), of CLUSTERS; k-means, of the middle of the scene whatever lies far away."""
+    middle, size = np.median(points, axis=0), np.median(np.abs(points - np.median(points, axis=0)), axis=0)
+    near = np.clip((points - middle) / max(float(size.max()), 1e-12), -FAR, FAR)
+    return np.asarray(kmeans2(near, min(CLUSTERS, len(points)), seed=0, minit="++")[1])
 
 
 def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
