@@ -16,6 +16,7 @@ from tdgbench.ceiling import HIGHEST
 from tdgbench.experiments.measure.ceiling import ERRORS, compare
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import SyntheticDataset
+from tdgbench.scenes.synthetic.surveys import SURVEYS
 from tdgbench.scenes.synthetic.worlds import WORLDS
 
 LIMIT = 0.5  # dB
@@ -23,7 +24,8 @@ LIMIT = 0.5  # dB
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ceiling", description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=list(WORLDS), help="of the made scenes; all unless named")
+    rooms = [name for name in WORLDS if name not in SURVEYS]
+    parser.add_argument("scenes", nargs="*", default=rooms, help=f"of the made scenes; {', '.join(rooms)} unless named")
     parser.add_argument("--errors", nargs="*", default=list(ERRORS), choices=list(ERRORS))
     parser.add_argument("--size", default="160x120", help="width x height, px")
     parser.add_argument("--seed", type=int, default=0)

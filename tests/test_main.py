@@ -36,6 +36,8 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
         "~job.captures.vignette",
         "~job.captures.noise",
         "~job.captures.agc",
+        "~job.captures.tilted",
+        "job.scenes=[turntable]",
         "~job.cameras.refined",
         "~job.cameras.both",
         "budget=demo",

@@ -7,6 +7,7 @@ from tdgbench.ceiling import HIGHEST, Ceiling, Unknown, ceiling
 from tdgbench.experiments.measure.ceiling import ERRORS, compare
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
+from tdgbench.scenes.synthetic.surveys import SURVEYS
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tests.helpers.masks import with_garbage
 
@@ -21,7 +22,10 @@ def made(root, errors: CaptureErrors) -> SyntheticDataset:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "errors"),
-    [*(("facade", errors) for errors in ERRORS), *((name, "all") for name in WORLDS if name != "facade")],
+    [
+        *(("facade", errors) for errors in ERRORS),
+        *((name, "all") for name in WORLDS if name not in ("facade", *SURVEYS)),
+    ],
 )
 def test_ceilings_of_scenes(tmp_path, name, errors, request):
     """Each kind of error on one scene, all of them on the others; `benchmarks.ceiling` compares every pair."""

@@ -19,7 +19,8 @@ from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
 from tdgbench.scenes.synthetic.render import cast
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
 from tdgbench.scenes.synthetic.thermal_files import thermal_image
-from tdgbench.scenes.synthetic.worlds import WORLDS, World
+from tdgbench.scenes.synthetic.world import World
+from tdgbench.scenes.synthetic.worlds import WORLDS
 
 STEPS = 4096  # of the temperature range in which expected values are tabulated
 SMALLEST = 1e-10  # mean squared error
@@ -78,7 +79,8 @@ def true_ceiling(dataset: SyntheticDataset, scene: Scene) -> float:
         raise ValueError(
             "the ceiling is calculated for noise, drift and pose errors, not for dataset.loader.errors.camera"
         )
-    shot, world = dataset.shot, WORLDS[scene.name](dataset.shot.seed)
+    shot = dataset.shot
+    world = WORLDS[scene.name](shot.seed).with_gradient(shot.errors.gradient_degC)
     errors, rng, found = shot.errors, np.random.default_rng(shot.seed), []
     names = [view.name for view in scene.views]
     drift = errors.drifts(shot.views, shot.seed)[[names.index(view.name) for view in scene.train]].mean()

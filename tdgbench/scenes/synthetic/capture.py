@@ -24,7 +24,9 @@ class CaptureErrors:
 
     noise_degC: of the temperatures. drift_degC: of the offset of a view's temperatures. pose_degrees: of the turn of a
     given camera from the true one, about each of its axes. pose_units: of its displacement along each axis, in world
-    units (m). camera: what the thermal camera adds.
+    units (m). camera: what the thermal camera adds. gradient_degC: no error, but what makes a camera's errors hard to
+    tell from the scene: how much warmer the far end of `field`, `hills` and `wall` is than the near one, along their
+    long axis. The other scenes have none, and stay as they are.
     """
 
     noise_degC: DegC = NOISE_DEGC
@@ -32,6 +34,7 @@ class CaptureErrors:
     pose_degrees: Annotated[float, Field(ge=0, le=45)] = 0.0
     pose_units: Annotated[float, Field(ge=0, le=10)] = 0.0
     camera: ThermalErrors = field(default_factory=ThermalErrors)
+    gradient_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
 
     @property
     def title(self) -> str:

@@ -25,7 +25,7 @@ class SyntheticDataset:
     width, height: of the images, px. views: cameras per scene. points: sparse points per scene. errors: of the capture.
 
     >>> SyntheticDataset("data", ReadOptions()).names()
-    ['orbit', 'night', 'turntable', 'facade']
+    ['orbit', 'night', 'turntable', 'facade', 'field', 'hills', 'wall']
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class SyntheticDataset:
 
     def outline(self, name: str | int | None) -> Outline:
         description = self.describe(name)
-        world = WORLDS[description.scene](self.shot.seed)
+        world = WORLDS[description.scene](self.shot.seed).with_gradient(self.shot.errors.gradient_degC)
         folder = self.folder(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.shot)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 
 @dataclass(frozen=True)
@@ -61,3 +63,28 @@ class Material:
         """Temperatures (N,) in °C at points (N, 3)."""
         pattern = self.degC_pattern * (self.pattern(points) - 0.5)
         return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """A ground of patches: each of its points is of the material whose site is nearest in x and y."""
+
+    sites: np.ndarray  # (P, 2), m
+    materials: list[Material]  # (P,)
+
+    def albedo(self, points: np.ndarray) -> np.ndarray:
+        """RGB (N, 3) in [0, 1] at points (N, 3)."""
+        return self._each(points, Material.albedo, np.zeros((len(points), 3)))
+
+    def temperature(self, points: np.ndarray) -> np.ndarray:
+        """Temperatures (N,) in °C at points (N, 3)."""
+        return self._each(points, Material.temperature, np.zeros(len(points)))
+
+    def _each(
+        self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], found: np.ndarray
+    ) -> np.ndarray:  # fmt: skip
+        """Fill `found` (N, ...) with the value of each point's material."""
+        owner = cKDTree(self.sites).query(points[:, :2])[1]
+        for index in np.unique(owner):
+            found[owner == index] = value(self.materials[index], points[owner == index])
+        return found

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 EPSILON = 1e-9
+NEWTON = 8  # steps, that meet hills within rounding
 
 
 class Solid(Protocol):
@@ -105,3 +106,33 @@ class Cylinder:
         hit = offset + np.where(np.isfinite(t), t, 0)[:, None] * rays
         radial = np.concatenate([hit[:, :2] / self.radius, np.zeros((len(rays), 1))], axis=1)
         return t, np.where((side <= top)[:, None], radial, np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Hills:
+    """Undulating ground without end: z is a sum of waves, for rays steeper than its slopes, which meet it once."""
+
+    waves: tuple[tuple[float, float, float, float], ...]  # height in m, wave numbers in x and y in 1/m, phase
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z (N,) at x, y (N,), and its slopes along them."""
+        z, along_x, along_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+        for size, kx, ky, phase in self.waves:
+            angle = kx * x + ky * y + phase
+            z += size * np.sin(angle)
+            along_x += size * kx * np.cos(angle)
+            along_y += size * ky * np.cos(angle)
+        return z, along_x, along_y
+
+    def intersect(self, origin, rays):
+        falling = rays[:, 2] < -EPSILON
+        down = np.where(falling[:, None], rays, [0.0, 0.0, -1.0])
+        t = -origin[2] / down[:, 2]
+        for _ in range(NEWTON):
+            x, y, z = (origin + t[:, None] * down).T
+            ground, along_x, along_y = self.height(x, y)
+            t = t - (z - ground) / (down[:, 2] - along_x * down[:, 0] - along_y * down[:, 1])
+        x, y, _ = (origin + t[:, None] * down).T
+        _, along_x, along_y = self.height(x, y)
+        normal = np.stack([-along_x, -along_y, np.ones_like(x)], axis=1)
+        return np.where(falling & (t > EPSILON), t, np.inf), normal / np.linalg.norm(normal, axis=1, keepdims=True)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.synthetic.worlds import World
+from tdgbench.scenes.synthetic.world import World
 
 AMBIENT = 0.35  # share of ambient light
 
 
-def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """World-to-camera matrix (4, 4) of an upright camera at `eye` (3,) looking at `target` (3,)."""
+def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """World-to-camera matrix (4, 4) of a camera at `eye` (3,) looking at `target` (3,); `up` is up in its image."""
     forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
@@ -44,6 +44,8 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
         if hit.any():
             color[hit] = material.albedo(points[hit])
             degC[hit] = material.temperature(points[hit])
+    if world.degC_per_metre:
+        degC += world.degC_per_metre * points[:, 0]
     color *= (AMBIENT + (1 - AMBIENT) * diffuse)[:, None] * world.exposure
     return color, degC, depth
 

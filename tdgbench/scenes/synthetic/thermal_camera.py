@@ -35,6 +35,8 @@ class ThermalErrors:
     walk_degC: largest deviation of a smooth random walk of the views' offsets, in the order of the views, from its
     mean. shutter_views: views after which the shutter closes, which sets the walk back to its start; 0: never.
     gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
+    vignette_x, vignette_y: how far right of the image's centre and below it the vignette's is, as in real cameras;
+    shares of width and height. A vignette off the centre has a linear part, and vignette_degC at the farthest corner.
     vignette_walk: largest deviation of the share of the vignette that a view has from 1, another smooth random walk.
     pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns. blur_px: σ.
     dead_share: of pixels that show one value in all views. encoding: of the thermal files. `range`: 8 bits of the
@@ -51,6 +53,8 @@ class ThermalErrors:
     dead_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     vignette_walk: Annotated[float, Field(ge=0, le=1)] = 0.0
     encoding: Encoding | None = None
+    vignette_x: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    vignette_y: Annotated[float, Field(ge=-1, le=1)] = 0.0
 
     @property
     def title(self) -> str:
@@ -87,7 +91,7 @@ class ThermalErrors:
             reference=(low + high) / 2,
             offsets=drifts + self.walk(views, streams[0]),
             gains=1 + self.gain * streams[1].uniform(-1, 1, views),
-            vignette=self.vignette_degC * vignette(width, height),
+            vignette=self.vignette_degC * vignette(width, height, self.vignette_x, self.vignette_y),
             shares=1 + self.vignette_walk * _walk(views, streams[4]),
             pattern=self.pattern_degC * _pattern(height, width, streams[3]),
             dead=np.where(dead, streams[2].uniform(low, high, dead.shape), np.nan),
@@ -117,14 +121,18 @@ class TrueCamera:
         return np.where(np.isnan(self.dead), response + noise + self.offsets[view], self.dead)
 
 
-def vignette(width: int, height: int) -> np.ndarray:
-    """Radial polynomial (height, width): 0 at the centre, 1 at the corners of the image.
+def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> np.ndarray:
+    """Radial polynomial (height, width): 0 at its centre, 1 at the corner of the image that is farthest from there.
+
+    right, down: of its centre from the image's, shares of width and height.
 
     >>> vignette(2, 2).round(2).tolist()
     [[0.16, 0.16], [0.16, 0.16]]
     """
     x, y = np.meshgrid((np.arange(width) + 0.5) / width - 0.5, (np.arange(height) + 0.5) / height - 0.5)
-    radius = ((x * width) ** 2 + (y * height) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)  # squared, 1 at a corner
+    x, y = x - right, y - down
+    farthest = ((0.5 + abs(right)) * width) ** 2 + ((0.5 + abs(down)) * height) ** 2
+    radius = ((x * width) ** 2 + (y * height) ** 2) / farthest  # squared, 1 at a corner
     return (1 - QUARTIC) * radius + QUARTIC * radius**2
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.scenes.synthetic.thermal_camera import Encoding, TrueCamera, limits
-from tdgbench.scenes.synthetic.worlds import World
+from tdgbench.scenes.synthetic.world import World
 from tdgbench.scenes.temperature import FILE
 
 PALETTE = "inferno"

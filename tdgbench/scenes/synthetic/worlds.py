@@ -1,4 +1,4 @@
-"""The built-in scenes, one per group of the paper's table.
+"""The built-in scenes: one per group of the paper's table, and those of `surveys.py`.
 
 `orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
 with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal.
@@ -7,33 +7,19 @@ with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-fa
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Spot, Waves
 from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Solid, Sphere
+from tdgbench.scenes.synthetic.surveys import SURVEYS
+from tdgbench.scenes.synthetic.world import World
 
 BRICK, MORTAR = (0.62, 0.30, 0.22), (0.72, 0.68, 0.62)
 WOOD, DARK_WOOD = (0.65, 0.47, 0.28), (0.38, 0.25, 0.14)
 STEEL, PAINT = (0.55, 0.58, 0.62), (0.20, 0.38, 0.62)
 CERAMIC, GLAZE = (0.90, 0.88, 0.82), (0.25, 0.52, 0.45)
 PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
-
-
-@dataclass(frozen=True)
-class World:
-    """Surfaces with materials, cameras, and the encoding of the thermal image. Lengths in m, z up."""
-
-    group: str
-    pseudo_color: bool
-    objects: list[tuple[Solid, Material]]
-    cameras: Callable[[int, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]  # eye, target
-    temperatures: tuple[float, float]  # °C of the image values 0 and 1
-    focal: float  # × image width
-    light: tuple[float, float, float] = (0.4, 0.3, 0.85)
-    exposure: float = 1.0
-    point_share: float = 1.0  # of the requested number of sparse points
 
 
 def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):
@@ -159,4 +145,5 @@ WORLDS: dict[str, Callable[[int], World]] = {
     "night": _night,
     "turntable": _turntable,
     "facade": _facade,
+    **SURVEYS,
 }

@@ -16,7 +16,7 @@ from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.render import look_at, render
 from tdgbench.scenes.synthetic.thermal_files import ThermalFiles
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_truth
-from tdgbench.scenes.synthetic.worlds import World
+from tdgbench.scenes.synthetic.world import World
 
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
 POINT_NOISE = 0.004  # standard deviation, × depth
@@ -38,7 +38,7 @@ class Shot:
         """The true cameras."""
         focal = world.focal * self.width
         K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
-        poses = (look_at(eye, target) for eye, target in world.cameras(self.views, rng))
+        poses = (look_at(eye, target, world.up) for eye, target in world.cameras(self.views, rng))
         return [Camera(K, pose, self.width, self.height) for pose in poses]
 
 

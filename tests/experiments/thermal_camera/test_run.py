@@ -11,9 +11,11 @@ from tests.helpers.scenes import small_dataset
 
 SMALL = (
     "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=1500",
-    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false",
+    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false", "job.scenes=[turntable]",
 )  # fmt: skip
-FEW = ("~job.methods.tdg", "~job.methods.tdg_released", "~job.methods.msmg", "~job.captures.noise")
+FEW = (
+    "~job.methods.tdg", "~job.methods.tdg_released", "~job.methods.msmg", "~job.captures.noise", "~job.captures.tilted",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,19 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "camera"])
     assert np.isnan(table.loc[("drift", "ideal"), "offset_degC_worst"])
     assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
+
+
+def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
+    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.cameras.both"]
+    cfg = config(
+        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "~job.cameras.estimated", "~job.cameras.refined",
+        "job.scenes=[field]", "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
+    )  # fmt: skip
+    assert cfg.dataset.loader.errors.gradient_degC == 6
+    ThermalCameraExperiment().run(cfg)
+    table = pd.read_csv(tmp_path / "results/thermal_camera/thermal_camera.csv", na_values="n/a").set_index("capture")
+    assert list(table.index) == ["clean", "tilted"]
+    assert table.loc["tilted", "offset_degC_worst"] > 1 and table.loc["tilted", "vignette_degC_worst"] > 1
 
 
 def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):

@@ -6,7 +6,10 @@ from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalEr
 from tests.helpers.scenes import small_dataset
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
-DEFAULT = {"orbit": "a98e98017c8c6548", "turntable": "095fc74e63a14771"}  # fingerprints without options of errors
+DEFAULT = {  # fingerprints without options of errors
+    "orbit": "a98e98017c8c6548", "night": "c0590e4722646ea5", "turntable": "095fc74e63a14771",
+    "facade": "b1db1818408336be",
+}  # fmt: skip
 
 CAMERA = {"camera": ThermalErrors(gain=0.05)}
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Sphere
+from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Hills, Rectangle, Sphere
 
 DOWN = np.array([[0.0, 0.0, -1.0]])
 
@@ -32,3 +32,17 @@ def test_points_lie_on_their_surfaces():
     radius = np.linalg.norm(hit[:, :2], axis=1)
     on_side, on_top = np.isclose(radius, 0.8), np.isclose(hit[:, 2], 1.0)
     assert len(hit) > 10 and (on_side | on_top).all() and (radius < 0.8 + 1e-9).all()
+
+
+def test_rays_meet_hills_on_their_surface():
+    hills = Hills(((0.8, 0.4, 0.1, 0.3), (0.5, -0.2, 0.4, 1.0)))
+    rng = np.random.default_rng(0)
+    rays = np.concatenate([rng.uniform(-0.6, 0.6, (2000, 2)), np.full((2000, 1), -1.0)], axis=1)
+    origin = np.array([3.0, -1.0, 20.0])
+    t, normal = hills.intersect(origin, rays)
+    x, y, z = (origin + t[:, None] * rays).T
+    step = 1e-5
+    slopes = [(hills.height(x + step * (1 - i), y + step * i)[0] - z) / step for i in range(2)]
+    assert np.ptp(z) > 2 and np.abs(z - hills.height(x, y)[0]).max() < 1e-9
+    assert -normal[:, :2].T / normal[:, 2] == pytest.approx(np.array(slopes), abs=1e-4)
+    assert np.isinf(hills.intersect(origin, -rays)[0]).all()
