@@ -184,7 +184,6 @@ class _Data(_Group):
 
 class _Contrast(_Group):
     training: Contrast
-    prior: Contrast
 
 
 class _Options(_Group):

@@ -232,19 +232,10 @@ class CellRun(SetupObserver):
 
     def _describe_images(self) -> None:
         """Put what is known of the images that are trained on and scored into the record."""
-        span, contrast = self.scene.temperature, self.cfg.contrast
+        span, contrast = self.scene.temperature, self.cfg.contrast.training
         self.record.temperature = None if span is None or self.scene.channels != 1 else [span.min, span.max]
-        if contrast.training != "none":
-            self.record.notes.append(
-                f"contrast: images are trained on and scored with contrast.training={contrast.training}"
-            )
-        if contrast.prior != "none" and not self.method.needs_prior:
-            self.record.notes.append(
-                f"contrast: contrast.prior does nothing, as {self.record.method} has no depth prior"
-            )
-        elif contrast.prior != "none" and self.cfg.prior.get("made_from") != "thermal images":
-            name = self.cfg.prior.name
-            self.record.notes.append(f"contrast: contrast.prior does nothing, as {name} is not made from images")
+        if contrast != "none":
+            self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
 
     def _describe_training(self, training: Training) -> None:
         """Put facts about the finished training into the record."""
