@@ -1,4 +1,4 @@
-"""The work of a cell, stage by stage: load, images, prior, init, compile, ceiling, train, render, score, write."""
+"""The work of a cell, stage by stage: load, images, prior, init, compile, train, render, score, write."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
+from tdgbench.bench.record import Record, SkipRecord
 from tdgbench.bench.renders import Added, render_views, write_renders
 from tdgbench.bench.response import Facts, added_by_camera, refined_facts, too_short
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
-from tdgbench.ceiling import Ceiling, cached_ceiling
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
@@ -129,20 +128,10 @@ class CellRun(SetupObserver):
         )  # fmt: skip
         self.scene = training.context.scene  # its thermal images may be changed
         self._describe_images()
-        if self.cfg.ceiling:
-            with self.stage("ceiling"):
-                self._estimate_ceiling()
         with self.stage("train"):
             self._train(training)
         self._added = cache(partial(added_by_camera, training.context, self.cfg.contrast.training))
         self._describe_training(training)
-
-    def _estimate_ceiling(self) -> None:
-        found = cached_ceiling(self.scene, self._cache("ceilings", "the ceiling was"))
-        if isinstance(found, Ceiling):
-            self.record.ceiling = cast(CeilingRecord, found.rounded()._asdict())
-        else:
-            self.record.ceiling_unknown = found.reason
 
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
