@@ -20,7 +20,6 @@ PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "scikit-image", "pyc
 HASHED = (  # folders and files
     "tdgbench/scenes",
     "tdgbench/priors",
-    "tdgbench/ceiling",
     "tdgbench/splats",
     "tdgbench/training",
     "tdgbench/scoring",

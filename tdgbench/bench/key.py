@@ -20,7 +20,6 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     """Part of the configuration that a result depends on, as JSON can hold it."""
     plain: dict[str, Any] = as_json(OmegaConf.to_container(cfg, resolve=True))
     loader = _without_root(plain["dataset"]["loader"])
-    contrast = plain["contrast"]
     metrics = {**plain["metrics"], "lpips": {k: v for k, v in plain["metrics"]["lpips"].items() if k != "download"}}
     return {
         "dataset": loader,
@@ -32,7 +31,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "metrics": metrics,
         "skip": plain["skip"],
         "camera": plain["camera"],
-        "contrast": {"training": contrast["training"], "prior": contrast["prior"] if method.needs_prior else "none"},
+        "contrast": plain["contrast"],
         "seed": plain["seed"],
     }
 

@@ -184,7 +184,6 @@ class _Data(_Group):
 
 class _Contrast(_Group):
     training: Contrast
-    prior: Contrast
 
 
 class _Options(_Group):
@@ -209,7 +208,6 @@ class _Options(_Group):
     overwrite: Literal["only-missing", "always", "never"]
     retry_failed: bool
     checkpoint: NonNegativeFloat | None  # seconds
-    ceiling: bool
     threads: Annotated[int, Field(ge=1, le=MOST_THREADS)] | None
     results: Annotated[str, Field(min_length=1)]
     data: _Data

@@ -22,7 +22,6 @@ from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
 from tdgbench.bench.reading import read_text
-from tdgbench.ceiling import HIGHEST
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
@@ -31,8 +30,6 @@ SCHEMA = 1
 ADDED_LATER = (
     "background",
     "camera",
-    "ceiling",
-    "ceiling_unknown",
     "density",
     "masked",
     "of_environment",
@@ -100,17 +97,6 @@ class SkipRecord(TypedDict):
     saved: str
 
 
-@with_config(CLOSED)
-class CeilingRecord(TypedDict):
-    """Fields of tdgbench.ceiling.Ceiling."""
-
-    psnr: float
-    noise: Annotated[float, Field(ge=0)]
-    drift: Annotated[float, Field(ge=0)]
-    other: Annotated[float, Field(ge=0)]
-    misregistration: Annotated[float, Field(ge=0)]
-
-
 @dataclass
 class Failure:
     """Why a cell has no scores."""
@@ -156,8 +142,6 @@ class Record:
     scores: Scores = field(default_factory=dict)
     train_scores: Scores = field(default_factory=dict)  # of the training views
     missing: dict[str, Text] = field(default_factory=dict)
-    ceiling: CeilingRecord | None = None  # PSNR that no model of the scene can exceed, and why
-    ceiling_unknown: str = ""  # why it is n/a; empty if it is known or was not asked for
     seconds: dict[str, Seconds] = field(default_factory=dict)
     train_processor_seconds: Seconds | None = None  # of all threads: less than wall time depends on other work
     gaussians: dict[str, Count] = field(default_factory=dict)
@@ -188,18 +172,6 @@ class Record:
             return ""
         error = (self.failure.error.splitlines() or [""])[0]
         return error if self.failure.stage == READ_STAGE else f"failed in {self.failure.stage}: {error}"
-
-    @property
-    def at_most(self) -> str:
-        """The scene's ceiling, to be written behind a PSNR; empty where it is n/a, or so high that it limits nothing.
-
-        >>> limits = {"psnr": 24.41, "noise": 0.05, "drift": 0.02, "other": 0.0, "misregistration": 0.0}
-        >>> Record("tdg", "", "arco", "", 0, "", "", ceiling=limits).at_most
-        'of at most 24.4 dB'
-        """
-        if self.ceiling is None or self.ceiling["psnr"] >= HIGHEST:
-            return ""
-        return f"of at most {self.ceiling['psnr']:.1f} dB"
 
     def setting(self, name: str) -> Any:
         """Value of a setting by its dotted name; None if the record has none.

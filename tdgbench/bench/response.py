@@ -34,8 +34,8 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
     """Estimate the camera; correct the training views if that is asked for.
 
     Only terms that the estimate supports are refined: in a capture that has no drift, they would learn the errors of an
-    unfinished scene. Views get vignettes of their own where it supports a vignette. Where the camera cannot be
-    estimated, images stay as they are and all that was asked for is refined.
+    unfinished scene. Where the camera cannot be estimated, images stay as they are and all that was asked for is
+    refined.
     """
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
@@ -45,10 +45,8 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
     if options.refine is not None:
         refine = _supported(options.refine, found)
         if refine is None:
-            wanted = ", ".join(options.refine.learned) or "more"
+            wanted = ", ".join(options.refine.terms) or "more"
             notes.append(f"camera: nothing is refined: sparse points do not support {wanted}")
-        elif refine.embedding != options.refine.embedding:
-            notes.append("camera: no view has a vignette of its own: sparse points do not support a vignette")
         options = replace(options, refine=refine)
     if options.estimate:
         before = len(scene.notes)
@@ -61,8 +59,7 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
 def _supported(refinement: Refinement, found: ThermalCamera) -> Refinement | None:
     """What is left of a refinement; None if that is nothing."""
     terms = [term for term in refinement.terms if term in found.terms]
-    embedding = refinement.embedding if "vignette" in found.terms else None
-    return replace(refinement, terms=terms, embedding=embedding) if terms or embedding else None
+    return replace(refinement, terms=terms) if terms else None
 
 
 def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
@@ -70,16 +67,12 @@ def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:
     if not isinstance(camera, RefinedCamera):
         return {"unknown": camera.reason} if camera.reason else {}
     unit, scale, zero = units(scene)
-    own = {}
-    if camera.own_vignettes is not None:
-        own["own_vignettes"] = [_rounded(scale * coefficients) for coefficients in camera.own_vignettes.all()]
     return {
         "unit": unit, "terms": list(camera.refinement.terms),
         **_numbers(
             camera.names, scale * camera.reference + zero, scale * camera.offsets, camera.gains,
             scale * camera.vignette.values[0],
         ),
-        **own,
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The work of a cell, stage by stage: load, images, prior, init, compile, ceiling, train, render, score, write."""
+"""The work of a cell, stage by stage: load, images, prior, init, compile, train, render, score, write."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import CeilingRecord, Record, SkipRecord
+from tdgbench.bench.record import Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.response import Facts, refined_facts, too_short
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
-from tdgbench.ceiling import Ceiling, cached_ceiling
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
@@ -129,19 +128,9 @@ class CellRun(SetupObserver):
         )  # fmt: skip
         self.scene, self.response = training.scored, training.response
         self._describe_images()
-        if self.cfg.ceiling:
-            with self.stage("ceiling"):
-                self._estimate_ceiling()
         with self.stage("train"):
             self._train(training)
         self._describe_training(training)
-
-    def _estimate_ceiling(self) -> None:
-        found = cached_ceiling(self.scene, self._cache("ceilings", "the ceiling was"))
-        if isinstance(found, Ceiling):
-            self.record.ceiling = cast(CeilingRecord, found.rounded()._asdict())
-        else:
-            self.record.ceiling_unknown = found.reason
 
     def _train(self, training: Training) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
@@ -231,19 +220,10 @@ class CellRun(SetupObserver):
 
     def _describe_images(self) -> None:
         """Put what is known of the images that are trained on and scored into the record."""
-        span, contrast = self.scene.temperature, self.cfg.contrast
+        span, contrast = self.scene.temperature, self.cfg.contrast.training
         self.record.temperature = None if span is None or self.scene.channels != 1 else [span.min, span.max]
-        if contrast.training != "none":
-            self.record.notes.append(
-                f"contrast: images are trained on and scored with contrast.training={contrast.training}"
-            )
-        if contrast.prior != "none" and not self.method.needs_prior:
-            self.record.notes.append(
-                f"contrast: contrast.prior does nothing, as {self.record.method} has no depth prior"
-            )
-        elif contrast.prior != "none" and self.cfg.prior.get("made_from") != "thermal images":
-            name = self.cfg.prior.name
-            self.record.notes.append(f"contrast: contrast.prior does nothing, as {name} is not made from images")
+        if contrast != "none":
+            self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
 
     def _describe_training(self, training: Training) -> None:
         """Put facts about the finished training into the record."""

@@ -86,9 +86,7 @@ def set_up(
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
     if method.needs_prior:
-        is_of_images = cfg.prior.get("made_from") == "thermal images"
-        given = with_contrast(before, cfg.contrast.prior) if is_of_images else before
-        priors = _estimate_priors(cfg, given, skips, prior_cache, observer)
+        priors = _estimate_priors(cfg, before, skips, prior_cache, observer)
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)

@@ -56,9 +56,8 @@ class _Strip:
 
     def section(self, label: str) -> dict[str, Any]:
         """Pictures as data URIs, empty where they are n/a, and what is written below them."""
-        record, described = self.cell.record, measure("psnr")
-        psnr = record.scores.get("psnr")
-        shown = "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix} {record.at_most}".rstrip()
+        psnr, described = self.cell.record.scores.get("psnr"), measure("psnr")
+        shown = "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}"
         found = {
             "label": label, "psnr": shown,
             **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""), "depth_range": "n/a",

@@ -117,24 +117,6 @@ def mask_notes(records: Iterable[Record]) -> list[str]:
     return [f"test pixels without a thermal value, which no score counts: {of_scenes}"]
 
 
-def ceiling_notes(records: Iterable[Record]) -> list[str]:
-    """One line with the PSNR that no model of each scene can exceed; none if it is known of no scene.
-
-    >>> limits = {"psnr": 24.41, "noise": 0.05, "drift": 0.02, "other": 0.0, "misregistration": 0.0}
-    >>> ceiling_notes([Record("tdg", "folder", "arco", "colmap", 0, "", "", ceiling=limits, scores={"psnr": 22.7})])
-    ['PSNR of what is the same from all sides: arco 22.7 of at most 24.4 dB']
-    """
-    best: dict[tuple[str, str, str], tuple[float, str]] = {}
-    for record in records:
-        psnr, place = record.scores.get("psnr"), (record.dataset, record.scene, record.at_most)
-        if record.at_most and psnr is not None:
-            best[place] = max(best.get(place, (psnr, record.scene)), (psnr, record.scene))
-    if not best:
-        return []
-    of_scenes = ", ".join(f"{scene} {psnr:.1f} {place[2]}" for place, (psnr, scene) in best.items())
-    return [f"PSNR of what is the same from all sides: {of_scenes}"]
-
-
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
     """The rows and their averages per data set and overall; an average over a missing number is n/a."""
     parts = []

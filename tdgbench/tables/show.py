@@ -14,7 +14,7 @@ from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.measures import ABLATION, GAUSSIANS, HOURS, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
-from tdgbench.tables.results import ceiling_notes, first_points, mask_notes, split_notes
+from tdgbench.tables.results import first_points, mask_notes, split_notes
 from tdgbench.tables.verdicts import in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line
@@ -32,7 +32,7 @@ def show(tables: Tables, console: Console) -> None:
         _show_main(tables, console)
         for note in split_notes(tables.main):
             _say(console, note)
-    for note in [*mask_notes(tables.records), *ceiling_notes(tables.records)]:
+    for note in mask_notes(tables.records):
         _say(console, note)
     _show_reasons(tables, console)
     show_problems(tables.problems, console)

@@ -1,4 +1,4 @@
-"""Contrast of thermal images: what is done to all of a scene's images before training, or before depth is estimated.
+"""Contrast of thermal images: what is done to all of a scene's images before training.
 
 TDg names temporally consistent normalisation and CLAHE as future work. `percentile`, `clahe` and `bbhe` look at each
 image alone, `sequence` and `cdf` at the training views together. All but `sequence` lose the temperatures.
@@ -36,7 +36,7 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
     if colored:
         raise SceneError(
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose channels are no contrast; give "
-            "gray images, or contrast.training=none contrast.prior=none"
+            "gray images, or contrast.training=none"
         )
     temperature = None
     if contrast == "sequence":

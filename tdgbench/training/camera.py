@@ -1,11 +1,10 @@
 """The thermal camera in training: what it shows of a scene's temperatures in a training view.
 
 shown = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y), in image values. That is gain_v · T plus an offset
-of view v, as in `tdgbench.thermal.camera`. A refined camera learns these few numbers together with the scene. With
-embeddings of the views (`tdgbench.training.embedding`), each view adds a vignette of its own.
+of view v, as in `tdgbench.thermal.camera`. A refined camera learns these few numbers together with the scene.
 
 Temperatures and responses are not observable apart. So mean offset and mean gain of the training views stay 0 and 1,
-and the mean of each vignette 0: the scene's mean temperature does not move. Views that are held out at first are left
+and the vignette's mean 0: the scene's mean temperature does not move. Views that are held out at first are left
 out of these means; such a view gets the gain and offset that fit it best in closed form, until it is trained on.
 """
 
@@ -24,14 +23,12 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.polynomials import TERMS, evaluate
-from tdgbench.training.embedding import EmbeddingRules, OwnVignettes
 from tdgbench.training.images import THERMAL
 from tdgbench.training.learned import LearnedRows
 from tdgbench.training.response import Response, Sums, best_fit, shown
 
 Term = Literal["vignette", "offsets", "gains"]
 ALL_TERMS: tuple[Term, ...] = ("vignette", "offsets", "gains")
-OWN = "vignettes of the views"
 
 
 @dataclass(frozen=True)
@@ -49,10 +46,9 @@ class Refinement:
     pace: PositiveFloat  # rounds after which a rate is a quarter of that at its start
     decay: NonNegativeFloat  # of all parameters towards an ideal camera, per step and rate (AdamW)
     terms: list[Term] = field(default_factory=lambda: list(ALL_TERMS))  # the others stay those of an ideal camera
-    embedding: EmbeddingRules | None = None  # of each view, from which its own vignette is made; None: there is none
 
     def rate(self, term: str, rounds: float) -> float:
-        """Learning rate of what is learned, a term or OWN, after so many rounds; 0 for the others.
+        """Learning rate of a term after so many rounds; 0 for those that are not learned.
 
         >>> rules = Refinement(0.02, 0.02, 0.0005, offsets_alone=20, pace=10, decay=0.0)
         >>> rules.rate("offsets", 10), rules.rate("gains", 10), rules.rate("gains", 30)
@@ -63,13 +59,12 @@ class Refinement:
 
     @property
     def learned(self) -> dict[str, tuple[float, float]]:
-        """Rate at the start, and rounds before that, of each term, and of the embeddings (OWN)."""
+        """Rate at the start, and rounds before that, of each term."""
         every = {
             "offsets": (self.offset_rate, 0.0), "gains": (self.gain_rate, self.offsets_alone),
             "vignette": (self.vignette_rate, self.offsets_alone),
         }  # fmt: skip
-        own = {} if self.embedding is None else {OWN: (self.embedding.rate, self.embedding.after)}
-        return {term: every[term] for term in self.terms} | own
+        return {term: every[term] for term in self.terms}
 
 
 @dataclass(frozen=True)
@@ -115,13 +110,10 @@ class _Gradient(NamedTuple):
 
 
 class RefinedCamera(IdealCamera):
-    """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU.
+    """Offset and gain of each of V views, and a vignette of K coefficients that they share; float64, on the CPU."""
 
-    With embeddings, the shared vignette is that of the mean embedding, and of views that have none.
-    """
-
-    def __init__(self, views: Sequence[View], refinement: Refinement, held: Sequence[View], seed: int) -> None:
-        """views: of the training, `held` of which are not trained on at first. seed: of the embeddings' network."""
+    def __init__(self, views: Sequence[View], refinement: Refinement, held: Sequence[View]) -> None:
+        """views: of the training, `held` of which are not trained on at first."""
         super().__init__()
         self.refinement = refinement
         self.names = list(dict.fromkeys(view.name for view in views))
@@ -131,9 +123,6 @@ class RefinedCamera(IdealCamera):
         self.reference = float(THERMAL.mean(views).mean())
         self.views = LearnedRows(np.zeros((len(self.names), 2)))  # offset, gain − 1
         self.vignette = LearnedRows(np.zeros((1, len(TERMS))))
-        self.own_vignettes = None
-        if refinement.embedding is not None:
-            self.own_vignettes = OwnVignettes(refinement.embedding, len(self.names), len(TERMS), seed)
         self._pending: list[_Gradient] = []
 
     @property
@@ -186,39 +175,26 @@ class RefinedCamera(IdealCamera):
         rules, rounds = self.refinement, self.rounds
         rates = slowdown * np.array([rules.rate("offsets", rounds), rules.rate("gains", rounds)])
         of_vignette = slowdown * rules.rate("vignette", rounds)
-        of_embedding = slowdown * rules.rate(OWN, rounds)
         for index, sums in pending:
             self.views.step(index, np.array([sums.offset, sums.gain]), rates, rules.decay)
             if of_vignette > 0:
                 self.vignette.step(0, sums.vignette.numpy(), of_vignette, rules.decay)
         first = self.is_first
         self.views.values[first] -= self.views.values[first].mean(axis=0)
-        if self.own_vignettes is not None and of_embedding > 0:
-            by_views = [(index, sums.vignette.numpy()) for index, sums in pending]
-            self.own_vignettes.step(by_views, of_embedding, rules.decay)
-            self.own_vignettes.center(first)
 
     def state_dict(self) -> dict[str, Any]:
-        own = {} if self.own_vignettes is None else {"own": self.own_vignettes.state_dict()}
-        return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict(), **own}
+        return {"views": self.views.state_dict(), "vignette": self.vignette.state_dict()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         self.views.load_state_dict(saved["views"])
         self.vignette.load_state_dict(saved["vignette"])
-        if self.own_vignettes is not None:
-            self.own_vignettes.load_state_dict(saved["own"])
 
     def _response(self, index: int) -> Response:
         offset, gain = self.views.values[index].tolist()
-        return Response(offset, 1.0 + gain, self.reference, torch.from_numpy(self._vignette(index)))
-
-    def _vignette(self, index: int) -> np.ndarray:
-        """Coefficients (K,) of a view's vignette: the shared one and its own."""
-        shared: np.ndarray = self.vignette.values[0]
-        return shared if self.own_vignettes is None else shared + self.own_vignettes.of(index)
+        return Response(offset, 1.0 + gain, self.reference, torch.from_numpy(self.vignette.values[0]))
 
     def _fitted(self, view: View, image: Tensor) -> Response:
-        """The response with the gain and offset that fit a view best, and the shared vignette so far."""
+        """The response with the gain and offset that fit a view best, and the vignette so far."""
         ideal = Response(0.0, 1.0, self.reference, torch.from_numpy(self.vignette.values[0]))
         terms = self.refinement.terms
         target = torch.from_numpy(view.thermal).to(image)
@@ -226,7 +202,7 @@ class RefinedCamera(IdealCamera):
         return best_fit(image, target, valid, ideal, fits_gain="gains" in terms, fits_offset="offsets" in terms)
 
 
-def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View], seed: int = 0) -> IdealCamera:
+def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View]) -> IdealCamera:
     """The camera that a training of a scene uses. held: training views that are not trained on at first."""
     if options.refine is None:
         return IdealCamera()
@@ -236,4 +212,4 @@ def camera_of(scene: Scene, options: CameraOptions, held: Sequence[View], seed: 
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
             "give gray images, or data.thermal=radiometric"
         )
-    return RefinedCamera(scene.train, options.refine, held, seed)
+    return RefinedCamera(scene.train, options.refine, held)

@@ -86,7 +86,7 @@ class Context:
         if budget is not None and budget.settling is not None and skips.settling.allowed:
             held = budget.settling.hold_out(views)
         self.curriculum = Curriculum(steps, held)
-        self.camera = camera_of(self.scene, self.camera_options, held, self.seed)
+        self.camera = camera_of(self.scene, self.camera_options, held)
 
     def generator(self) -> torch.Generator:
         """A new random stream; equal seeds give equal streams in the order of the calls."""

@@ -32,13 +32,3 @@ def test_training_and_test_images_are_changed(record_of):
     assert "contrast: images are trained on and scored with contrast.training=clahe" in after.notes
     kept = record_of("method=splat", "contrast.training=sequence")
     assert kept.temperature is not None and kept.scores["mae_degC"] is not None
-
-
-def test_the_prior_s_images_are_changed_alone(record_of):
-    plain, changed = (record_of("method=tdg", "prior=synthetic", *more) for more in ([], ["contrast.prior=cdf"]))
-    assert changed.key != plain.key and changed.temperature == plain.temperature
-    assert "contrast: contrast.prior does nothing, as synthetic is not made from images" in changed.notes
-
-
-def test_a_method_without_prior_does_not_depend_on_its_contrast(record_of):
-    assert record_of("method=splat").key == record_of("method=splat", "contrast.prior=cdf", "overwrite=always").key

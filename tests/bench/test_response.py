@@ -13,7 +13,6 @@ from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ThermalCamera, Unknown
 from tdgbench.thermal.polynomials import TERMS
 from tdgbench.training.camera import CameraOptions, IdealCamera, Refinement, camera_of
-from tdgbench.training.embedding import EmbeddingRules
 from tests.helpers.configs import SMALL, config
 from tests.helpers.training import ready_to_train
 
@@ -23,7 +22,6 @@ STILL = (
 )  # fmt: skip
 DRIFT = (*STILL, "dataset.loader.errors.camera.walk_degC=4", "dataset.loader.errors.camera.shutter_views=6")
 REFINE = Refinement(0.02, 0.02, 0.0005, 20, 10, 0.01)
-EMBEDDED = replace(REFINE, embedding=EmbeddingRules(size=2, hidden=4, scale=0.1, rate=0.02, after=0))
 
 
 @pytest.fixture
@@ -101,45 +99,12 @@ def test_nothing_is_refined_where_nothing_is_supported(small_gray_scene, monkeyp
     ]
 
 
-@pytest.mark.parametrize(
-    ("supported", "wanted", "notes"),
-    [
-        (("offsets",), EMBEDDED, ["no view has a vignette of its own: sparse points do not support a vignette"]),
-        (("offsets",), REFINE, []),
-        (
-            (), EMBEDDED,
-            ["nothing is refined: sparse points do not support vignette, offsets, gains, vignettes of the views"],
-        ),
-        (
-            ("offsets",), replace(EMBEDDED, terms=[]),
-            ["nothing is refined: sparse points do not support vignettes of the views"],
-        ),
-    ],
-)  # fmt: skip
-def test_views_have_no_vignette_of_their_own_where_none_is_supported(
-    small_gray_scene, monkeypatch, supported, wanted, notes
-):
-    monkeypatch.setattr(response, "estimate_camera", lambda scene: estimated(scene, supported))
-    found = prepare(small_gray_scene, CameraOptions(refine=wanted))
-    assert found.options.refine is None or found.options.refine.embedding is None
-    assert found.notes == [f"camera: {note}" for note in notes]
-
-
-def test_views_have_vignettes_of_their_own_where_one_is_supported(small_gray_scene, monkeypatch):
-    monkeypatch.setattr(response, "estimate_camera", lambda scene: estimated(scene, ("vignette",)))
-    for terms in (["vignette"], ["gains"], []):
-        found = prepare(small_gray_scene, CameraOptions(refine=replace(EMBEDDED, terms=terms)))
-        assert found.options.refine.embedding == EMBEDDED.embedding and found.notes == []
-
-
 def test_a_capture_without_drift_is_trained_as_with_an_ideal_camera(record_of, tmp_path):
     steady = (*STILL, "method=splat")
-    refined, embedded, ideal = (
-        record_of(f"camera={choice}", *steady, root=tmp_path / "still") for choice in ("refined", "embedded", "ideal")
-    )
+    refined, ideal = (record_of(f"camera={one}", *steady, root=tmp_path / "still") for one in ("refined", "ideal"))
     assert "offsets" not in refined.camera["estimated"]["terms"] and "refined" not in refined.camera
     assert any("nothing is refined" in note for note in refined.notes)
-    assert refined.hashes["model.ply"] == ideal.hashes["model.ply"] == embedded.hashes["model.ply"]
+    assert refined.hashes["model.ply"] == ideal.hashes["model.ply"]
 
 
 def test_a_capture_without_points_is_refined_with_a_note(record_of, tmp_path, monkeypatch):
@@ -161,25 +126,13 @@ def test_facts_are_in_the_unit_of_the_scene(small_gray_scene):
     at_reference = small_gray_scene.temperature.min + span * camera.reference
     assert facts["reference"] == pytest.approx(at_reference, abs=1e-4) and len(facts["vignette"]) == len(TERMS)
     assert facts["offset_rms"] == pytest.approx(0.1 * span * np.sqrt(2 / len(small_gray_scene.train)), abs=1e-4)
-    assert refined_facts(IdealCamera(), small_gray_scene) == {} and "own_vignettes" not in facts
-
-
-def test_vignettes_of_the_views_are_facts_in_the_unit_of_the_scene(small_gray_scene):
-    camera = camera_of(small_gray_scene, CameraOptions(refine=EMBEDDED), [])
-    camera.own_vignettes.embeddings.values[:] = np.linspace(-1, 1, 16).reshape(8, 2)
-    span = small_gray_scene.temperature.max - small_gray_scene.temperature.min
-    own = np.array(refined_facts(camera, small_gray_scene)["own_vignettes"])
-    assert (
-        own == pytest.approx(span * camera.own_vignettes.all(), abs=1e-5) and own.shape == (8, len(TERMS)) and own.any()
-    )
+    assert refined_facts(IdealCamera(), small_gray_scene) == {}
 
 
 def test_a_training_that_ends_before_a_term_is_learned_says_so(small_gray_scene):
-    camera = camera_of(small_gray_scene, CameraOptions(refine=replace(EMBEDDED, terms=["offsets", "vignette"])), [])
+    camera = camera_of(small_gray_scene, CameraOptions(refine=replace(REFINE, terms=["offsets", "vignette"])), [])
     camera.views.steps[:] = 20
     assert too_short(camera) == ["camera: training ended after 20 rounds of the views, too soon to learn vignette"]
-    camera.views.steps[:] = 0
-    assert too_short(camera)[0].endswith("too soon to learn vignette, vignettes of the views")
     camera.views.steps[0] = 200
     assert too_short(camera) == [] == too_short(IdealCamera())
 

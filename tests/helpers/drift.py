@@ -12,14 +12,12 @@ from tdgbench.thermal.polynomials import TERMS, evaluate
 BOWL = np.array([1.0 if term in ((2, 0), (0, 2)) else 0.0 for term in TERMS])  # coefficients of a radial vignette
 
 
-def with_response(scene: Scene, offsets: np.ndarray, gains: np.ndarray, bowl: float | np.ndarray = 0.0) -> Scene:
+def with_response(scene: Scene, offsets: np.ndarray, gains: np.ndarray, bowl: float = 0.0) -> Scene:
     """The scene as a drifting camera shows its training views, in image values; nothing is clipped.
 
-    offsets, gains: (V,) of the training views, about an image value of 0.5. bowl: coefficients of the vignette, or of
-    those of the views, (V,).
+    offsets, gains: (V,) of the training views, about an image value of 0.5. bowl: coefficient of the vignette.
     """
-    bowls = np.broadcast_to(bowl, len(scene.train))
-    train = [_shown(*one) for one in zip(scene.train, offsets, gains, bowls, strict=True)]
+    train = [_shown(view, *one, bowl) for view, *one in zip(scene.train, offsets, gains, strict=True)]
     return replace(scene, train=train)
 
 

@@ -7,18 +7,13 @@ import torch
 from tdgbench.bench import response
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.thermal import Unknown
-from tdgbench.thermal.polynomials import evaluate
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement, camera_of
-from tdgbench.training.embedding import EmbeddingRules
 from tdgbench.training.loop import stopping_of, train
-from tests.helpers.drift import BOWL, drift, with_response
+from tests.helpers.drift import drift, with_response
 from tests.helpers.training import digest, ready_to_train
 
 RULES = Refinement(offset_rate=0.02, gain_rate=0.02, vignette_rate=0.0005, offsets_alone=0, pace=30, decay=0.01)
 REFINED = CameraOptions(refine=RULES)
-EMBEDDED = CameraOptions(
-    refine=replace(RULES, embedding=EmbeddingRules(size=4, hidden=16, scale=0.1, rate=0.02, after=0))
-)
 
 
 def refined(scene, held=(), options=REFINED) -> RefinedCamera:
@@ -52,30 +47,6 @@ def test_a_camera_alone_recovers_the_truth_in_its_gauge(small_gray_scene):
     assert camera.map(48, 36) == pytest.approx(vignette, abs=0.005)
 
 
-def test_with_embeddings_each_view_has_a_vignette_of_its_own(small_gray_scene):
-    bowls = 0.02 + drift(8, 0.02, seed=2)
-    scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=bowls)
-    shared, own = refined(scene), refined(scene, options=EMBEDDED)
-    errors = []
-    for camera in (shared, own):
-        fit_to(camera, scene, small_gray_scene, 1500)
-        maps = [evaluate(camera._vignette(index), 48, 36) for index in range(8)]
-        truth = [evaluate(bowl * BOWL, 48, 36) for bowl in bowls]
-        errors.append(np.sqrt(np.mean((np.stack(maps) - np.stack(truth)) ** 2)))
-    assert errors[1] < 0.25 * errors[0]
-    assert np.ptp(own.map(48, 36)) == pytest.approx(np.ptp(evaluate(bowls.mean() * BOWL, 48, 36)), rel=0.2)
-
-
-def test_embeddings_are_learned_after_some_rounds(small_gray_scene):
-    scene = with_response(small_gray_scene, drift(8, 0.1), np.ones(8), bowl=0.02 + drift(8, 0.02))
-    later = replace(EMBEDDED, refine=replace(EMBEDDED.refine, embedding=replace(EMBEDDED.refine.embedding, after=3)))
-    camera = refined(scene, options=later)
-    fit_to(camera, scene, small_gray_scene, 8 * 3)
-    assert not camera.own_vignettes.all().any() and camera.offsets.any()
-    fit_to(camera, scene, small_gray_scene, 8 * 3)
-    assert camera.own_vignettes.all().any()
-
-
 def test_gains_and_vignette_wait_until_offsets_are_learned(small_gray_scene):
     scene = with_response(small_gray_scene, drift(8, 0.1), 1 + drift(8, 0.03, seed=1), bowl=0.02)
     camera = refined(scene, options=CameraOptions(refine=replace(RULES, offsets_alone=3)))
@@ -85,29 +56,15 @@ def test_gains_and_vignette_wait_until_offsets_are_learned(small_gray_scene):
     assert camera.map(48, 36).any() and (camera.gains != 1).any()
 
 
-def test_a_view_without_an_embedding_has_the_shared_vignette(small_gray_scene):
-    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=0.02 + drift(8, 0.02))
-    camera = refined(scene, scene.train[:1], EMBEDDED)
-    image = torch.from_numpy(small_gray_scene.train[1].thermal)
-    for _ in range(100):
-        difference = camera.show(scene.train[1], image.clone().requires_grad_()) - 0.5
-        difference.square().mean().backward()
-        camera.step()
-    assert camera._vignette(0) == pytest.approx(camera.vignette.values[0])
-
-
-@pytest.mark.parametrize("options", [REFINED, EMBEDDED])
-def test_the_gauge_is_kept_after_every_step(small_gray_scene, options):
+def test_the_gauge_is_kept_after_every_step(small_gray_scene):
     scene = with_response(small_gray_scene, 0.3 + drift(len(small_gray_scene.train), 0.1), np.full(8, 1.2))
     held = scene.train[2:3]
-    camera = refined(scene, held, options)
+    camera = refined(scene, held)
     first = np.array([view not in held for view in scene.train])
     for steps in (1, 7, 30):
         fit_to(camera, scene, small_gray_scene, steps)
         assert camera.offsets[first].mean() == pytest.approx(0.0, abs=1e-12)
         assert camera.gains[first].mean() == pytest.approx(1.0, abs=1e-12)
-        if camera.own_vignettes is not None:
-            assert camera.own_vignettes.embeddings.values[first].mean(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
         for index in range(8):
             shown = camera._response(index)
             added = shown.added(torch.zeros(23, 31, 1, dtype=torch.float64)).numpy()
@@ -163,16 +120,6 @@ def test_every_method_refines_it(small_gray_scene, name):
     models = method.models()
     assert models["thermal"].camera is context.camera
     assert "rgb" not in models or type(models["rgb"].camera) is IdealCamera
-
-
-def test_vignettes_of_the_views_are_learned_with_the_scene(small_gray_scene, monkeypatch):
-    monkeypatch.setattr(response, "estimate_camera", lambda scene: Unknown("not asked"))
-    bowls = drift(8, 0.05)
-    scene = with_response(small_gray_scene, np.zeros(8), np.ones(8), bowl=bowls)
-    method, context = ready_to_train(scene, "tdg", 300, "camera=embedded", "camera.refine.embedding.after=10")
-    train(method, 300)
-    along = context.camera.own_vignettes.all() @ BOWL
-    assert np.corrcoef(along, bowls)[0, 1] > 0.8 and along.std() > 0.01
 
 
 def test_gray_images_of_three_channels(small_gray_scene):

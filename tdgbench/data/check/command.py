@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.ceiling import ceiling
 from tdgbench.data.check.report import as_json, print_table
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
 from tdgbench.data.check.table1_time import Table1Time, table1_time
@@ -20,9 +19,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("root", type=Path, metavar="DIR", help="data.root: of the paper's data sets, or of scenes")
     parser.add_argument("--json", action="store_true", help="print JSON (keys: docs/data.md)")
     parser.add_argument("--split", choices=SPLITS, default=SPLITS[0], help="as data.split")
-    parser.add_argument(
-        "--ceiling", action="store_true", help="estimate the PSNR that each scene allows (experimental)"
-    )
     parser.add_argument(
         "--time", type=_seconds, default=10.0, metavar="S",
         help="seconds of each of four timed trainings that tell how long Table 1 takes; 0: none",
@@ -39,10 +35,6 @@ def run(arguments: argparse.Namespace) -> int:
         say(what, "checking", "dim", stderr=True)
 
     checks = list(check_scenes(place, begin))
-    for check in checks:
-        if arguments.ceiling and check.scene is not None:
-            begin(f"estimating the ceiling of {check.name}")
-            check.ceiling = ceiling(check.scene)
     time = _time(checks, arguments.time, begin)
     if arguments.json:
         say(as_json(arguments.root, checks, time, place.is_paper))

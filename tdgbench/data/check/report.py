@@ -7,7 +7,6 @@ from pathlib import Path
 
 from rich.table import Table
 
-from tdgbench.ceiling import Ceiling, Unknown
 from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck
 from tdgbench.data.check.table1_time import Table1Time
@@ -28,10 +27,6 @@ def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) ->
     for check in checks:
         for problem in check.problems:
             say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
-        if check.ceiling is not None:
-            known = isinstance(check.ceiling, Ceiling)
-            text = str(check.ceiling) if known else f"n/a: {check.ceiling.reason}"  # type: ignore[union-attr]
-            say(f"{check.name}: {one_line(text)}", "ceiling", "dim")
         for note in check.notes:
             say(f"{check.name}: {one_line(note)}", "note", "dim")
     say(time if isinstance(time, str) else time.text())
@@ -98,8 +93,6 @@ def _scene_json(check: SceneCheck) -> dict[str, object]:
         "edge_offset_px": offset.px if isinstance(offset, Offset) else None,
         "edge_offset": offset._asdict() if isinstance(offset, Offset) else None,
         "edge_offset_unknown": None if is_known or offset is None else offset.reason,  # type: ignore[union-attr]
-        "ceiling": check.ceiling.rounded()._asdict() if isinstance(check.ceiling, Ceiling) else None,
-        "ceiling_unknown": check.ceiling.reason if isinstance(check.ceiling, Unknown) else None,
         "problems": check.problems,
         "notes": check.notes,
     }

@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from tdgbench.ceiling import Ceiling, Unknown
 from tdgbench.data.check.alignment import Offset, Untrusted, ViewPair, edge_offset
 from tdgbench.data.check.published import VIEWS
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, View, registry
@@ -29,8 +28,8 @@ class SceneCheck:
 
     published: number of views that its authors publish, where known. rgb: views with an RGB image. sizes: (width,
     height) of the views, px. temperature: °C of image values 0 and 1. masked: share of the thermal pixels that were
-    not measured. offset: of thermal from RGB edges. ceiling: PSNR that no model can exceed; None: not estimated.
-    problems: what is missing or broken, with the remedy; a scene without one can be used.
+    not measured. offset: of thermal from RGB edges. problems: what is missing or broken, with the remedy; a scene
+    without one can be used.
     """
 
     name: str
@@ -49,7 +48,6 @@ class SceneCheck:
     masked: float | None = None
     points: int | None = None
     offset: Offset | Untrusted | None = None
-    ceiling: Ceiling | Unknown | None = None
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     scene: Scene | None = None  # if it can be used

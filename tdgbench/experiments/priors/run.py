@@ -25,7 +25,6 @@ from tdgbench.scenes import Scene, SceneError
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
-from tdgbench.thermal.contrast import with_contrast
 
 
 @dataclass(frozen=True)
@@ -84,11 +83,10 @@ class Priors(Experiment):
 def _entries(cfg: DictConfig, name: str | None, failures: list[str]) -> Iterator[Entry]:
     """The rows of one scene: TDg without depth, then each prior. Raises SceneError."""
     scene: Scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
-    given = with_contrast(scene, cfg.contrast.prior)
     cache = Path(cfg.results) / "cache" / "priors"
     yield _trained(cfg, scene, NONE, Judged(), failures)
     for prior, options in cfg.job.priors.items():
-        judged = judge(options, given, cache)
+        judged = judge(options, scene, cache)
         made_from = str(options.get("made_from") or "")
         if judged.reason:
             yield Entry(scene.name, str(prior), made_from, "", judged, [])

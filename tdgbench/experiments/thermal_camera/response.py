@@ -15,20 +15,17 @@ from tdgbench.thermal.polynomials import TERMS, evaluate
 
 
 class Found(NamedTuple):
-    """Response of training views (V,) at a reference; coefficients (V, K) of their vignettes. In °C."""
+    """Response of training views (V,) at a reference; coefficients (K,) of the vignette. In °C."""
 
     views: list[str]
     reference: float
     response: Response
-    vignettes: np.ndarray
+    vignette: np.ndarray
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A found camera and the true one in its gauge: offsets and gains (V,), vignettes in °C.
-
-    found_vignettes: (V, K) coefficients.
-    """
+    """A found camera and the true one in its gauge: offsets and gains (V,), found vignette (H, W), in °C."""
 
     scene: str
     capture: str
@@ -37,21 +34,13 @@ class Comparison:
     seed: int
     views: list[str]
     found: Response
-    found_vignettes: np.ndarray
+    found_vignette: np.ndarray
     true: Truth
-
-    @property
-    def found_vignette(self) -> np.ndarray:
-        """(H, W), the mean of the views'."""
-        return self._map(self.found_vignettes.mean(axis=0))
 
     @property
     def errors(self) -> dict[str, float]:
         """Root mean square and largest errors, of the vignette over all views."""
-        vignettes = [
-            self._map(found) - share * self.true.shape
-            for found, share in zip(self.found_vignettes, self.true.shares, strict=True)
-        ]
+        vignettes = [self.found_vignette - share * self.true.shape for share in self.true.shares]
         true = self.true.response
         parts = {
             "offset_degC": self.found.offsets - true.offsets, "gain": self.found.gains - true.gains,
@@ -62,10 +51,6 @@ class Comparison:
             for name, error in parts.items()
             for kind, value in (("rms", np.sqrt(np.mean(error**2))), ("worst", np.abs(error).max()))
         }
-
-    def _map(self, coefficients: np.ndarray) -> np.ndarray:
-        height, width = self.true.shape.shape
-        return evaluate(coefficients, width, height)
 
 
 def compare(
@@ -79,9 +64,10 @@ def compare(
         return None
     found = _found(record) or _ideal(train, truth.camera.reference)
     true = truth_in_gauge(truth, found.views, found.reference)
+    height, width = true.shape.shape
     return Comparison(
         record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
-        found.vignettes, true,
+        evaluate(found.vignette, width, height), true,
     )  # fmt: skip
 
 
@@ -96,17 +82,14 @@ def _found(record: Record) -> Found | None:
         inner, shift = second.response, first.reference - second.reference
         gains = first.response.gains * inner.gains
         offsets = first.response.offsets + first.response.gains * (inner.offsets + (inner.gains - 1) * shift)
-        first = Found(first.views, first.reference, Response(offsets, gains), first.vignettes + second.vignettes)
+        first = Found(first.views, first.reference, Response(offsets, gains), first.vignette + second.vignette)
     return first
 
 
 def _read(facts: dict[str, Any]) -> Found:
-    arrays = {name: np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette")}
-    response = Response(arrays["offsets"], arrays["gains"])
-    own = np.array(facts.get("own_vignettes", np.zeros((len(response.offsets), len(TERMS)))), np.float64)
-    return Found(list(facts["views"]), float(facts["reference"]), response, arrays["vignette"] + own)
+    offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
+    return Found(list(facts["views"]), float(facts["reference"]), Response(offsets, gains), vignette)
 
 
 def _ideal(views: list[str], reference: float) -> Found:
-    none = np.zeros((len(views), len(TERMS)))
-    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), none)
+    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), np.zeros(len(TERMS)))
