@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,24 +20,10 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.method import Method
 
-Added = Callable[[int, int], np.ndarray | None]
 
-
-def _unknown(width: int, height: int) -> None:
-    """What the thermal camera adds to an image, if nobody says."""
-
-
-def render_views(method: Method, views: list[View], added: Added = _unknown) -> dict[str, RenderedImages]:
-    """Render each view, by name, also with the method's RGB model if it trains one.
-
-    added: what the thermal camera adds to an image of a width and height (`RenderedImages.added`).
-    """
-    return {
-        view.name: replace(
-            render_images(method, view, with_rgb=True), added=added(view.camera.width, view.camera.height)
-        )
-        for view in views
-    }
+def render_views(method: Method, views: list[View]) -> dict[str, RenderedImages]:
+    """Render each view, by name, also with the method's RGB model if it trains one."""
+    return {view.name: render_images(method, view, with_rgb=True) for view in views}
 
 
 @torch.no_grad()

@@ -13,7 +13,6 @@ from tdgbench.thermal import ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.estimate import units
 from tdgbench.thermal.polynomials import evaluate
 from tdgbench.training.camera import CameraOptions, IdealCamera, RefinedCamera, Refinement
-from tdgbench.training.method import Context
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
 DIGITS = 6
@@ -21,13 +20,12 @@ Facts = dict[str, Any]
 
 
 class Prepared(NamedTuple):
-    """A scene to train on, what is to be done about its camera, facts for the record, notes, the camera removed."""
+    """A scene to train on, what is to be done about its camera, facts for the record, notes."""
 
     scene: Scene
     options: CameraOptions
     facts: Facts
     notes: list[str]
-    corrected_by: ThermalCamera | None = None
 
 
 def prepare(scene: Scene, options: CameraOptions) -> Prepared:
@@ -51,28 +49,13 @@ def prepare(scene: Scene, options: CameraOptions) -> Prepared:
     if options.estimate:
         before, scene = len(scene.notes), corrected(scene, found)
         notes += [f"camera: {note}" for note in scene.notes[before:]]
-    return Prepared(scene, options, _estimated(found), notes, found if options.estimate else None)
+    return Prepared(scene, options, _estimated(found), notes)
 
 
 def _supported(refinement: Refinement, found: ThermalCamera) -> Refinement | None:
     """What is left of a refinement; None if that is nothing."""
     terms = [term for term in refinement.terms if term in found.terms]
     return replace(refinement, terms=terms) if terms else None
-
-
-def added_by_camera(context: Context, contrast: str, width: int, height: int) -> np.ndarray | None:
-    """What the thermal camera adds to every image (height, width), image values, as training knows it.
-
-    That is vignette and fixed pattern; 0 for an ideal camera. contrast: `contrast.training`, by which images were
-    changed after they were corrected. None where what was removed is unknown: of other images, or of another size.
-    """
-    added = context.camera.map(width, height).astype(np.float32)
-    if context.corrected_by is None:
-        return added
-    if contrast != "none" or not context.corrected_by.fits(width, height):
-        return None
-    _, scale, _ = units(context.scene)
-    return added + (context.corrected_by.shared(width, height) / scale).astype(np.float32)
 
 
 def refined_facts(camera: IdealCamera, scene: Scene) -> Facts:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import cast
@@ -23,8 +22,8 @@ from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, SkipRecord
-from tdgbench.bench.renders import Added, render_views, write_renders
-from tdgbench.bench.response import Facts, added_by_camera, refined_facts, too_short
+from tdgbench.bench.renders import render_views, write_renders
+from tdgbench.bench.response import Facts, refined_facts, too_short
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
@@ -52,7 +51,6 @@ class CellRun(SetupObserver):
     scorer: Scorer
     log: TrainingLog
     checkpoint: Checkpoint
-    _added: Added  # by the thermal camera
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
@@ -130,7 +128,6 @@ class CellRun(SetupObserver):
         self._describe_images()
         with self.stage("train"):
             self._train(training)
-        self._added = cache(partial(added_by_camera, training.context, self.cfg.contrast.training))
         self._describe_training(training)
 
     def _train(self, training: Training) -> None:
@@ -151,7 +148,7 @@ class CellRun(SetupObserver):
         record, scene, method, scorer = self.record, self.scene, self.method, self.scorer
         with whole_folder(self.folder) as part:
             with self.stage("render"):
-                renders = render_views(method, scene.test, self._added)
+                renders = render_views(method, scene.test)
                 write_renders(renders, scene.test, part)
             with self.stage("score"):
                 scores = scorer.score(scene, renders)

@@ -72,10 +72,9 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    corrected_by = None
     if camera.estimate or camera.refine is not None:
         with observer.stage("camera"):
-            scene, camera, facts, notes, corrected_by = prepare(scene, camera)
+            scene, camera, facts, notes = prepare(scene, camera)
         observer.note_camera(facts, notes)
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
@@ -84,9 +83,7 @@ def set_up(
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(
-            scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera, corrected_by
-        )
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera)
         observer.note_points(init.describe(scene))
         method.setup(context)
     if compiles:

@@ -25,14 +25,12 @@ class RenderedImages:
     """A method's renders of one view.
 
     image: (H, W, C) float32, not clipped. depth: (H, W) expected z in scene units, 0 where nothing was rendered.
-    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none. added: (H, W) float32 that the thermal
-    camera adds to every image, vignette and fixed pattern, image values; None where that is unknown.
+    rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none.
     """
 
     image: np.ndarray
     depth: np.ndarray
     rgb: np.ndarray | None = None
-    added: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

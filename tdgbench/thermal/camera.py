@@ -77,11 +77,6 @@ class ThermalCamera:
                 pattern += np.expand_dims(lines, axis)
         return pattern
 
-    def fits(self, width: int, height: int) -> bool:
-        """Whether the fixed pattern, if there is one, is that of images of this size."""
-        lines = ((self.columns, width), (self.rows, height))
-        return all(found is None or len(found) == size for found, size in lines)
-
     def shared(self, width: int, height: int) -> np.ndarray:
         """What the camera adds in all views, (height, width): vignette and fixed pattern."""
         return self.map(width, height) + self.pattern(width, height)

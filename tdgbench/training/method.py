@@ -15,7 +15,6 @@ from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
-from tdgbench.thermal import ThermalCamera
 from tdgbench.training.budget import Budget
 from tdgbench.training.camera import CameraOptions, IdealCamera, camera_of
 from tdgbench.training.curriculum import Curriculum
@@ -74,7 +73,6 @@ class Context:
     seed: int
     skips: Skips = field(default_factory=Skips)
     camera_options: CameraOptions = field(default_factory=CameraOptions)
-    corrected_by: ThermalCamera | None = None  # by whose estimate the scene's training views were corrected
     curriculum: Curriculum = field(init=False)
     camera: IdealCamera = field(init=False)  # of the thermal images
     _generators: list[torch.Generator] = field(default_factory=list, repr=False)
