@@ -22,7 +22,7 @@ from torch import Tensor
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
-from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.thermal.polynomials import TERMS
 from tdgbench.training.images import THERMAL
 from tdgbench.training.learned import LearnedRows
 from tdgbench.training.response import Response, Sums, best_fit, shown
@@ -89,10 +89,6 @@ class IdealCamera:
         """`show` without a gradient, and without effect on training; also for views that are held out."""
         return image
 
-    def map(self, width: int, height: int) -> np.ndarray:
-        """Vignette (height, width) that all images have, image values."""
-        return np.zeros((height, width))
-
     def step(self, slowdown: float = 1.0) -> None:
         """Improve the camera after a backward pass. slowdown: factor of all rates."""
 
@@ -145,9 +141,6 @@ class RefinedCamera(IdealCamera):
         """What is to be learned in later rounds than those so far."""
         learned = self.refinement.learned.items()
         return [name for name, (_, begin) in learned if name != "offsets" and self.rounds <= begin]
-
-    def map(self, width: int, height: int) -> np.ndarray:
-        return evaluate(self.vignette.values[0], width, height)
 
     def show(self, view: View, image: Tensor) -> Tensor:
         index = self._index[view.name]

@@ -8,13 +8,12 @@ from tdgbench.bench import response
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.response import added_by_camera, prepare, refined_facts, too_short
+from tdgbench.bench.response import prepare, refined_facts, too_short
 from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ThermalCamera, Unknown
 from tdgbench.thermal.polynomials import TERMS
 from tdgbench.training.camera import CameraOptions, IdealCamera, Refinement, camera_of
 from tests.helpers.configs import SMALL, config
-from tests.helpers.training import ready_to_train
 
 STILL = (
     "scene=turntable", "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15",
@@ -135,31 +134,3 @@ def test_a_training_that_ends_before_a_term_is_learned_says_so(small_gray_scene)
     assert too_short(camera) == ["camera: training ended after 20 rounds of the views, too soon to learn vignette"]
     camera.views.steps[0] = 200
     assert too_short(camera) == [] == too_short(IdealCamera())
-
-
-VIGNETTE = (*STILL, "dataset.loader.errors.camera.vignette_degC=4")
-
-
-def test_renders_are_also_scored_through_the_camera(record_of, tmp_path):
-    """Training views lose their vignette, test views keep theirs."""
-    options = *VIGNETTE, "budget.iterations=400"
-    ideal, estimated = (record_of(f"camera={name}", *options, root=tmp_path / "v") for name in ("ideal", "estimated"))
-    assert ideal.scores["psnr_camera"] == ideal.scores["psnr"]
-    assert "vignette" in estimated.camera["estimated"]["terms"]
-    assert estimated.scores["psnr_camera"] > estimated.scores["psnr"] + 0.3
-
-
-def test_a_vignette_of_other_images_is_not_added(record_of, tmp_path):
-    record = record_of("camera=estimated", "contrast.training=percentile", *VIGNETTE, root=tmp_path / "v")
-    assert record.scores["psnr_camera"] is None and "unknown" in record.missing["psnr_camera"]
-
-
-def test_the_camera_that_a_scene_was_corrected_by_adds_its_pattern(small_gray_scene):
-    camera = replace(estimated(small_gray_scene, ()), columns=np.linspace(-1, 1, 48))
-    context = ready_to_train(small_gray_scene, "splat", 3).context
-    assert not added_by_camera(context, "none", 48, 36).any()
-    context.corrected_by = camera
-    span = small_gray_scene.temperature.max - small_gray_scene.temperature.min
-    assert added_by_camera(context, "none", 48, 36) == pytest.approx(np.tile(camera.columns, (36, 1)) / span)
-    assert added_by_camera(context, "none", 47, 36) is None
-    assert added_by_camera(context, "clahe", 48, 36) is None

@@ -10,7 +10,7 @@ def test_the_paper_s_columns():
 
 def test_the_order_of_rows_on_disk():
     assert (*PUBLISHED, *EXTRA) == (
-        "psnr", "ssim", "lpips", "hours", "channel_psnr", "psnr_camera", "psnr_affine", "psnr_right_half", "psnr_true",
+        "psnr", "ssim", "lpips", "hours", "channel_psnr", "psnr_affine", "psnr_right_half", "psnr_true",
         "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "mae_degC_without_offset", "depth_abs_rel", "floaters",
         "depth_consistency", "train_psnr", "train_ssim",
     )  # fmt: skip

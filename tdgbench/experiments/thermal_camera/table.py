@@ -11,8 +11,7 @@ from tdgbench.bench.record import Record
 from tdgbench.experiments.thermal_camera.response import Comparison
 
 SCORES = (
-    "psnr", "ssim", "lpips", "psnr_camera", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC",
-    "mae_degC_without_offset",
+    "psnr", "ssim", "lpips", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC", "mae_degC_without_offset",
 )  # fmt: skip
 ERRORS = ("offset_degC_rms", "offset_degC_worst", "gain_rms", "gain_worst", "vignette_degC_rms", "vignette_degC_worst")
 PLACE = ["scene", "capture", "method", "camera"]
@@ -20,8 +19,7 @@ JUDGED = "psnr_true"  # by which what is lost and recovered is measured
 LOST = 0.5  # dB; of a smaller loss no share is told
 SHOWN = {  # on the terminal and the page: title, format
     "capture": ("capture", ""), "method": ("method", ""), "camera": ("camera", ""), "psnr": ("PSNR", ".2f"),
-    "psnr_camera": ("through camera", ".2f"), "psnr_affine": ("affine", ".2f"),
-    "psnr_right_half": ("right half", ".2f"), "psnr_true": ("true", ".2f"),
+    "psnr_affine": ("affine", ".2f"), "psnr_right_half": ("right half", ".2f"), "psnr_true": ("true", ".2f"),
     "psnr_true_error": ("±", ".2f"), "recovered": ("recovered", ".0%"), "ssim": ("SSIM", ".3f"),
     "mae_degC": ("°C", ".3f"), "mae_degC_without_offset": ("°C, no offset", ".3f"),
     "offset_degC_worst": ("offset °C", ".3f"), "gain_worst": ("gain", ".4f"),

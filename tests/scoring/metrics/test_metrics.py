@@ -7,7 +7,7 @@ from hydra.utils import instantiate
 from tdgbench.scoring import METRICS, RenderedImages
 from tests.helpers.configs import config
 
-COLUMNS = ["psnr", "ssim", "lpips", "channel_psnr", "psnr_camera", "psnr_affine", "psnr_right_half", "psnr_true",
+COLUMNS = ["psnr", "ssim", "lpips", "channel_psnr", "psnr_affine", "psnr_right_half", "psnr_true",
            "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "mae_degC_without_offset", "depth_abs_rel", "floaters",
            "depth_consistency"]  # fmt: skip
 
