@@ -18,7 +18,7 @@ from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
-from tdgbench.thermal import ImageResponse
+from tdgbench.thermal import ImageResponse, read_response
 from tdgbench.training.method import Method
 
 IDEAL = ImageResponse()
@@ -79,6 +79,11 @@ def render_model(
 def background_of(record: Record, model: str) -> Tensor | None:
     """(C,) behind a cell's model, `thermal` or `rgb`; None: black."""
     return torch.tensor(record.background[model]) if model in record.background else None
+
+
+def response_of(record: Record) -> ImageResponse:
+    """What the thermal camera of a cell shows of renders. Raises ValueError for a record that states it wrongly."""
+    return read_response(record.camera.get("estimated", {}).get("response"))
 
 
 def blending_of(record: Record) -> Blending:

@@ -21,7 +21,7 @@ IDEAL = ImageResponse()
 
 
 class Prepared(NamedTuple):
-    """A scene to train on, what is to be done about its camera, facts for the record, notes, what renders are shown by."""
+    """A scene to train on, what is to be done about its camera, facts for the record, notes, response for renders."""
 
     scene: Scene
     options: CameraOptions
@@ -88,7 +88,7 @@ def _estimated(camera: ThermalCamera) -> Facts:
     pattern = {"columns": camera.columns, "rows": camera.rows}
     return {
         **{name: _rounded(lines) for name, lines in pattern.items() if lines is not None},
-        "unit": camera.unit, "terms": list(camera.terms),
+        "unit": camera.unit, "terms": list(camera.terms), "undetermined": camera.undetermined,
         **_numbers(camera.views, camera.reference, camera.offsets, camera.gains, camera.vignette),
         "residual_before": round(camera.residual_before, 5), "residual_after": round(camera.residual_after, 5),
     }  # fmt: skip

@@ -11,8 +11,8 @@ from tdgbench.bench.renders import IDEAL, render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
-from tdgbench.thermal import ImageResponse
 from tdgbench.text import csv_text, from_csv, shortened
+from tdgbench.thermal import ImageResponse
 from tdgbench.training.method import Method
 
 Row = dict[str, float | None]

@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.report.published import beside
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
-from tdgbench.tables.measures import ABLATION, EXTRA, MEASURES, PUBLISHED, as_text, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, as_text, measure
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.results import first_points, split_notes
 
@@ -28,7 +28,7 @@ def main_scores(tables: Tables) -> dict[str, Any]:
     """Heads, measures, notes, and rows of cells: text, value to sort by, bold, difference from print, verdict."""
     if tables.kind == "ablation":
         return _ablation(tables)
-    found = _by_scene(tables, list(PUBLISHED), _published(tables, ["method", "dataset", "scene", "metric"]))
+    found = _by_scene(tables, list(COLUMNS), _published(tables, ["method", "dataset", "scene", "metric"]))
     return {**found, "notes": split_notes(tables.main)}
 
 
@@ -60,13 +60,14 @@ def depth_priors(records: Sequence[Record]) -> list[str]:
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:
-    """Meaning, range and requirements of every measure that the tables hold."""
+    """Meaning, range and requirements of the measures that the tables hold, and what is fitted to a test view."""
     there = set(tables.main["metric"])
     return [
         {
             "title": one.title,
             "meaning": one.meaning,
             "range": f"{one.limits[0]:g} to {'∞' if math.isinf(one.limits[1]) else f'{one.limits[1]:g}'}",
+            "reads": getattr(one, "reads", "") or "nothing",
             "needs": getattr(one, "needs", ""),
         }
         for name, one in MEASURES.items()

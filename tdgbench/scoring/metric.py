@@ -16,6 +16,7 @@ class Metric(Measure, ABC):
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
+    reads: str = ""  # numbers that are fitted to a test view before it is scored; empty: none
     verified_to: float | None = None  # largest error when computed again from a cell's files; None: they do not suffice
 
     @abstractmethod

@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import EXTRA, PUBLISHED, TRAINING, RecordMeasure, digits, measure
+from tdgbench.tables.measures import COLUMNS, EXTRA, TRAINING, RecordMeasure, digits, measure
 from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
 
 SPLITS = {
@@ -74,7 +74,7 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
             cells = by_place.get((method, scene.dataset, scene.scene), [])
-            for metric in (*PUBLISHED, *EXTRA):
+            for metric in (*COLUMNS, *EXTRA):
                 pairs = [metric_value(r, metric) for r in cells] or [(np.nan, NO_RECORD)]
                 value = float(np.mean([v for v, _ in pairs]))  # NaN if any seed lacks it
                 reason = next((reason for _, reason in pairs if reason), "")

@@ -11,7 +11,7 @@ from rich.text import Text
 from tdgbench.tables.averages import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.measures import ABLATION, GAUSSIANS, HOURS, PUBLISHED, as_text, digits, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.names import OVERALL
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, mask_notes, split_notes
@@ -113,13 +113,13 @@ def _show_main(tables: Tables, console: Console) -> None:
     main = tables.main
     columns = list(dict.fromkeys(main["method"]))
     table = Table("scene", "method")
-    for metric in PUBLISHED:
+    for metric in COLUMNS:
         table.add_column(measure(metric).column, justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
     for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
         for method in columns:
             cells = []
-            for metric in PUBLISHED:
+            for metric in COLUMNS:
                 row = values[method, dataset, scene, metric]
                 text = "n/a" if np.isnan(row.value) else as_text(metric, row.value, scene)
                 if not np.isnan(row.std) and metric != HOURS.name:

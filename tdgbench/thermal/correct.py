@@ -46,7 +46,7 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
         )
     _, scale, zero = units(scene)
     values = {view.name: (_corrected_values(view, camera, scale, zero) - zero) / scale for view in scene.train}
-    low, high = _range([one if v.valid is None else one[v.valid] for v, one in zip(scene.train, values.values(), strict=True)])
+    low, high = _range([_measured(values[view.name], view) for view in scene.train])
     span, notes = scene.temperature, [f"training views are corrected for their thermal camera: {camera.summary}"]
     if (low, high) != (0.0, 1.0):
         if span is not None:
@@ -67,15 +67,18 @@ def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[floa
     def rounded(values: np.ndarray | None) -> tuple[float, ...]:
         return () if values is None or not values.any() else tuple(np.round(values / scale, DIGITS).tolist())
 
-    names = [*camera.views, *camera.expected]
-    of_views = [camera.of_view(name) for name in names]
+    of_views = {name: camera.of_view(name) for name in (*camera.views, *camera.expected)}
     return ImageResponse(
         reference=round((camera.reference - zero) / scale, DIGITS),
-        offsets={name: round(offset / scale, DIGITS) for name, (offset, _) in zip(names, of_views, strict=True) if offset},
-        gains={name: round(gain, DIGITS) for name, (_, gain) in zip(names, of_views, strict=True) if gain != 1},
+        offsets={name: round(offset / scale, DIGITS) for name, (offset, _) in of_views.items() if offset},
+        gains={name: round(gain, DIGITS) for name, (_, gain) in of_views.items() if gain != 1},
         vignette=rounded(camera.vignette), columns=rounded(camera.columns), rows=rounded(camera.rows),
         low=ends[0], high=ends[1],
     )  # fmt: skip
+
+
+def _measured(values: np.ndarray, view: View) -> np.ndarray:
+    return values if view.valid is None else values[view.valid]
 
 
 def _range(values: list[np.ndarray]) -> tuple[float, float]:

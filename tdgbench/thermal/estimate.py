@@ -13,7 +13,7 @@ from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
 from tdgbench.thermal.polynomials import basis
-from tdgbench.thermal.priors import Widths, places
+from tdgbench.thermal.priors import Drift, Widths, places
 from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 
 FEWEST_SIGHTINGS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
@@ -100,7 +100,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=found.fit.undetermined,
-        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains)),
+        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains) + _unknown(found.fit, drift)),
     )
 
 
@@ -135,6 +135,22 @@ def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         change[block, block] -= np.outer(gains, np.ones(views)) / views
     errors = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0))
     return errors[:views], errors[views : 2 * views], errors[2 * views :]
+
+
+def _unknown(found: Fit, drift: Drift | None) -> list[str]:
+    """What a prior decided, and how the offsets change in time."""
+    notes = []
+    if found.undetermined:
+        notes.append(
+            f"{found.undetermined} directions of the estimated numbers, mean offset and mean gain among them, are not "
+            "determined by the images: in these, the camera is as near to an ideal one as can be"
+        )
+    if drift is not None and drift.jitter < 1:
+        notes.append(
+            f"offsets change over {drift.length:g} views in the order of their names, by {1 - drift.jitter:.0%} of "
+            f"their variance, with {len(drift.events)} shutter events; those of test views are expected from this"
+        )
+    return notes
 
 
 def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.ndarray) -> list[str]:

@@ -33,8 +33,7 @@ def places(names: Sequence[str]) -> dict[str, float]:
     """
     if not all(re.search(r"[0-9]", name) for name in names):
         return dict.fromkeys(names, float("nan"))
-    parts = {name: [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"([0-9]+)", name)] for name in names}
-    order = sorted(names, key=lambda name: parts[name])
+    order = sorted(names, key=lambda name: [part.zfill(20) for part in re.split(r"([0-9]+)", name)])
     return {name: float(order.index(name)) for name in names}
 
 

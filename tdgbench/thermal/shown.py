@@ -1,4 +1,4 @@
-"""What a thermal camera shows of a model's renders, in image values: the response that was taken out of its training."""
+"""What a thermal camera shows of a model's renders: the response that its training views were corrected for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tdgbench.thermal.polynomials import evaluate
 class ImageResponse:
     """Response of a camera in image values, and the range of the images that a model was trained on.
 
-    shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), of T = low + (high − low) · render.
+    shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), T = low + (high − low) · render.
     offsets, gains: by view. Those of test views are not read from them: an offset is what the neighbours in the
     sequence let expect, a gain is 1. vignette: (K,) coefficients of `polynomials`. columns, rows: fixed pattern.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
-from tdgbench.bench.renders import background_of, blending_of, render_model
+from tdgbench.bench.renders import background_of, blending_of, render_model, response_of
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages
 from tdgbench.splats import Gaussians
@@ -82,6 +82,8 @@ class Pictures:
             background=background_of(self.record, "thermal" if is_thermal else "rgb"),
         )  # fmt: skip
         again = render.image.numpy()
+        if is_thermal:
+            again = response_of(self.record).of(again, name)
         if stored.shape != again.shape:
             return [f"{path} is {stored.shape}, the model gives {again.shape}"]
         if is_thermal:

@@ -60,5 +60,6 @@ METRIC = ImageMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
+    reads="gain and offset",
     of_images=_of_images,
 )

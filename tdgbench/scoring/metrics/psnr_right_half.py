@@ -37,13 +37,14 @@ def _of_images(pair: ImagePair) -> float:
 
 METRIC = ImageMetric(
     name="psnr_right_half",
-    label="PSNR of the right half",
+    label="right half",
     meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best",
     order=44,
     unit="dB",
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
+    reads="gain and offset, to the left half",
     needs="valid pixels in both halves",
     of_images=_of_images,
 )

@@ -21,6 +21,7 @@ METRIC = ViewMetric(
     meaning="mean absolute error of the temperatures after the offset of each test view that makes it least",
     order=82,
     unit="°C",
+    reads="offset",
     needs="a temperature range, gray images",
     verified_to=1e-6,
     of_view=mae_degC_without_offset,
