@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from tdgbench.ceiling import HIGHEST, Unknown, ceiling
 from tdgbench.scenes import Camera, Scene
-from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset
+from tdgbench.scenes.synthetic import CaptureErrors, Rig, SyntheticDataset
 from tdgbench.scenes.synthetic.render import cast
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
 from tdgbench.scenes.synthetic.thermal_files import thermal_image
@@ -73,11 +73,11 @@ def true_ceiling(dataset: SyntheticDataset, scene: Scene) -> float:
 
     The drifts' mean cannot be told from the scene's temperature and belongs to it. The expectation over poses is a mean
     over draws; what so few of them add to the squared error is subtracted. Raises ValueError for errors of the thermal
-    camera, which are not calculated here.
+    camera and its rig, which are not calculated here.
     """
-    if dataset.shot.errors.camera != ThermalErrors():
+    if dataset.shot.errors.camera != ThermalErrors() or dataset.shot.errors.rig != Rig():
         raise ValueError(
-            "the ceiling is calculated for noise, drift and pose errors, not for dataset.loader.errors.camera"
+            "the ceiling is calculated for noise, drift and pose errors, not for dataset.loader.errors.camera or rig"
         )
     shot = dataset.shot
     world = WORLDS[scene.name](shot.seed).with_gradient(shot.errors.gradient_degC)
