@@ -10,6 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, TrueCamera
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
@@ -26,7 +27,7 @@ class CaptureErrors:
     given camera from the true one, about each of its axes. pose_units: of its displacement along each axis, in world
     units (m). camera: what the thermal camera adds. gradient_degC: no error, but what makes a camera's errors hard to
     tell from the scene: how much warmer the far end of `field`, `hills` and `wall` is than the near one, along their
-    long axis. The other scenes have none, and stay as they are.
+    long axis. The other scenes have none, and stay as they are. rig: how the thermal camera differs from the given one.
     """
 
     noise_degC: DegC = NOISE_DEGC
@@ -35,6 +36,7 @@ class CaptureErrors:
     pose_units: Annotated[float, Field(ge=0, le=10)] = 0.0
     camera: ThermalErrors = field(default_factory=ThermalErrors)
     gradient_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    rig: Rig = field(default_factory=Rig)
 
     @property
     def title(self) -> str:
@@ -43,13 +45,14 @@ class CaptureErrors:
         >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
         ('', '-drift_degC0.5')
         """
-        changed = (one.name for one in fields(self) if getattr(self, one.name) != one.default)
-        return "".join(f"-{name}{getattr(self, name):g}" for name in changed if name != "camera") + self.camera.title
+        numbers = (one for one in fields(self) if one.name not in ("camera", "rig"))
+        changed = (one.name for one in numbers if getattr(self, one.name) != one.default)
+        return "".join(f"-{name}{getattr(self, name):g}" for name in changed) + self.camera.title + self.rig.title
 
     @property
     def has_truth(self) -> bool:
-        """Whether the thermal camera has errors that are the same in all pixels of a view, or in all views."""
-        return self.drift_degC > 0 or self.camera != ThermalErrors()
+        """Whether the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
+        return self.drift_degC > 0 or self.camera != ThermalErrors() or self.rig != Rig()
 
     def drifts(self, views: int, seed: int) -> np.ndarray:
         """Offsets (views,) of the views' temperatures, °C."""

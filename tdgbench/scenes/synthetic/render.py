@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.world import World
 
 AMBIENT = 0.35  # share of ambient light
@@ -50,8 +51,15 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
     return color, degC, depth
 
 
-def render(world: World, camera: Camera, supersampling: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres."""
+def render(
+    world: World, camera: Camera, supersampling: int = 2, rig: Rig | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres.
+
+    rig: seen by the thermal camera beside the given one. Raises SceneError for a lens that folds the image.
+    """
+    rig = rig or Rig()
+    camera = rig.camera(camera) if rig != Rig() else camera
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     corner = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
     shape = (camera.height, camera.width)
@@ -59,8 +67,9 @@ def render(world: World, camera: Camera, supersampling: int = 2) -> tuple[np.nda
     offsets = (np.arange(supersampling) + 0.5) / supersampling
     for dy in offsets:
         for dx in offsets:
-            sample_color, sample_degC, _ = cast(world, camera, corner + np.array([dx, dy]))
+            pixels = rig.undistorted(corner + np.array([dx, dy]), camera.K)
+            sample_color, sample_degC, _ = cast(world, camera, pixels)
             color += sample_color / supersampling**2
             degC += sample_degC / supersampling**2
-    _, _, depth = cast(world, camera, corner + 0.5)
+    _, _, depth = cast(world, camera, rig.undistorted(corner + 0.5, camera.K))
     return color.clip(0, 1).reshape(*shape, 3), degC.reshape(shape), depth.reshape(shape)

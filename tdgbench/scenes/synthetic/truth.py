@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_array, read_json
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
 
 FOLDER = "camera"  # inside the scene's
 MAPS = ("vignette", "pattern", "dead")
+RIG = "rig.json"
 
 
 @dataclass(frozen=True)
@@ -71,3 +73,22 @@ def read_truth(scene: Path) -> CameraTruth:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); make the scene again") from error
     return CameraTruth(list(views), camera)
+
+
+def write_rig(scene: Path, rig: Rig) -> None:
+    """Write `camera/rig.json`, beside the errors of the camera."""
+    (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
+
+
+def read_rig(scene: Path) -> Rig:
+    """The true rig of a made scene. Raises SceneError for a scene without one, or with a damaged file.
+
+    scene: its folder.
+    """
+    path = scene / FOLDER / RIG
+    if not is_there(path):
+        raise SceneError(f"{scene} states no rig; made scenes do, if their thermal camera is not the given one")
+    try:
+        return Rig(**read_json(path))
+    except (ValueError, TypeError) as error:
+        raise SceneError(f"{path} is damaged ({error!r}); make the scene again") from error

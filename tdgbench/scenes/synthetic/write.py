@@ -14,8 +14,9 @@ from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.render import look_at, render
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_files import ThermalFiles
-from tdgbench.scenes.synthetic.truth import CameraTruth, write_truth
+from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
 from tdgbench.scenes.synthetic.world import World
 
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
@@ -45,9 +46,9 @@ class Shot:
 def write_scene(world: World, folder: Path, shot: Shot) -> None:
     """Render the images and write the scene; the folder appears when it is complete.
 
-    Images, true depth and true temperatures are those of the true cameras, the COLMAP model has the given ones; its
-    points are where they are. Errors have random numbers of their own. The errors of the thermal camera are written
-    beside the scene.
+    Images are those of the true cameras, the COLMAP model has the given ones; its points are where they are. True depth
+    and true temperatures are those of the thermal images, pixel by pixel: with a rig, of the thermal camera. Errors
+    have random numbers of their own. The errors of the thermal camera and its rig are written beside the scene.
     """
     rng = np.random.default_rng(shot.seed)
     cameras = shot.cameras(world, rng)
@@ -63,6 +64,9 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
         for index, place in enumerate(cameras):
             name = f"view{index:03d}"
             rgb, degC, depth = render(world, place)
+            surface = depth
+            if shot.errors.rig != Rig():
+                _, degC, depth = render(world, place, rig=shot.errors.rig)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
             Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
             noise = rng.normal(0, shot.errors.noise_degC, degC.shape)
@@ -70,7 +74,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))
             np.save(part / "temperature" / f"{name}.npy", degC.astype(np.float32))
             names.append(name)
-            images.append((rgb, depth))
+            images.append((rgb, surface))
         cloud = _sparse_points(cameras, images, round(shot.points * world.point_share), rng)
         given = shot.errors.given(cameras, shot.seed)
         files = [f"{name}.png" for name in names]  # of the model; thermal files may have another extension
@@ -78,6 +82,8 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
         camera = thermal.finish(camera)
         if shot.errors.has_truth:
             write_truth(part, CameraTruth(names, camera))
+        if shot.errors.rig != Rig():
+            write_rig(part, shot.errors.rig)
         try:
             part.replace(folder)
         except OSError:

@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+from hydra.utils import instantiate
+from scipy.ndimage import map_coordinates
+
+from tdgbench.bench.options import OptionError, check_options
+from tdgbench.experiments.measure.ceiling import true_ceiling
+from tdgbench.scenes import Camera, ReadOptions, SceneError
+from tdgbench.scenes.synthetic import CaptureErrors, Rig, SyntheticDataset
+from tdgbench.scenes.synthetic.truth import FOLDER, RIG, read_rig, read_truth
+from tests.helpers.configs import config
+
+SIZE = {"width": 96, "height": 72, "views": 5, "points": 300}
+RIGS = {
+    "offset": Rig(offset=[0.3, -0.1, 0.05]), "turned": Rig(degrees=[2, -3, 4]),
+    "lens": Rig(focal=1.2, center_px=[3, -2], distortion=[-0.25, 0.08]),
+    "all": Rig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [2, 1], [-0.2, 0.05]),
+}  # fmt: skip
+
+
+def dataset(root, rig=None) -> SyntheticDataset:
+    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(noise_degC=0.0, rig=rig or Rig()))
+
+
+def pixels():
+    x, y = np.meshgrid(np.arange(SIZE["width"]) + 0.5, np.arange(SIZE["height"]) + 0.5)
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_thermal_pixels_show_what_the_given_camera_sees_elsewhere(tmp_path, name):
+    """A thermal pixel's point, by its true depth, has its true temperature in the images of the given camera, too."""
+    rig, world = RIGS[name], "wall"
+    plain, scene = dataset(tmp_path).load(world), dataset(tmp_path, RIGS[name]).load(world)
+    for view, given in zip(scene.views, plain.views, strict=True):
+        camera = rig.camera(view.camera)
+        straight = rig.undistorted(pixels(), camera.K)
+        z = view.true_depth.ravel().astype(np.float64)
+        local = np.concatenate([(straight - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(z), 1))], axis=1)
+        points = (local * z[:, None] - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+        there, depth = given.camera.project(points)
+        x, y = there.T - 0.5
+        seen = (x > 0) & (y > 0) & (x < SIZE["width"] - 1) & (y < SIZE["height"] - 1)
+        found = map_coordinates(given.true_temperature, [y[seen], x[seen]], order=1)
+        surface = map_coordinates(given.true_depth, [y[seen], x[seen]], order=1)
+        assert seen.mean() > 0.6
+        assert np.mean(np.abs(surface - depth[seen]) < 0.03) > 0.9  # the others are hidden, or at an edge
+        assert np.median(np.abs(found - view.true_temperature.ravel()[seen])) < 0.03
+        assert not np.array_equal(view.thermal, given.thermal)
+
+
+def test_model_and_rgb_images_are_the_given_camera_s(tmp_path):
+    plain, scene = dataset(tmp_path).load("facade"), dataset(tmp_path, RIGS["all"]).load("facade")
+    assert np.array_equal(plain.points.points, scene.points.points)
+    for before, after in zip(plain.views, scene.views, strict=True):
+        assert np.array_equal(before.camera.world_to_camera, after.camera.world_to_camera)
+        assert np.array_equal(before.rgb, after.rgb) and np.array_equal(before.camera.K, after.camera.K)
+
+
+def test_no_rig_changes_nothing_and_has_no_file(tmp_path):
+    plain, scene = dataset(tmp_path / "a").load("night"), dataset(tmp_path / "b", Rig([0, 0, 0])).load("night")
+    assert plain.fingerprint == scene.fingerprint and plain.folder.name == scene.folder.name
+    with pytest.raises(SceneError, match="states no rig"):
+        read_rig(plain.folder)
+
+
+def test_the_truth_is_read_as_it_was(tmp_path):
+    scene = dataset(tmp_path, RIGS["all"]).load("night")
+    assert read_rig(scene.folder) == RIGS["all"] and not read_truth(scene.folder).camera.offsets.any()
+    (scene.folder / FOLDER / RIG).write_text('{"offset": 3}', encoding="utf-8")
+    with pytest.raises(SceneError, match=r"rig\.json is damaged"):
+        read_rig(scene.folder)
+
+
+def test_undistorted_places_are_distorted_as_in_opencv():
+    rig, K = Rig(distortion=[-0.25, 0.08]), np.array([[90.0, 0, 50], [0, 90.0, 30], [0, 0, 1]])
+    straight = (rig.undistorted(pixels(), K) - K[:2, 2]) / 90.0
+    r2 = (straight**2).sum(axis=1, keepdims=True)
+    assert straight * (1 - 0.25 * r2 + 0.08 * r2**2) * 90.0 + K[:2, 2] == pytest.approx(pixels(), abs=1e-6)
+
+
+def test_the_thermal_camera_stands_where_the_offset_says():
+    given = Camera(np.diag([90.0, 90.0, 1.0]), np.eye(4)[[1, 2, 0, 3]], 96, 72)
+    camera = RIGS["all"].camera(given)
+    assert given.world_to_camera[:3, :3] @ camera.center == pytest.approx([0.3, -0.1, 0.05])
+    assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([99, 99, 2, 1])
+
+
+def test_a_lens_that_folds_the_image_is_an_error(tmp_path):
+    with pytest.raises(SceneError, match="folds the image"):
+        dataset(tmp_path, Rig(distortion=[-2, 0])).load("facade")
+
+
+def test_options(tmp_path):
+    cfg = config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0,0]", f"data.root={tmp_path}")
+    check_options(cfg)
+    assert instantiate(cfg.dataset.loader).shot.errors == CaptureErrors(rig=Rig(offset=[0.1, 0, 0]))
+    with pytest.raises(OptionError, match=r"errors\.rig\.offset"):
+        check_options(config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0]"))
+
+
+def test_no_ceiling_is_calculated_of_a_rig(tmp_path):
+    made = dataset(tmp_path, RIGS["offset"])
+    with pytest.raises(ValueError, match="rig"):
+        true_ceiling(made, made.load("facade"))
