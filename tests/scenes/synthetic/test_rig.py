@@ -4,7 +4,6 @@ from hydra.utils import instantiate
 from scipy.ndimage import map_coordinates
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.experiments.measure.ceiling import true_ceiling
 from tdgbench.scenes import Camera, ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, Rig, SyntheticDataset
 from tdgbench.scenes.synthetic.truth import FOLDER, RIG, read_rig, read_truth
@@ -13,8 +12,8 @@ from tests.helpers.configs import config
 SIZE = {"width": 96, "height": 72, "views": 5, "points": 300}
 RIGS = {
     "offset": Rig(offset=[0.3, -0.1, 0.05]), "turned": Rig(degrees=[2, -3, 4]),
-    "lens": Rig(focal=1.2, center_px=[3, -2], distortion=[-0.25, 0.08]),
-    "all": Rig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [2, 1], [-0.2, 0.05]),
+    "lens": Rig(focal=1.2, center=[0.05, -0.04], distortion=[-0.25, 0.08]),
+    "all": Rig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [0.02, 0.01], [-0.2, 0.05]),
 }  # fmt: skip
 
 

@@ -24,14 +24,15 @@ class Rig:
     """How the thermal camera differs from the given one, that of RGB images and model; in no way by default.
 
     offset: its centre in the given camera's axes (x right, y down, z forward), world units (m). degrees: its turn
-    against them, a rotation vector. focal: its focal length × the given one. center_px: shift of its principal point.
-    distortion: k1, k2; in its normalised coordinates, distorted = (1 + k1 r² + k2 r⁴) × undistorted, as in OpenCV.
+    against them, a rotation vector. focal: its focal length × the given one. center: shift of its principal
+    point, shares of the width. distortion: k1, k2; in its normalised coordinates, distorted = (1 + k1 r² + k2 r⁴) ×
+    undistorted, as in OpenCV.
     """
 
     offset: Three = field(default_factory=lambda: [0.0] * 3)
     degrees: Three = field(default_factory=lambda: [0.0] * 3)
     focal: Annotated[float, Field(ge=0.1, le=10)] = 1.0
-    center_px: Two = field(default_factory=lambda: [0.0] * 2)
+    center: Two = field(default_factory=lambda: [0.0] * 2)
     distortion: Two = field(default_factory=lambda: [0.0] * 2)
 
     def __post_init__(self) -> None:
@@ -57,8 +58,16 @@ class Rig:
         move[:3, 3] = -move[:3, :3] @ self.offset
         K = given.K.copy()
         K[[0, 1], [0, 1]] *= self.focal
-        K[:2, 2] += self.center_px
+        K[:2, 2] += given.width * np.array(self.center)
         return Camera(K, move @ given.world_to_camera, given.width, given.height)
+
+    def distorted(self, pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
+        """Where the lens shows image points (N, 2) in px of a camera without distortion. K: of the thermal camera."""
+        if not any(self.distortion):
+            return pixels
+        local, (k1, k2) = (pixels - K[:2, 2]) / K[[0, 1], [0, 1]], self.distortion
+        square = np.sum(local**2, axis=1, keepdims=True)
+        return np.asarray(K[:2, 2] + K[[0, 1], [0, 1]] * local * (1 + k1 * square + k2 * square**2))
 
     def undistorted(self, pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
         """Where image points (N, 2) in px would lie without the distortion. K: of the thermal camera.
@@ -81,6 +90,9 @@ class Rig:
             raise SceneError(f"errors.rig.distortion={self.distortion} folds the image; choose a smaller one")
         factor = np.divide(radius, shown, out=np.ones_like(shown), where=shown > 0)
         return K[:2, 2] + (pixels - K[:2, 2]) * factor[:, None]
+
+
+NO_RIG = Rig()
 
 
 def _text(value: float | list[float]) -> str:
