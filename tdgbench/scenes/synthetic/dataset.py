@@ -18,6 +18,8 @@ from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import Shot, write_scene
 
+LONGEST = 150  # characters that errors have in a folder's name, which may have 255
+
 
 class SyntheticDataset:
     """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, seed, and errors.
@@ -76,4 +78,7 @@ class SyntheticDataset:
         version = hashlib.sha256(source).hexdigest()[:8]
         shot = self.shot
         counts = f"{shot.width}x{shot.height}-{shot.views}v-{shot.points}p-seed{shot.seed}"
-        return self.root / "synthetic" / f"{name}-{counts}{shot.errors.title}-{version}"
+        errors = shot.errors.title
+        if len(errors) > LONGEST:
+            errors = f"{errors[:LONGEST]}-{hashlib.sha256(errors.encode()).hexdigest()[:8]}"
+        return self.root / "synthetic" / f"{name}-{counts}{errors}-{version}"
