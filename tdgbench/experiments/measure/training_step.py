@@ -105,7 +105,7 @@ def part_of_kernel(kernel, _arguments) -> str:
 def measure_step(cfg: DictConfig, steps: int) -> StepCost:
     """Train the configured method: `steps` steps to warm up, as many to measure, then as many in turns with renders."""
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    method, _ = set_up(cfg, scene)
+    method = set_up(cfg, scene).method
     train(method, steps)
     profile = StepProfile()
     with profile.watch():
