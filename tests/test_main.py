@@ -38,8 +38,6 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
         "~job.captures.agc",
         "~job.captures.tilted",
         "job.scenes=[turntable]",
-        "~job.cameras.refined",
-        "~job.cameras.both",
         "budget=demo",
         "budget.iterations=12",
     ),

@@ -52,11 +52,10 @@ class _OfFragments(Significance):
             image = render_view(active, camera, background=self.background, backend=self.backend).image
             target, valid = self.modality.tensor(view, image.device), self.modality.mask(view, image.device)
             with torch.enable_grad():
-                shown = self.camera.compare(view, image).requires_grad_()
-                photometric(shown, target, LAMBDA_DSSIM, valid).backward()
-            assert shown.grad is not None
-            error = (shown.detach() - target).abs().mean(dim=2)
-            yield view, fragments(active, camera, image, shown.grad, self.is_high(error, valid), valid)
+                photometric(image.requires_grad_(), target, LAMBDA_DSSIM, valid).backward()
+            assert image.grad is not None
+            error = (image.detach() - target).abs().mean(dim=2)
+            yield view, fragments(active, camera, image, image.grad, self.is_high(error, valid), valid)
 
     def is_high(self, error: Tensor, valid: Tensor | None) -> Tensor:
         """(H, W) bool: the pixels that count, by their absolute error (H, W)."""

@@ -114,12 +114,6 @@ def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
     return allowed
 
 
-def _with_target(options: dict[str, Any]) -> dict[str, Any]:
-    if "_target_" not in options:
-        raise ValueError("needs a _target_, the class of the options; choose camera=refined, and set options in it")
-    return options
-
-
 class _Group(BaseModel):
     model_config = ConfigDict(**STRICT, extra="forbid")
 
@@ -161,7 +155,6 @@ class _Backend(_Group):
 
 class _Camera(_PlugIn):
     estimate: bool
-    refine: Annotated[dict[str, Any], AfterValidator(_with_target)] | None
 
 
 class _Log(_PlugIn):

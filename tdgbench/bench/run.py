@@ -23,7 +23,7 @@ from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
-from tdgbench.bench.response import Facts, refined_facts, too_short
+from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
@@ -37,7 +37,7 @@ from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, stopping_of, train
-from tdgbench.training.method import Context, Method, training_device
+from tdgbench.training.method import Method, training_device
 from tdgbench.training.skips import Skips
 from tdgbench.training.skips.account import note_training
 
@@ -230,7 +230,6 @@ class CellRun(SetupObserver):
         record, method, log = self.record, self.method, self.log
         record.masked = {"train": masked_share(self.scene.train), "test": masked_share(self.scene.test)}
         record.resumed = log.resumed
-        self._describe_camera(training.context)
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
@@ -240,17 +239,6 @@ class CellRun(SetupObserver):
         record.density = {name: model.work.density() for name, model in method.models().items()}
         behind = {name: model.background for name, model in method.models().items()}
         record.background = {name: color.tolist() for name, color in behind.items() if color is not None}
-
-    def _describe_camera(self, context: Context) -> None:
-        facts = refined_facts(context.camera, context.scene)
-        if facts:
-            self.record.camera["refined"] = facts
-        unchecked = self.record.camera.get("estimated", {}).get("unknown")
-        if context.camera.reason:
-            self.record.notes.append(f"camera: none is refined: {context.camera.reason}")
-        elif facts and unchecked:
-            self.record.notes.append(f"camera: refined whether or not the capture needs it: {unchecked}")
-        self.record.notes += too_short(context.camera)
 
     @property
     def _checkpoint_path(self) -> Path:

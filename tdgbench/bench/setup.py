@@ -12,12 +12,11 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
-from tdgbench.bench.response import Facts, prepare
+from tdgbench.bench.response import CameraOptions, Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import ImageResponse
 from tdgbench.thermal.contrast import with_contrast
-from tdgbench.training.camera import CameraOptions, RefinedCamera
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -79,9 +78,9 @@ def set_up(
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
     response, scored = ImageResponse(), scene
-    if camera.estimate or camera.refine is not None:
+    if camera.estimate:
         with observer.stage("camera"):
-            scene, camera, facts, notes, response = prepare(scene, camera)
+            scene, facts, notes, response = prepare(scene)
         observer.note_camera(facts, notes)
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
@@ -90,17 +89,14 @@ def set_up(
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(
-            scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera
-        )
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
         method.setup(context)
     if compiles:
         with observer.stage("compile"):
             channels = {scene.channels, *([3] if method.needs_rgb else [])}
             masked = any(view.valid is not None for view in scene.train)
-            responds = isinstance(context.camera, RefinedCamera)
-            compile_kernels(channels, budget, backend, masked=masked, responds=responds)
+            compile_kernels(channels, budget, backend, masked=masked)
     if cfg.contrast.training != "none":
         scored, response = scene, ImageResponse()  # of changed images, which the camera never showed
     return Training(method, context, scored, response)

@@ -25,7 +25,6 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
-from tdgbench.training.camera import IdealCamera
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.evidence import Evidence, Footprints, look_at
 from tdgbench.training.images import Modality
@@ -44,15 +43,14 @@ class Significance:
         modality: Modality,
         curriculum: Curriculum,
         backend: str,
-        camera: IdealCamera | None = None,
         background: Tensor | None = None,
     ) -> None:
         """views: of the training; a round looks at some of those that the curriculum shows, at its resolution.
 
-        camera: through which the renders are compared with them. background: (C,) behind the Gaussians; None: black.
+        background: (C,) behind the Gaussians; None: black.
         """
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
-        self.camera, self.background = camera or IdealCamera(), background
+        self.background = background
 
     @cached_property
     def noise(self) -> float:
@@ -85,7 +83,7 @@ class Significance:
         camera = Pinhole.of(view.camera).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        residual = self.modality.tensor(view, image.device) - self.camera.compare(view, image)
+        residual = self.modality.tensor(view, image.device) - image
         return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)
 
 

@@ -16,7 +16,6 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.camera import CameraOptions, IdealCamera, camera_of
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import THERMAL, Modality
 from tdgbench.training.model import SplatModel, ViewRules
@@ -72,9 +71,7 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
-    camera_options: CameraOptions = field(default_factory=CameraOptions)
     curriculum: Curriculum = field(init=False)
-    camera: IdealCamera = field(init=False)  # of the thermal images
     _generators: list[torch.Generator] = field(default_factory=list, repr=False)
     _orders: list[ViewOrder] = field(default_factory=list, repr=False)
 
@@ -86,7 +83,6 @@ class Context:
         if budget is not None and budget.settling is not None and skips.settling.allowed:
             held = budget.settling.hold_out(views)
         self.curriculum = Curriculum(steps, held)
-        self.camera = camera_of(self.scene, self.camera_options, held)
 
     def generator(self) -> torch.Generator:
         """A new random stream; equal seeds give equal streams in the order of the calls."""
@@ -104,7 +100,6 @@ class Context:
         """Model at the initial points, to train on images with this many channels."""
         start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(self.device))
-        camera = self.camera if modality is THERMAL else IdealCamera()
         background = None
         if self.budget.background == "mean":
             background = torch.from_numpy(modality.mean(self.scene.train)).to(self.device)
@@ -112,9 +107,9 @@ class Context:
         if self.budget.growth is not None and self.skips.growth.allowed:
             rule = self.budget.growth
             significance = rule.significance(
-                rule, self.scene.train, modality, self.curriculum, self.backend, camera, background
+                rule, self.scene.train, modality, self.curriculum, self.backend, background
             )  # fmt: skip
-        rules = ViewRules(self.curriculum, camera, significance, background)
+        rules = ViewRules(self.curriculum, significance, background)
         return SplatModel(
             start, self.budget, self.scene.extent, self.backend, self.generator(), self.skips, rules
         )  # fmt: skip
@@ -125,12 +120,11 @@ class Context:
         return self._orders[-1]
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the random streams, view orders, curriculum and camera, without models."""
+        """State of the random streams, view orders and curriculum, without models."""
         return {
             "generators": [generator.get_state() for generator in self._generators],
             "orders": [order.state_dict() for order in self._orders],
             "curriculum": self.curriculum.state_dict(),
-            "camera": self.camera.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -140,7 +134,6 @@ class Context:
         for order, state in zip(self._orders, saved["orders"], strict=True):
             order.load_state_dict(state)
         self.curriculum.load_state_dict(saved["curriculum"])
-        self.camera.load_state_dict(saved["camera"])
 
 
 @dataclass
@@ -149,7 +142,7 @@ class Step:
 
     loss: Tensor  # scalar
     terms: dict[str, float]  # by name, for the log
-    thermal: Render  # as the thermal camera shows it
+    thermal: Render
     target: Tensor  # (H, W, C): the image that `thermal` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 
@@ -168,7 +161,7 @@ class Method(Protocol):
         """Loss of an iteration (1-based), with the thermal render that it used.
 
         Masked pixels (`valid_tensor`) must have no part in the loss. Training views are rendered with
-        `SplatModel.show`, so that the thermal camera has its part in it.
+        `SplatModel.show`.
         """
 
     def models(self) -> dict[str, SplatModel]:

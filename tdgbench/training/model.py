@@ -21,7 +21,6 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.camera import IdealCamera
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.growth import Significance
 from tdgbench.training.skips import Skips
@@ -62,12 +61,11 @@ class Work:
 class ViewRules:
     """How a model meets its training views.
 
-    camera: what shows its renders in them. significance: what decides by them which Gaussians grow; None: 3DGS's rule.
-    background: (C,) behind the Gaussians; None: black.
+    significance: what decides by them which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians;
+    None: black.
     """
 
     curriculum: Curriculum = field(default_factory=Curriculum)
-    camera: IdealCamera = field(default_factory=IdealCamera)
     significance: Significance | None = None
     background: torch.Tensor | None = None
 
@@ -95,8 +93,7 @@ class SplatModel:
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.significance, self.curriculum, self.camera = rules.significance, rules.curriculum, rules.camera
-        self.background = rules.background
+        self.significance, self.curriculum, self.background = rules.significance, rules.curriculum, rules.background
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -131,9 +128,8 @@ class SplatModel:
         return render_state(self.state, self.optimizer, Pinhole.of(camera), options, collect, self.backend)
 
     def show(self, view: View, *, depth: bool = False) -> Render:
-        """Render a training view as the thermal camera shows it: what a loss compares with the view's image."""
-        render = self.render(view.camera, depth=depth)
-        return replace(render, image=self.camera.show(view, render.image))
+        """Render a training view: what a loss compares with the view's image."""
+        return self.render(view.camera, depth=depth)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
@@ -181,13 +177,12 @@ class SplatModel:
         return self.significance.judge(self.gaussians, self.degree, iteration // self.density.rules.every)
 
     def finish(self, iteration: int) -> str | None:
-        """End an iteration, after the backward pass: density control, then an Adam step of Gaussians and camera.
+        """End an iteration, after the backward pass: density control, then an Adam step.
 
         Gaussians have no step after a round of density control, and none for opacities after their reset. Returns the
         name of a parameter whose gradient is not finite, or None; Adam has then used it.
         """
         views, self._views = self._views, []
-        saw_views = bool(views)
         gradients, watch = self._gradients_of(views, iteration)
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
@@ -195,8 +190,6 @@ class SplatModel:
         verdict = self._judge(iteration)
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
-        if saw_views:
-            self.camera.step(self.optimizer.slowdown)
         bad = None
         if gradients is not None:
             bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)

@@ -8,32 +8,23 @@ import torch
 from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.thermal.polynomials import TERMS
 from tdgbench.training.budget import Budget
 from tdgbench.training.evidence import look_at
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
 from tdgbench.training.method import training_device
 from tdgbench.training.model import SplatModel
-from tdgbench.training.response import Response, Sums, shown
 
 SIZE = 16  # px
 
 
-def compile_kernels(
-    channels: set[int], budget: Budget, backend: str, *, masked: bool = False, responds: bool = False
-) -> None:
+def compile_kernels(channels: set[int], budget: Budget, backend: str, *, masked: bool = False) -> None:
     """Compile what trainings with these channel counts run, by steps on a toy scene.
 
-    masked: some views have a mask. responds: a thermal camera is refined.
+    masked: some views have a mask.
     """
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels):
         _take_steps(channels, budget, backend, masked)
-        if responds:
-            image = torch.zeros(SIZE, SIZE, 1, device=training_device(backend), requires_grad=True)
-            shown(
-                image, Response(0.0, 1.0, 0.0, torch.zeros(len(TERMS), dtype=torch.float64)), _ignore
-            ).sum().backward()
 
 
 def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) -> None:
@@ -67,7 +58,3 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
         if budget.growth is not None:
             look_at(model.gaussians, camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()
-
-
-def _ignore(sums: Sums) -> None:
-    pass

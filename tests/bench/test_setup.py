@@ -22,7 +22,7 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
 def test_a_method_is_ready_to_train(data_root):
     cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    method, context = set_up(cfg, scene)
+    method, context, *_ = set_up(cfg, scene)
     assert len(method.models()["thermal"]) == 300 and len(method.targets) == len(scene.train)
     assert context.budget == instantiate(cfg.budget) and context.scene is scene and context.seed == cfg.seed
     assert train(method, 2).iterations == 2

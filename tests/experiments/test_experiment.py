@@ -111,7 +111,7 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
 @pytest.mark.parametrize(
     ("experiment", "word", "instead"),
     [
-        ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=both", "job.cameras"),
+        ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=estimated", "job.cameras"),
         ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"),
         ("skips", "scene=night", "job.scenes="),
         ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
@@ -126,5 +126,5 @@ def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experimen
 
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
-        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.cameras.mine=refined"]
+        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.cameras.mine=ideal"]
     )

@@ -7,23 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from tdgbench.scenes import Scene, View
-from tdgbench.thermal.polynomials import TERMS, evaluate
-
-BOWL = np.array([1.0 if term in ((2, 0), (0, 2)) else 0.0 for term in TERMS])  # coefficients of a radial vignette
 
 
-def with_response(scene: Scene, offsets: np.ndarray, gains: np.ndarray, bowl: float = 0.0) -> Scene:
+def with_response(scene: Scene, offsets: np.ndarray, gains: np.ndarray) -> Scene:
     """The scene as a drifting camera shows its training views, in image values; nothing is clipped.
 
-    offsets, gains: (V,) of the training views, about an image value of 0.5. bowl: coefficient of the vignette.
+    offsets, gains: (V,) of the training views, about an image value of 0.5.
     """
-    train = [_shown(view, *one, bowl) for view, *one in zip(scene.train, offsets, gains, strict=True)]
+    train = [_shown(view, *one) for view, *one in zip(scene.train, offsets, gains, strict=True)]
     return replace(scene, train=train)
 
 
-def _shown(view: View, offset: float, gain: float, bowl: float) -> View:
+def _shown(view: View, offset: float, gain: float) -> View:
     image = 0.5 + gain * (view.thermal - 0.5) + offset
-    image = image + evaluate(bowl * BOWL, view.camera.width, view.camera.height)[..., None]
     return replace(view, load_thermal=lambda: image.astype(np.float32))
 
 

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import hashlib
+from typing import NamedTuple
 
-from tdgbench.bench.setup import Training, set_up
+from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
 from tdgbench.training.loop import train
-from tdgbench.training.method import Method
+from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import config
 
 
+class Ready(NamedTuple):
+    """A method that is ready to train, and the context it was set up with."""
+
+    method: Method
+    context: Context
+
+
 def ready_to_train(
     scene: Scene, name: str, iterations: int, *overrides: str, seed: int = 0, skips: Skips | None = None
-) -> Training:
+) -> Ready:
     """A method with the demo's budget, ready to train."""
     cfg = config(
         f"method={name}", "prior=synthetic", "budget=demo", f"budget.iterations={iterations}", *overrides
     )  # fmt: skip
     cfg.seed = seed
-    return set_up(cfg, scene, skips=skips, compiles=False)
+    method, context, *_ = set_up(cfg, scene, skips=skips, compiles=False)
+    return Ready(method, context)
 
 
 def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides):

@@ -109,7 +109,7 @@ def _part(scene: Scene, growth: int) -> Scene:
 
 def _step_ms(cfg: DictConfig, scene: Scene, seconds: float) -> tuple[float, int]:
     """Milliseconds of a training step, and the number of Gaussians of the thermal model."""
-    method, _ = set_up(cfg, scene)
+    method = set_up(cfg, scene).method
     train(method, WARM_UP)
     spent, steps = 0.0, 0
     while spent < seconds:

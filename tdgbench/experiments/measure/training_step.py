@@ -19,10 +19,8 @@ from tdgbench.scenes import Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
-from tdgbench.training.camera import RefinedCamera
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method
-from tdgbench.training.response import Response
 
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
@@ -39,7 +37,6 @@ PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "losses.photometric": "losses",
     "losses.smoothness": "losses",
     "losses.minmax": "losses",
-    "losses.response": "thermal camera",
 }
 REMAINDER = "Python and torch"
 
@@ -69,8 +66,6 @@ class StepProfile:
             stack.enter_context(self._timed(Adam, "step", lambda *_: "Adam"))
             for name in ("observe_visible", "observe_gradients", "update"):
                 stack.enter_context(self._timed(DensityControl, name, lambda *_: "density control"))
-            for owner, name in ((Response, "of"), (Response, "gradient"), (RefinedCamera, "step")):
-                stack.enter_context(self._timed(owner, name, lambda *_: "thermal camera"))
             yield
 
     @contextmanager
@@ -105,7 +100,7 @@ def part_of_kernel(kernel, _arguments) -> str:
 def measure_step(cfg: DictConfig, steps: int) -> StepCost:
     """Train the configured method: `steps` steps to warm up, as many to measure, then as many in turns with renders."""
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    method, _ = set_up(cfg, scene)
+    method = set_up(cfg, scene).method
     train(method, steps)
     profile = StepProfile()
     with profile.watch():

@@ -1,1 +1,1 @@
-"""What errors of a thermal camera cost each method, and what correcting or refining the camera brings back."""
+"""What errors of a thermal camera cost each method, and what correcting for it brings back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,21 +72,10 @@ def compare(
 
 
 def _found(record: Record) -> Found | None:
-    """The camera that training assumed: that of the correction and what was refined after it."""
-    corrected = record.camera.get("estimated", {}) if record.setting("camera.estimate") else {}
-    parts = [_read(facts) for facts in (corrected, record.camera.get("refined", {})) if "offsets" in facts]
-    if not parts:
+    """The camera that training views were corrected for; None if they were not."""
+    facts = record.camera.get("estimated", {})
+    if "offsets" not in facts:
         return None
-    first, rest = parts[0], parts[1:]
-    for second in rest:  # the view shows first(second(T)); vignettes are small beside the gains' 1
-        inner, shift = second.response, first.reference - second.reference
-        gains = first.response.gains * inner.gains
-        offsets = first.response.offsets + first.response.gains * (inner.offsets + (inner.gains - 1) * shift)
-        first = Found(first.views, first.reference, Response(offsets, gains), first.vignette + second.vignette)
-    return first
-
-
-def _read(facts: dict[str, Any]) -> Found:
     offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
     return Found(list(facts["views"]), float(facts["reference"]), Response(offsets, gains), vignette)
 

@@ -87,7 +87,7 @@ class ThermalCameraExperiment(Experiment):
 def _baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
     """The capture without errors and the camera that does nothing, by their options; None where there is none."""
     clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
-    ideal = (str(name) for name, one in cfg.job.cameras.items() if not one.estimate and one.refine is None)
+    ideal = (str(name) for name, one in cfg.job.cameras.items() if not one.estimate)
     return next(clean, None), next(ideal, None)
 
 

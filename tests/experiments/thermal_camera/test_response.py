@@ -17,11 +17,8 @@ def truth(**errors) -> CameraTruth:
     return CameraTruth(NAMES, camera)
 
 
-def record(estimate=True, **camera) -> Record:
-    return Record(
-        "splat", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], camera=camera,
-        config={"camera": {"estimate": estimate}},
-    )  # fmt: skip
+def record(**camera) -> Record:
+    return Record("splat", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], camera=camera)
 
 
 def facts(offsets, gains, reference=20.0, views=NAMES):
@@ -36,21 +33,6 @@ def test_a_camera_that_is_found_has_no_errors():
     assert max(errors.values()) < 1e-9
 
 
-def test_a_refined_camera_acts_before_the_correction():
-    """value = first(second(T)), each with a reference of its own."""
-    true = truth()
-    camera = true.camera
-    second = np.linspace(0.97, 1.03, 12)
-    first = camera.gains / second
-    shift, at = np.linspace(-0.4, 0.4, 12), 12.0
-    # camera: T → r + g (T − r) + o; with second: T → at + s (T − at) + shift, the first one does the rest
-    inner = at + second * (camera.reference - at) + shift
-    offsets = camera.reference + camera.offsets - (camera.reference + first * (inner - camera.reference))
-    one = record(estimated=facts(offsets, first, camera.reference), refined=facts(shift, second, at))
-    errors = compare(one, "drift", "both", true, NAMES).errors
-    assert max(errors.values()) < 1e-9
-
-
 def test_a_vignette_that_is_found_has_no_errors():
     true = truth(vignette_degC=2.0)
     in_gauge = truth_in_gauge(true, NAMES, true.camera.reference)
@@ -58,16 +40,15 @@ def test_a_vignette_that_is_found_has_no_errors():
     terms = basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
     shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.shape.ravel(), rcond=None)[0]
     found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
-    none = compare(record(refined=found), "vignette", "refined", true, NAMES)
-    one = compare(record(refined=found | {"vignette": shape.tolist()}), "vignette", "refined", true, NAMES)
+    none = compare(record(estimated=found), "vignette", "estimated", true, NAMES)
+    one = compare(record(estimated=found | {"vignette": shape.tolist()}), "vignette", "estimated", true, NAMES)
     assert max(one.errors.values()) < 1e-6 < 0.5 < none.errors["vignette_degC_worst"]
     assert one.found_vignette == pytest.approx(in_gauge.vignette, abs=1e-6)
 
 
-def test_an_estimate_that_was_not_used_does_not_count():
-    true = truth()
-    found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
-    one = compare(record(estimate=False, estimated=found), "drift", "refined", true, NAMES[1:])
+@pytest.mark.parametrize("camera", [{}, {"estimated": {"unknown": "no points"}}])
+def test_the_errors_of_an_ideal_camera_are_the_drift(camera):
+    one = compare(record(**camera), "drift", "ideal", truth(), NAMES[1:])
     assert (
         one.errors["offset_degC_worst"] == pytest.approx(np.abs(one.true.response.offsets).max())
         and one.views == NAMES[1:]

@@ -29,10 +29,10 @@ def finished(tmp_path_factory):
 def test_every_combination_has_a_row(finished):
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
     assert list(table["capture"].unique()) == ["clean", "drift", "vignette", "agc"]
-    assert list(table["camera"].unique()) == ["ideal", "estimated", "refined", "both"] and len(table) == 16
+    assert list(table["camera"].unique()) == ["ideal", "estimated"] and len(table) == 8
     assert table["psnr_true"].notna().all() and table["psnr_affine"].notna().all()
     cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
-    assert len(cells) == 16 and list(cells["camera_seconds"] > 0) == list(cells["camera"] != "ideal")
+    assert len(cells) == 8 and list(cells["camera_seconds"] > 0) == list(cells["camera"] != "ideal")
 
 
 def test_parameters_are_compared_with_the_true_ones(finished):
@@ -48,14 +48,13 @@ def test_a_clean_capture_has_the_same_result_with_every_camera(finished):
     cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
     clean = cells[cells["capture"] == "clean"]
     assert clean["psnr_true"].nunique() == 1
-    assert clean[clean["camera"] == "refined"]["notes"].str.contains("nothing is refined").all()
 
 
 def test_pictures_and_page(finished):
     for name in ("scores.png", "cameras.png"):
         assert (finished / name).stat().st_size > 10_000
     html = (finished / "thermal_camera.html").read_text()
-    assert html.count("data:image/png") == 2 and "<td>drift</td><td>splat</td><td>both</td>" in html
+    assert html.count("data:image/png") == 2 and "<td>drift</td><td>splat</td><td>estimated</td>" in html
 
 
 def test_a_second_run_changes_nothing(finished, capsys):
@@ -80,10 +79,10 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
 
 
 def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
-    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.cameras.both"]
+    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.cameras.estimated"]
     cfg = config(
-        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "~job.cameras.estimated", "~job.cameras.refined",
-        "job.scenes=[field]", "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
+        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "job.scenes=[field]",
+        "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
     )  # fmt: skip
     assert cfg.dataset.loader.errors.gradient_degC == 6
     ThermalCameraExperiment().run(cfg)
@@ -94,7 +93,7 @@ def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
 
 def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):
     small_dataset(data_root).load("orbit")
-    only = [f"~job.cameras.{name}" for name in ("estimated", "refined", "both")] + ["~job.captures.agc"]
+    only = ["~job.cameras.estimated", "~job.captures.agc"]
     cfg = config(
         "+experiment=thermal_camera", *FEW, *only, "budget=demo", "budget.iterations=4", "dataset=folder",
         f"data.root={small_dataset(data_root).folder('orbit')}", "job.scenes=[null]", f"results={tmp_path}",
@@ -119,7 +118,7 @@ def test_records_of_other_runs_have_no_part(finished):
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
         "name=thermal_camera", "job.seeds=[1]", "job.captures.drift.walk_degC=1", "~job.captures.agc",
-        "~job.captures.vignette", "~job.cameras.refined", "~job.cameras.both",
+        "~job.captures.vignette",
     )  # fmt: skip
     before = {path.name: path.read_bytes() for path in finished.iterdir() if path.is_file()}
     ThermalCameraExperiment().run(cfg)
