@@ -1,0 +1,187 @@
+"""`python -m benchmarks.captures CHECKOUTS OUT [--only NAME ...]`: scenes of public thermal captures.
+
+CHECKOUTS holds git checkouts, in folders named as the repository or OWNER+REPOSITORY. `dataset=folder
+data.root=OUT/<scene>` reads what is made. Nothing of these captures is shipped with tdgbench.
+
+river    a river and its banks from a drone (FLIR Vue Pro, 16-bit counts, 1 s apart). river_unbiased: without the
+         camera's fixed pattern, which river_pattern.npy holds, in counts. chuckaustin/devilsRiver 156557a, MIT
+orchard  an orchard by a river, from a drone that flies there and back (DJI Mavic 2 Enterprise Advanced): the palette's
+         luminance, 8-bit gray with the camera's gain control and sharpening. orchard_counts: the files' 16-bit counts.
+         Steve-Rye/DJI_thermal_orthomosaic 731fa58, MIT
+plots    field plots from 40 m, three flight lines (DJI Zenmuse XT, °C), with the poses of their Metashape project.
+         TreAgron/ThermalMultiviewExample 2092a45, which has no licence: do not pass on what is made of it
+fresco   a frescoed room, hand-held (Workswell WIRIS Pro, °C), with RGB, which the poses are from. The camera drifts by
+         7 °C. nneilsutherland/Thermitage 6c85363, MIT
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pycolmap
+from PIL import Image
+
+from benchmarks.geometry.colmap import SEED, THREADS, from_motion, summary, triangulated
+from benchmarks.geometry.metashape import read_project
+from tdgbench.data.prepare.extract import CountScale
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.sfm import SfmOptions
+from tdgbench.files import whole_folder
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.temperature import FILE, robust_range
+
+COUNTS_AS_DEGC = 0.04  # stands for an unknown scale, as the reader takes counts only as °C; without it: no FILE
+RGB_SIZE = 960, 540  # of fresco, half that of the files: thermal images have 640×512 px
+RGB_TO_THERMAL = "0.8916 0.0023 -122.53 -0.0028 0.8822 18.07 -5.5e-6 -6.5e-6 1"  # homography, px; to 1 px RMS
+APP3, SCAN = 0xE3, 0xDA  # segments of a JPEG: DJI's raw counts, the image
+
+
+class Capture(NamedTuple):
+    """Where a capture comes from, and what makes its scenes in the folder OUT of so many of its views."""
+
+    repository: str
+    commit: str
+    views: int
+    make: Callable[[Path, Path, int], None]
+
+
+def main() -> None:
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("python -m benchmarks.captures", None, __doc__, formatter_class=formatter)
+    parser.add_argument("checkouts", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--only", nargs="+", choices=CAPTURES, default=list(CAPTURES), metavar="NAME")
+    parser.add_argument("--views", type=int, help="successive views of a capture; by default enough for a short test")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    for name in args.only:
+        capture = CAPTURES[name]
+        try:
+            capture.make(checkout(args.checkouts, capture), args.out, args.views or capture.views)
+        except SceneError as error:
+            sys.exit(f"{name}: {error}")
+
+
+def checkout(folder: Path, capture: Capture) -> Path:
+    """The checkout of a capture's repository; ends the program if it is not there, and says what to clone."""
+    names = capture.repository.replace("/", "+"), capture.repository.split("/")[1]
+    found = next((folder / name for name in names if (folder / name).is_dir()), None)
+    if found is None:
+        sys.exit(
+            f"{folder} has no {names[0]}: git clone https://github.com/{capture.repository} {folder / names[0]}, "
+            f"then git checkout {capture.commit} there"
+        )
+    return found
+
+
+def river(source: Path, out: Path, views: int) -> None:
+    first = 30  # COLMAP registers all of the 60 views from there
+    raw = read_frames(sorted((source / "RawData").glob("*.tiff"))[first:][:views])
+    unbiased = read_frames([source / "TIFFs - pixel bias removed" / f"{name}.tiff" for name in raw])
+    model = from_motion(image_names(unbiased))
+    write_scene(out / "river", raw, model, COUNTS_AS_DEGC)
+    write_scene(out / "river_unbiased", unbiased, model, COUNTS_AS_DEGC)
+    differences = [raw[name].astype(np.float32) - unbiased[name] for name in raw]
+    np.save(out / "river_pattern.npy", np.mean(differences, axis=0))
+
+
+def orchard(source: Path, out: Path, views: int) -> None:
+    files = sorted((source / "examples").glob("*.JPG"))[:views]
+    counts = {path.stem: dji_counts(path) for path in files}
+    model = from_motion(image_names(counts))
+    write_scene(out / "orchard", {path.stem: np.asarray(Image.open(path).convert("L")) for path in files}, model, None)
+    write_scene(out / "orchard_counts", counts, model, COUNTS_AS_DEGC)
+
+
+def plots(source: Path, out: Path, views: int) -> None:
+    camera, poses = read_project(source / "Output" / "CH_1260_P004_20210701.13.50.1_40m_Therm.files")
+    first, last = "DJI_0016", "DJI_0131"  # from the start of a flight line to the end; those from 0897 on are before
+    images = sorted((source / "ThermalData" / "1" / "Grayscale").glob("*.tiff"))
+    files = [path for path in images if first <= path.stem <= last]
+    frames = {name: (frame / 1000).astype(np.float32) for name, frame in read_frames(files[:views]).items()}
+    named = image_names(frames)
+    model = triangulated(named, camera, {file: poses[Path(file).stem] for file in named})
+    write_scene(out / "plots", frames, model, 1.0)
+
+
+def fresco(source: Path, out: Path, views: int) -> None:
+    captured = source / "data" / "ARCO_ArcoCastle_TN_ITA" / "ARCO_30_10_2024_I (WWP)"
+    with tempfile.TemporaryDirectory() as folder:
+        files = Path(folder) / "files"
+        files.mkdir()
+        for path in sorted((captured / "RadTIFF").glob("*.tiff"))[:views]:
+            view = path.stem.removesuffix("-radiometric")
+            shutil.copy(path, files / f"{view}.tiff")
+            with Image.open(captured / "VisJPG" / f"{view}-visible.jpg") as photo:
+                photo.resize(RGB_SIZE, Image.Resampling.BOX).save(files / f"{view}.png")
+        mapping = Path(folder) / "homography.txt"
+        mapping.write_text(RGB_TO_THERMAL, encoding="utf-8")
+        sfm = SfmOptions(seed=SEED, threads=THREADS)
+        report = prepare(
+            files, out / "fresco", PrepareOptions(counts=CountScale(0.025, -100.0), homography=mapping, sfm=sfm)
+        )
+    print(report.text())
+
+
+def read_frames(files: list[Path]) -> dict[str, np.ndarray]:
+    """Images of one channel (H, W), by view."""
+    return {path.stem: np.asarray(Image.open(path)) for path in files}
+
+
+def image_names(frames: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {f"{view}.png": frame for view, frame in frames.items()}
+
+
+def dji_counts(path: Path) -> np.ndarray:
+    """Raw counts (H, W) uint16 of a DJI radiometric JPEG: its APP3 segments, one after the other, little endian."""
+    content, start, raw = path.read_bytes(), 2, b""
+    while content[start + 1] != SCAN:
+        length = int.from_bytes(content[start + 2 : start + 4], "big")
+        if content[start + 1] == APP3:
+            raw += content[start + 4 : start + 2 + length]
+        start += 2 + length
+    with Image.open(path) as image:
+        width, height = image.size
+    if len(raw) != 2 * width * height:
+        sys.exit(f"{path} has {len(raw)} bytes of raw data for {width}×{height} counts; another model of DJI's camera")
+    return np.frombuffer(raw, "<u2").reshape(height, width)
+
+
+def write_scene(
+    folder: Path, frames: Mapping[str, np.ndarray], model: pycolmap.Reconstruction, scale: float | None
+) -> None:  # fmt: skip
+    """Write the registered views and the model; print what they are. scale: °C of a value; None for shown images."""
+    registered = {Path(image.name).stem for image in model.images.values()}
+    kept = {view: frame for view, frame in frames.items() if view in registered}
+    with whole_folder(folder) as part:
+        (part / "thermal").mkdir()
+        (part / "sparse" / "0").mkdir(parents=True)
+        for view, frame in kept.items():
+            suffix = "png" if frame.dtype == np.uint8 else "tiff"
+            Image.fromarray(frame).save(part / "thermal" / f"{view}.{suffix}")
+        model.write(part / "sparse" / "0")
+        if scale is not None:
+            span = robust_range([scale * frame[::2, ::2].ravel().astype(np.float64) for frame in kept.values()])
+            known = {"unit": "degC", "min": span.min, "max": span.max}
+            counts = {} if scale == 1 else {"degC_per_count": scale, "degC_at_zero": 0.0}
+            (part / FILE).write_text(json.dumps(known | counts) + "\n", encoding="utf-8")
+    print(f"{folder}: {summary(model, len(frames))}", flush=True)
+
+
+CAPTURES = {
+    "river": Capture("chuckaustin/devilsRiver", "156557a", 60, river),
+    "orchard": Capture("Steve-Rye/DJI_thermal_orthomosaic", "731fa58", 33, orchard),
+    "fresco": Capture("nneilsutherland/Thermitage", "6c85363", 40, fresco),
+    "plots": Capture("TreAgron/ThermalMultiviewExample", "2092a45", 64, plots),
+}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Geometry of thermal captures: `python -m benchmarks.captures` makes scenes with it."""
