@@ -69,7 +69,7 @@ def _well_seen(seen: Sightings, views: int) -> Sightings:
 
 def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> ThermalCamera:
     (name, scale, zero), train = unit, scene.train
-    data = data_of(train, seen, scale, zero)
+    data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
     widths = Widths.of(name, float(np.std(data.value)) or 1.0)
     place = places([view.name for view in scene.views])
@@ -104,7 +104,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
     )
 
 
-def data_of(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> Data:
+def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> Data:
     """Values in the scene's unit. Views of several sizes have no common columns and rows."""
     sizes = np.array([(view.camera.width, view.camera.height) for view in train])
     shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]

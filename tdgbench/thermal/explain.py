@@ -44,7 +44,7 @@ class Explained:
         return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
-def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, Terms, Drift]:
+def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, Terms, Drift | None]:
     """Fit the terms that held-out views support. Response and fixed pattern take turns.
 
     places: (V,) of the views in the sequence, NaN if it is unknown.

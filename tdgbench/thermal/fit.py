@@ -244,8 +244,7 @@ def _shared(weights: np.ndarray, residuals: np.ndarray, patch: np.ndarray) -> np
     if not counted.any():
         return weights
     mean = np.bincount(patch, weights * residuals)[counted] / total[counted]
-    spread = float(np.sum(weights * residuals**2) / np.sum(weights))
-    scale = spread * float(np.sum(weights)) / max(np.count_nonzero(weights), 1)  # of variances: 1 if weights are right
+    scale = float(np.sum(weights * residuals**2)) / int(np.count_nonzero(weights))  # 1 if the weights are right
     variance = max(float(np.mean(mean**2 - scale / total[counted])), 0.0)
     return np.asarray(weights / (1 + variance * total[patch]))
 

@@ -12,7 +12,6 @@ from scipy.cluster.vq import kmeans2
 from tdgbench.priors.visible import grid_width, visible_points
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import nearest_valid
-from tdgbench.scenes.rig import NO_RIG, Rig
 
 MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
@@ -29,7 +28,7 @@ class Sightings:
     """S pairs of a point and a training view that sees it.
 
     point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
-    right, down: (S,) its gradient, per px. x, y: (S,) position in px; z: (S,) depth, scene units. cluster: (S,) of points that lie together.
+    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. cluster: (S,) of points that lie together.
     points: how many points the indices are of.
     """
 
@@ -37,42 +36,32 @@ class Sightings:
     view: np.ndarray
     value: np.ndarray
     detail: np.ndarray
-    right: np.ndarray
-    down: np.ndarray
+    slope: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    z: np.ndarray
     cluster: np.ndarray
     points: int
-
-    @property
-    def slope(self) -> np.ndarray:
-        """(S,) length of the gradient, per px."""
-        return np.hypot(self.right, self.down)
 
     def kept(self, keep: np.ndarray) -> Sightings:
         """The sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
         keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
         left, point = np.unique(self.point[keep], return_inverse=True)
-        names = ("view", "value", "detail", "right", "down", "x", "y", "z", "cluster")
-        return replace(self, point=point, points=len(left), **{name: getattr(self, name)[keep] for name in names})
+        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y", "cluster")}
+        return replace(self, point=point, points=len(left), **arrays)
 
 
-def find_sightings(views: Sequence[View], points: np.ndarray, rig: Rig = NO_RIG, blur: float = BLUR) -> Sightings:
-    """Sightings of points (N, 3), of MOST_POINTS of them at most, in views with thermal images of one channel.
-
-    rig: by which the thermal camera differs from the views'. blur: px, σ.
-    """
+def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
+    """Sightings of points (N, 3), of MOST_POINTS of them at most, in views with thermal images of one channel."""
     used = np.zeros(len(points), bool)
     used[:: max(1, -(-len(points) // MOST_POINTS))] = True
     parts: list[tuple[np.ndarray, ...]] = []
     for index, view in enumerate(views):
-        number, x, y, z = _seen(rig, view.camera, points, used)
-        value, detail, right, down, usable = _values(view, x, y, blur)
-        whole = (number, np.full(len(number), index), value, detail, right, down, x, y, z)
+        number, x, y = _seen(view.camera, points, used)
+        value, detail, slope, usable = _values(view, x, y)
+        whole = (number, np.full(len(number), index), value, detail, slope, x, y)
         parts.append(tuple(one[usable] for one in whole))
-    point, of_view, *arrays = (np.concatenate(one) for one in zip(*parts, strict=True))
-    found = Sightings(point, of_view, *arrays, _clusters(points)[point], len(points))
+    point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
+    found = Sightings(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
     return found.kept(np.ones(len(point), bool))
 
 
@@ -83,21 +72,18 @@ def _clusters(points: np.ndarray) -> np.ndarray:
     return np.asarray(kmeans2(near, min(CLUSTERS, len(points)), seed=0, minit="++")[1])
 
 
-def _seen(rig: Rig, given: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Numbers, positions x and y in px and depths of the `used` points that a camera sees; all points hide others."""
-    camera = rig.camera(given)
+def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers and positions x and y in px of the `used` points that a camera sees; all points hide others."""
     width = min(grid_width([camera], points), camera.width)
     grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     number = visible_points(grid, points, OCCLUSION).number
     number = number[used[number]]
-    pixels, z = camera.project(points[number])
-    pixels = rig.distorted(pixels, camera.K)
-    inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
-    return number[inside], *pixels[inside].T, z[inside]
+    pixels, _ = camera.project(points[number])
+    return number, pixels[:, 0], pixels[:, 1]
 
 
-def _values(view: View, x: np.ndarray, y: np.ndarray, blur: float) -> tuple[np.ndarray, ...]:
-    """Values, details and gradients to the right and down at positions in px, and whether each was measured.
+def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Values, details and slopes at positions in px, and whether each was measured.
 
     With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
     pixel's centre to the position by the gradient of the blurred image.
@@ -105,11 +91,11 @@ def _values(view: View, x: np.ndarray, y: np.ndarray, blur: float) -> tuple[np.n
     image = nearest_valid(view.thermal.mean(axis=2, dtype=np.float64), view.valid)  # a blur mixes pixels
     height, width = image.shape
     row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
-    smooth = ndimage.gaussian_filter(image, blur, mode="nearest")
+    smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
     down, right = (one[row, column] for one in np.gradient(smooth))
     value = smooth[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
     size = 2 * MARGIN + 1
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)
     if view.valid is not None:
         unusable |= ndimage.minimum_filter(view.valid, size) == 0
-    return value, (image - smooth)[row, column], right, down, ~unusable[row, column]
+    return value, (image - smooth)[row, column], np.hypot(down, right), ~unusable[row, column]

@@ -2,7 +2,7 @@
 
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset
-from tdgbench.scenes.rig import Rig
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
 
 __all__ = ["CaptureErrors", "Rig", "SyntheticDataset", "ThermalErrors"]

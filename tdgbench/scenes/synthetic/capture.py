@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.rig import Rig
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, TrueCamera
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera

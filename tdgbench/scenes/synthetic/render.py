@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.rig import Rig
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.world import World
 
 AMBIENT = 0.35  # share of ambient light

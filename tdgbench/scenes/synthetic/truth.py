@@ -10,7 +10,7 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_array, read_json
-from tdgbench.scenes.rig import Rig
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
 
 FOLDER = "camera"  # inside the scene's

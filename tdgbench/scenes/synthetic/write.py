@@ -14,7 +14,7 @@ from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.render import look_at, render
-from tdgbench.scenes.rig import Rig
+from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_files import ThermalFiles
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
 from tdgbench.scenes.synthetic.world import World

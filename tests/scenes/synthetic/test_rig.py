@@ -99,9 +99,3 @@ def test_options(tmp_path):
     assert instantiate(made.dataset.loader).shot.errors.rig.focal == 1.02
     with pytest.raises(OptionError, match=r"errors\.rig\.offset"):
         check_options(config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0]"))
-
-
-def test_no_ceiling_is_calculated_of_a_rig(tmp_path):
-    made = dataset(tmp_path, RIGS["offset"])
-    with pytest.raises(ValueError, match="rig"):
-        true_ceiling(made, made.load("facade"))

@@ -61,14 +61,6 @@ class Rig:
         K[:2, 2] += given.width * np.array(self.center)
         return Camera(K, move @ given.world_to_camera, given.width, given.height)
 
-    def distorted(self, pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
-        """Where the lens shows image points (N, 2) in px of a camera without distortion. K: of the thermal camera."""
-        if not any(self.distortion):
-            return pixels
-        local, (k1, k2) = (pixels - K[:2, 2]) / K[[0, 1], [0, 1]], self.distortion
-        square = np.sum(local**2, axis=1, keepdims=True)
-        return np.asarray(K[:2, 2] + K[[0, 1], [0, 1]] * local * (1 + k1 * square + k2 * square**2))
-
     def undistorted(self, pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
         """Where image points (N, 2) in px would lie without the distortion. K: of the thermal camera.
 
@@ -90,9 +82,6 @@ class Rig:
             raise SceneError(f"errors.rig.distortion={self.distortion} folds the image; choose a smaller one")
         factor = np.divide(radius, shown, out=np.ones_like(shown), where=shown > 0)
         return K[:2, 2] + (pixels - K[:2, 2]) * factor[:, None]
-
-
-NO_RIG = Rig()
 
 
 def _text(value: float | list[float]) -> str:
