@@ -146,9 +146,10 @@ def _unknown(found: Fit, drift: Drift | None) -> list[str]:
             "determined by the images: in these, the camera is as near to an ideal one as can be"
         )
     if drift is not None and drift.jitter < 1:
+        events = f"{len(drift.events)} shutter event{'' if len(drift.events) == 1 else 's'}"
         notes.append(
             f"offsets change over {drift.length:g} views in the order of their names, by {1 - drift.jitter:.0%} of "
-            f"their variance, with {len(drift.events)} shutter events; those of test views are expected from this"
+            f"their variance, with {events}; those of test views are expected from this"
         )
     return notes
 

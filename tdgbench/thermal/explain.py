@@ -50,7 +50,7 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
     places: (V,) of the views in the sequence, NaN if it is unknown.
     """
     terms = choose_terms(data, widths, places)
-    drift = _drift(data, terms, widths, places)
+    drift = _drift(fit(data, terms, prior(data, widths)), data, terms, widths, places) if terms.offsets else None
     precision = prior(data, widths, drift, places)
     best = Explained(held_back(data, fit(data, terms, precision), terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
@@ -87,21 +87,22 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     return best
 
 
-def prior(data: Data, widths: Widths, drift: Drift | None, places: np.ndarray) -> np.ndarray:
+def prior(
+    data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None
+) -> np.ndarray:  # fmt: skip
     """Precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width, by itself."""
     variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
     precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
-    if drift is not None:
+    if drift is not None and places is not None:
         precision[: data.views, : data.views] = np.linalg.inv(drift.prior(places))
     return precision
 
 
-def _drift(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
+def _drift(found: Fit, data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
     """How the offsets change along the sequence; None if they are not estimated, or if there is no sequence."""
     if not terms.offsets or np.isnan(places).any():
         return None
-    offsets = fit(data, terms, prior(data, widths, None, places)).response.offsets
-    known = np.bincount(data.view, minlength=data.views) > 0
+    offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
     return drift_of(places, offsets - offsets[known].mean(), known, widths.offsets)
 
 
@@ -137,6 +138,8 @@ def _simplest(errors: list[np.ndarray]) -> int:
 
 def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
     """Root mean square of errors (S,), outliers cut off at CUT robust standard deviations of the simplest model's."""
+    if not simplest.size:
+        return 1.0
     cut = CUT * NORMAL * float(np.median(np.abs(simplest)))
     return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
 
@@ -155,8 +158,8 @@ def held_out_errors(
         held = np.isin(data.view, present[fold::FOLDS])
         rest = data.kept(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
-        drift = _drift(rest, terms, widths, places)
-        found = fit(rest, terms, prior(data, widths, drift, places))
+        found = fit(rest, terms, prior(data, widths))
+        drift = _drift(found, rest, terms, widths, places)
         expected = np.zeros(data.views)
         if drift is not None:
             known = np.unique(rest.view)
