@@ -1,10 +1,11 @@
 """`python -m benchmarks.thermal`: errors of the thermal camera estimated before training, where the true one is known.
 
-Each made scene is rendered once, in °C with the noise of a camera. Then cameras drift, one per seed: offsets of ±4 °C
-with a shutter, gains of ±5 %, 2.6 °C of vignette. Printed are true and estimated numbers, and the errors, which are
-judged: 0.1 °C (offset), 2 % (gain), 0.2 °C (vignette) at most, and 0.02 °C RMS of change of a scene without drift.
-Exits with 1 if an error is beyond its bound. `--folder` takes captures in their place: what comes back of a known drift
-beside their own camera, which is unknown; nothing is judged then.
+Each made scene, also those along a surface (`field`, `hills`, `wall`), is rendered once, in °C with the noise of a
+camera. Then cameras drift, one per seed: offsets of ±4 °C with a shutter, gains of ±5 %, 2.6 °C of vignette. Printed
+are true and estimated numbers, and the errors, which are judged: 0.1 °C (offset), 2 % (gain), 0.2 °C (vignette) at
+most, and 0.02 °C RMS of change of a scene without drift. Exits with 1 if an error is beyond its bound. `--folder` takes
+captures in their place: what comes back of a known drift beside their own camera, which is unknown; nothing is judged
+then.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import pandas as pd
 from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
 from tdgbench.scenes.synthetic.drifting import drifting, in_degC
+from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
 from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
 
@@ -35,7 +37,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--points", type=int, default=20_000)
     parser.add_argument("--seeds", type=int, default=3, help="of cameras")
-    parser.add_argument("--scene", nargs="+", default=["orbit", "night", "turntable", "facade"])
+    parser.add_argument("--scene", nargs="+", default=list(WORLDS))
     parser.add_argument("--folder", nargs="+", type=Path, default=[], help="captures in °C, in place of made scenes")
     parser.add_argument("--walk", type=float, default=4.0, help="largest offset, °C")
     parser.add_argument("--gain", type=float, default=0.05)
@@ -121,7 +123,7 @@ def _drifting(
         f"offsets {low:+.2f} to {high:+.2f}, gains {true.response.gains.min():.3f} to {true.response.gains.max():.3f}, "
         f"vignette {np.ptp(true.vignette):.2f}"
     )
-    summary |= {"estimated": camera.summary, "notes": "; ".join(camera.notes)}
+    summary |= {"undetermined": camera.undetermined, "estimated": camera.summary, "notes": "; ".join(camera.notes)}
     table = pd.DataFrame(
         {
             "scene": scene.name, "seed": seed, "view": camera.views,
@@ -145,7 +147,8 @@ def _line(run: dict[str, Any]) -> str:
     if run["seed"] == "clean":
         return f"{head}changed by {run['clean_worst']:.4f} °C RMS; {run['estimated']} ({run['notes']}); {tail}"
     said = [f"{name} {run[f'{name}_rms']:.4f} RMS, {run[f'{name}_worst']:.4f} worst" for name in list(BOUNDS)[:3]]
-    return f"{head}true {run['true']}; estimated {run['estimated']}; errors: {'; '.join(said)}; {tail}"
+    seen = f"estimated {run['estimated']}, {run['undetermined']} directions undetermined"
+    return f"{head}true {run['true']}; {seen}; errors: {'; '.join(said)}; {tail}"
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ def prepare(scene: Scene) -> Prepared:
     before = len(scene.notes)
     scene, response = corrected(scene, found)
     notes = [f"camera: {note}" for note in scene.notes[before:]]
-    return Prepared(scene, _estimated(found) | {"response": response.as_json()}, notes, response)
+    return Prepared(scene, _estimated(found), notes, response)
 
 
 def _estimated(camera: ThermalCamera) -> Facts:

@@ -19,9 +19,11 @@ Row = dict[str, float | None]
 VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
 
 
-def score_views(method: Method, scene: Scene, scorer: Scorer) -> dict[str, dict[str, float | None]]:
+def score_views(
+    method: Method, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
+) -> dict[str, dict[str, float | None]]:
     """Render and score the test views of a scene; scores by view and metric, None where a metric has no value."""
-    return scorer.score(scene, render_views(method, scene.test))
+    return scorer.score(scene, render_views(method, scene.test, response))
 
 
 def score_training_views(

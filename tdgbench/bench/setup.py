@@ -12,11 +12,12 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
-from tdgbench.bench.response import CameraOptions, Facts, prepare
+from tdgbench.bench.response import IDEAL, CameraOptions, Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import ImageResponse
 from tdgbench.thermal.contrast import with_contrast
+from tdgbench.thermal.correct import in_one_range
 from tdgbench.training.method import Context, Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.warmup import compile_kernels
@@ -31,7 +32,7 @@ class Training(NamedTuple):
     method: Method
     context: Context
     scored: Scene
-    response: ImageResponse = ImageResponse()
+    response: ImageResponse = IDEAL
 
 
 class SetupObserver:
@@ -77,11 +78,13 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    response, scored = ImageResponse(), scene
+    response, scored = IDEAL, scene
     if camera.estimate:
         with observer.stage("camera"):
             scene, facts, notes, response = prepare(scene)
-        observer.note_camera(facts, notes)
+            if cfg.contrast.training != "none":  # the camera never showed the changed images
+                scene, response = in_one_range(scene, response), IDEAL
+        observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
     if method.needs_prior:
@@ -98,7 +101,7 @@ def set_up(
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
     if cfg.contrast.training != "none":
-        scored, response = scene, ImageResponse()  # of changed images, which the camera never showed
+        scored = scene
     return Training(method, context, scored, response)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from tdgbench.thermal.camera import Response
-from tdgbench.thermal.fit import Data, Fit, System, Terms, predict
+from tdgbench.thermal.fit import Data, Fit, System, Terms, deviation, predict
 
 LEAST = 1e-9  # variance of a direction, in those of the prior
 
@@ -50,7 +50,7 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return replace(
         found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
-        undetermined=int(np.count_nonzero(known < 1)),
+        after=deviation(residuals), undetermined=int(np.count_nonzero(known < 1)),
     )  # fmt: skip
 
 

@@ -106,7 +106,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
     free = terms.free(data)
     theta, temperatures = data.ideal, _means(data)
     residuals = data.value - temperatures[data.point]
-    before = _deviation(residuals)
+    before = deviation(residuals)
     for round_ in range(ROUNDS):
         sigma = _sigma(residuals, data.slope)
         robust = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS)
@@ -116,13 +116,13 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
         temperatures = temperatures + system.temperature_step(residuals, step)
         theta = theta + step
         residuals = data.value - predict(data, theta, temperatures, reference)
-        if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * _deviation(residuals):
+        if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * deviation(residuals):
             break
     inflated = residuals * _inflation(robust, data)
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
-        partial(system.covariance, inflated, data, precision, free), before, _deviation(residuals),
+        partial(system.covariance, inflated, data, precision, free), before, deviation(residuals),
         system.undetermined(precision, free),
     )  # fmt: skip
 
@@ -220,7 +220,7 @@ def _means(data: Data) -> np.ndarray:
     return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
 
 
-def _deviation(residuals: np.ndarray) -> float:
+def deviation(residuals: np.ndarray) -> float:
     """Robust standard deviation."""
     return NORMAL * float(np.median(np.abs(residuals)))
 
@@ -229,8 +229,8 @@ def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Standard deviation (S,) of residuals, by the slope of the image: of each of SLOPE_BINS quantiles."""
     edges = np.unique(np.quantile(slope, np.linspace(0, 1, SLOPE_BINS + 1)[1:-1]))
     bins = np.digitize(slope, edges)
-    floor = max(0.1 * _deviation(residuals), 1e-9)
-    deviations = [_deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
+    floor = max(0.1 * deviation(residuals), 1e-9)
+    deviations = [deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
     return np.maximum(np.array(deviations), floor)[bins]
 
 

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import ConfigDict, TypeAdapter, with_config
 
-from tdgbench.thermal.polynomials import evaluate
+from tdgbench.thermal.polynomials import TERMS, evaluate
 
 
+@with_config(ConfigDict(extra="forbid", allow_inf_nan=False))
 @dataclass(frozen=True)
 class ImageResponse:
     """Response of a camera in image values, and the range of the images that a model was trained on.
@@ -29,6 +30,12 @@ class ImageResponse:
     rows: tuple[float, ...] = ()
     low: float = 0.0
     high: float = 1.0
+
+    def __post_init__(self) -> None:
+        if len(self.vignette) not in (0, len(TERMS)):
+            raise ValueError(f"the vignette of a response has {len(self.vignette)} coefficients, not {len(TERMS)}")
+        if not self.low < self.high:
+            raise ValueError(f"the range of a response ends at {self.high:g}, not above {self.low:g}")
 
     def temperatures(self, render: np.ndarray) -> np.ndarray:
         """Values (H, W, C) float32 that an ideal camera would show of a render, not clipped."""
@@ -63,7 +70,7 @@ class ImageResponse:
 
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
     """The response that a record states; that of an ideal camera where it states none. Raises ValueError."""
-    return TypeAdapter(ImageResponse).validate_python({} if stated is None else dict(stated))
+    return TypeAdapter(ImageResponse).validate_python({} if stated is None else stated)
 
 
 def _float32(values: np.ndarray) -> np.ndarray:

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from tdgbench.thermal.explain import prior
 from tdgbench.thermal.fit import PATCHES, Data
 from tdgbench.thermal.polynomials import TERMS, basis
+from tdgbench.thermal.priors import Widths
 
 SIZE = (64, 48)
+DEGC = Widths.of("°C", 5.0)
+NOWHERE = np.full(12, np.nan)  # places of views that have no sequence
+CLUSTERS = 10
+
+
+def loose(data: Data) -> np.ndarray:
+    """Precision of a prior in which each view's offset is by itself."""
+    return prior(data, DEGC, None, np.full(data.views, np.nan))
 
 
 def sightings(
@@ -19,12 +29,41 @@ def sightings(
     degC = rng.normal(20, 5, points)
     point, view = np.nonzero(rng.random((points, views)) < 0.5)
     x, y = rng.random((2, len(point)))
-    terms, column = basis(x, y), (x * SIZE[0]).astype(int)
     value = degC[point] + (gains[view] - 1) * (degC[point] - 20) + offsets[view]
-    value += terms @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
-    value += 0 if columns is None else columns[column]
+    value += basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
+    value += 0 if columns is None else columns[(x * SIZE[0]).astype(int)]
     value += rng.normal(0, noise, len(value)) + 10 * (rng.random(len(value)) < outliers)
-    row = (y * SIZE[1]).astype(int)
+    return _data(value, point, view, (x, y), point % CLUSTERS, (views, points)), degC
+
+
+def along_a_line(
+    travel: float, error: float, *, coefficients: np.ndarray | None = None, views: int = 12, points: int = 600,
+    noise: float = 0.02, seed: int = 0,
+) -> Data:  # fmt: skip
+    """An ideal camera, but for its vignette, that moves along a surface: x in the image is point − camera.
+
+    travel: in widths of the image. error: °C, standard deviation over the clusters of what the values of a cluster
+    change by on the way, as those of a reflection do.
+    """
+    rng = np.random.default_rng(seed)
+    place, camera, height = rng.uniform(0, 1 + travel, points), np.linspace(0, travel, views), rng.random(points)
+    is_seen = (place[:, None] > camera) & (place[:, None] < camera + 1) & (rng.random((points, views)) < 0.7)
+    point, view = np.nonzero(is_seen)
+    x, y = place[point] - camera[view], height[point]
+    cluster = 2 * (place / (1 + travel) * CLUSTERS / 2).astype(int) + (height > 0.5)
+    degC = 20 + 5 * np.sin(5 * place) + rng.normal(0, 2, points)
+    change = rng.normal(0, error, CLUSTERS)[cluster[point]] * (2 * camera[view] / travel - 1)
+    value = degC[point] + change + rng.normal(0, noise, len(point))
+    value += basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
+    return _data(value, point, view, (x, y), cluster[point], (views, points))
+
+
+def _data(
+    value: np.ndarray, point: np.ndarray, view: np.ndarray, place: tuple[np.ndarray, np.ndarray], cluster: np.ndarray,
+    counts: tuple[int, int],
+) -> Data:  # fmt: skip
+    """place: x and y as shares of the image. counts: of views and points."""
+    (x, y), (views, points), flat = place, counts, np.zeros(len(value))
+    column, row = (x * SIZE[0]).astype(int), (y * SIZE[1]).astype(int)
     patch = (view * PATCHES + (y * PATCHES).astype(int)) * PATCHES + (x * PATCHES).astype(int)
-    flat = np.zeros(len(value))
-    return Data(value, flat, point, view, flat, terms, patch, column, row, views, points, SIZE), degC
+    return Data(value, flat, point, view, flat, basis(x, y), patch, column, row, cluster, views, points, SIZE)

@@ -7,7 +7,7 @@ from tdgbench.scenes import ReadOptions, Scene
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
 from tdgbench.thermal import ThermalCamera, estimate_camera
 
-SIZE = {"width": 64, "height": 48, "views": 15, "points": 2500}
+SIZE = {"width": 96, "height": 72, "views": 15, "points": 2500}
 
 
 @pytest.fixture(scope="session")

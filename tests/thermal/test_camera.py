@@ -18,9 +18,9 @@ def test_the_gauge_changes_no_value():
 
 
 def test_pattern_and_vignette_are_added(drifting_camera):
-    columns = np.linspace(-1, 1, 64)
+    columns = np.linspace(-1, 1, 96)
     camera = replace(drifting_camera, columns=columns, rows=None)
-    assert np.allclose(camera.shared(64, 48) - camera.map(64, 48), columns)
+    assert np.allclose(camera.shared(96, 72) - camera.map(96, 72), columns)
     with pytest.raises(ValueError, match="32×48"):
         camera.pattern(32, 48)
     assert "a fixed pattern by columns;" in camera.summary and "a fixed pattern" not in drifting_camera.summary

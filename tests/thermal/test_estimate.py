@@ -23,7 +23,7 @@ def test_drift_gain_and_vignette_are_recovered(drifting_scene, drifting_camera):
 def test_the_mean_stays(drifting_camera):
     assert drifting_camera.offsets.mean() == pytest.approx(0, abs=1e-9)
     assert drifting_camera.gains.mean() == pytest.approx(1)
-    assert drifting_camera.shared(64, 48).mean() == pytest.approx(0, abs=1e-9)
+    assert drifting_camera.shared(96, 72).mean() == pytest.approx(0, abs=1e-9)
 
 
 def test_standard_errors_are_those_of_the_errors(drifting_scene, drifting_camera):
@@ -39,7 +39,7 @@ def test_a_clean_camera_is_left_alone(clean_scene):
         + (camera.of_view(view.name)[1] - 1) * (celsius(view, clean_scene) - camera.reference)
         for view in clean_scene.train
     ]
-    assert np.sqrt(np.mean(np.square(changes))) < 0.02 and np.abs(camera.shared(64, 48)).max() < 0.05
+    assert np.sqrt(np.mean(np.square(changes))) < 0.02 and np.abs(camera.shared(96, 72)).max() < 0.05
 
 
 def test_automatic_gain_control_is_a_gain_and_an_offset(make_scene):
@@ -56,16 +56,16 @@ def test_columns_of_a_fixed_pattern_are_found(make_scene):
     scene = make_scene(pattern_degC=0.5, walk_degC=2.0)
     camera = estimate_camera(scene)
     pattern = read_truth(scene.folder).camera.pattern
-    smooth = camera.map(64, 48).mean(axis=0)
+    smooth = camera.map(96, 72).mean(axis=0)
     assert camera.columns is not None
     assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.8
 
 
 def test_masked_pixels_and_outliers_do_not_matter(drifting_scene):
     def spoiled(view: View) -> View:
-        image, valid = view.thermal.copy(), np.ones((48, 64), bool)
-        image[:, :14], valid[:, :14] = 0.9, False
-        image[20:24, 40:44] = 0.5  # something that moves with the camera
+        image, valid = view.thermal.copy(), np.ones((72, 96), bool)
+        image[:, :10], valid[:, :10] = 0.9, False
+        image[30:36, 60:66] = 0.5  # something that moves with the camera
         return replace(view, load_thermal=lambda: image, load_valid=lambda: valid)
 
     scene = replace(drifting_scene, train=[spoiled(view) for view in drifting_scene.train])

@@ -3,7 +3,7 @@ import pytest
 
 from tdgbench.thermal.camera import Response, in_gauge
 from tdgbench.thermal.fit import Terms, fit
-from tests.helpers.sightings import sightings
+from tests.helpers.sightings import loose, sightings
 
 OFFSETS, GAINS = np.linspace(-4, 4, 12), np.tile([0.95, 1.0, 1.05], 4)
 ALL = Terms(vignette=True, offsets=True, gains=True)
@@ -17,7 +17,7 @@ def true_response(reference):
 def test_response_is_recovered(outliers):
     coefficients = np.array([0.3, -0.2, 0.4, 0.1, 0.5, *[0.0] * 9])
     data, _ = sightings(OFFSETS, GAINS, coefficients=coefficients, outliers=outliers)
-    found = fit(data, ALL, 0.05)
+    found = fit(data, ALL, loose(data))
     response, true = in_gauge(found.response), true_response(found.reference)
     assert np.abs(response.offsets - true.offsets).max() < 0.03
     assert np.abs(response.gains - true.gains).max() < 0.003
@@ -28,7 +28,7 @@ def test_response_is_recovered(outliers):
 def test_noise_does_not_bias_gains():
     """Regression on means of the values would draw gains towards 0."""
     data, _ = sightings(np.zeros(4), np.array([0.9, 1.1, 0.9, 1.1]), noise=1.5, points=6000)
-    gains = in_gauge(fit(data, ALL, 0.5).response).gains
+    gains = in_gauge(fit(data, ALL, loose(data)).response).gains
     assert gains == pytest.approx([0.9, 1.1, 0.9, 1.1], abs=0.015)
 
 
@@ -36,7 +36,7 @@ def test_standard_errors_are_those_of_repeated_captures():
     errors, stated = [], []
     for seed in range(9):
         data, _ = sightings(OFFSETS, GAINS, seed=seed, noise=0.3)
-        found = fit(data, ALL, 0.05)
+        found = fit(data, ALL, loose(data))
         response, true = in_gauge(found.response), true_response(found.reference)
         errors.append(response.gains - true.gains)
         change = np.eye(12) - 1 / 12
@@ -46,14 +46,29 @@ def test_standard_errors_are_those_of_repeated_captures():
 
 def test_terms_that_are_not_estimated_are_ideal():
     data, _ = sightings(OFFSETS, GAINS)
-    found = fit(data, Terms(offsets=True), 0.05)
+    found = fit(data, Terms(offsets=True), loose(data))
     assert (found.response.gains == 1).all() and (found.vignette == 0).all() and np.ptp(found.response.offsets) > 7
     assert (np.diag(found.covariance())[12:] == 0).all()
-    found = fit(data, Terms(), 0.05)
+    found = fit(data, Terms(), loose(data))
     assert (found.response.offsets == 0).all()
 
 
 def test_priors_hold_what_is_unknown():
     data, _ = sightings(OFFSETS, GAINS)
-    found = fit(data.kept(data.view != 5), ALL, 0.05)
+    found = fit(data.kept(data.view != 5), ALL, loose(data))
     assert found.response.gains[5] == pytest.approx(1) and found.response.offsets[5] == pytest.approx(0)
+
+
+def test_what_few_values_tell_little_about_is_drawn_to_the_prior():
+    data, _ = sightings(OFFSETS, np.ones(12), noise=3.0)
+    few = data.kept((data.view != 11) | (np.arange(len(data.value)) % 40 == 0))
+    whole, drawn = (fit(one, Terms(offsets=True), loose(one)).response.offsets[11] for one in (data, few))
+    assert whole == pytest.approx(4, abs=0.6) and drawn < whole - 0.3
+
+
+def test_directions_without_a_value_are_undetermined():
+    data, _ = sightings(OFFSETS, GAINS)
+    counts = [fit(data, terms, loose(data)).undetermined for terms in (Terms(vignette=True), Terms(offsets=True), ALL)]
+    assert counts == [0, 1, 2]
+    unseen = data.kept(data.view != 5)
+    assert fit(unseen, ALL, loose(unseen)).undetermined == 4

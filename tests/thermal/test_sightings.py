@@ -18,19 +18,19 @@ def test_values_are_those_of_the_points(clean_scene):
 
 
 def test_clipped_and_masked_pixels_are_left_out(clean_scene):
-    image, valid = clean_scene.train[0].thermal.copy(), np.ones((48, 64), bool)
-    image[:, :10], valid[:, 50:] = 1.0, False
+    image, valid = clean_scene.train[0].thermal.copy(), np.ones((72, 96), bool)
+    image[:, :15], valid[:, 75:] = 1.0, False
     view = replace(clean_scene.train[0], load_thermal=lambda: image, load_valid=lambda: valid)
     seen = find_sightings([view, *clean_scene.train[1:]], clean_scene.points.points)
     x = seen.x[seen.view == 0]
-    assert len(x) and x.min() > 12 and x.max() < 48 and seen.x[seen.view == 1].min() < 10
+    assert len(x) and x.min() > 17 and x.max() < 73 and seen.x[seen.view == 1].min() < 15
 
 
 def test_a_mask_beside_a_point_moves_no_value(clean_scene):
     """The values blur over more pixels than must be valid."""
-    valid = np.ones((48, 64), bool)
-    valid[:, 30:] = False
-    image = np.full((48, 64, 1), 0.6, np.float32)
+    valid = np.ones((72, 96), bool)
+    valid[:, 45:] = False
+    image = np.full((72, 96, 1), 0.6, np.float32)
     views = [replace(view, load_thermal=lambda: image, load_valid=lambda: valid) for view in clean_scene.train]
     seen = find_sightings(views, clean_scene.points.points)
-    assert seen.x.max() > 27 and np.abs(seen.value - 0.6).max() < 1e-6 and seen.slope.max() < 1e-6
+    assert seen.x.max() > 42 and np.abs(seen.value - 0.6).max() < 1e-6 and seen.slope.max() < 1e-6

@@ -69,8 +69,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
-    method, context, *_ = set_up(cfg, scene, method=unready, skips=skips)
-    scene = context.scene  # its images may be changed
+    method, context, scene, response = set_up(cfg, scene, method=unready, skips=skips)
     scorer: Scorer = instantiate(cfg.metrics)
     sampled = _sampled_iterations(context.budget, samples)
     rows: list[dict[str, Any]] = []
@@ -78,7 +77,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     def sample(log: TrainingLog) -> None:
         if log.iterations not in sampled and not log.ended:
             return
-        scores = mean_scores(score_views(method, scene, scorer))
+        scores = mean_scores(score_views(method, scene, scorer, response))
         gaussians = sum(len(model) for model in method.models().values())
         rows.append(
             {

@@ -20,7 +20,7 @@ def drifting(tmp_path_factory):
     """A scene whose camera drifts, and the camera files of it: float TIFF beside RGB images."""
     folder = tmp_path_factory.mktemp("drifting")
     errors = CaptureErrors(camera=ThermalErrors(walk_degC=3.0, vignette_degC=2.0))
-    scene = SyntheticDataset(str(folder), ReadOptions(), 64, 48, views=12, points=2500, errors=errors).load("turntable")
+    scene = SyntheticDataset(str(folder), ReadOptions(), 96, 72, views=12, points=2500, errors=errors).load("turntable")
     files = folder / "files"
     for sub in ("rgb", "thermal"):
         (files / sub).mkdir(parents=True)
@@ -38,7 +38,7 @@ def known_structure(drifting, monkeypatch):
 
     def reconstruct(images, names, work, options):
         K = scene.views[0].camera.K
-        camera = pycolmap.Camera(model="PINHOLE", width=64, height=48, params=[K[0, 0], K[1, 1], 32, 24])
+        camera = pycolmap.Camera(model="PINHOLE", width=96, height=72, params=[K[0, 0], K[1, 1], 48, 36])
         poses = {name: view.camera.world_to_camera for name, view in zip(names, scene.views, strict=True)}
         cloud = points[0] if points else scene.points
         return Structure(camera, poses, cloud, 0.5, [12], Counter(), Counter())

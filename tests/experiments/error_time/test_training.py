@@ -15,6 +15,7 @@ from tdgbench.experiments.error_time.training import (
     sample_curve,
     seconds_to,
 )
+from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
 
 
@@ -84,14 +85,24 @@ def test_a_curve_is_sampled_along_a_training(data_root):
 def test_views_are_scored_with_the_contrast_that_is_trained_on(data_root, monkeypatch):
     original, scored = training.score_views, []
 
-    def watched(method, scene, scorer):
+    def watched(method, scene, *rest):
         scored.append(scene)
-        return original(method, scene, scorer)
+        return original(method, scene, *rest)
 
     monkeypatch.setattr(training, "score_views", watched)
     cfg = experiment(data_root, "contrast.training=percentile")
     sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
     assert scored[0].temperature is None  # percentile loses it
+
+
+def test_views_are_scored_as_the_camera_shows_them(data_root, monkeypatch):
+    ready, original, shown = training.set_up, training.score_views, ImageResponse(offsets={"view000": 0.1})
+    monkeypatch.setattr(training, "set_up", lambda *args, **named: ready(*args, **named)._replace(response=shown))
+    given = []
+    monkeypatch.setattr(training, "score_views", lambda *args: given.append(args[3]) or original(*args))
+    cfg = experiment(data_root)
+    sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
+    assert given and all(response is shown for response in given)
 
 
 def test_each_link_changes_one_thing(data_root):

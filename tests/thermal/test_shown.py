@@ -1,0 +1,105 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tdgbench.scenes import TemperatureRange
+from tdgbench.thermal import ImageResponse, corrected, read_response
+from tdgbench.thermal.polynomials import TERMS
+from tests.helpers.layouts import celsius
+
+
+def random_camera(camera, seed):
+    """A camera with a random response, fixed pattern by columns and rows, and an expected offset of each test view."""
+    rng = np.random.default_rng(seed)
+    return replace(
+        camera, offsets=rng.normal(0, 2, 12), gains=rng.uniform(0.8, 1.2, 12), vignette=rng.normal(0, 0.5, len(TERMS)),
+        columns=rng.normal(0, 0.3, 96), rows=rng.normal(0, 0.3, 72),
+        expected={name: float(rng.normal()) for name in camera.expected}, reference=float(rng.uniform(10, 30)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_corrected_is_shown_again(drifting_scene, drifting_camera, seed):
+    scene, response = corrected(drifting_scene, random_camera(drifting_camera, seed))
+    assert (response.low, response.high) != (0, 1) and response.columns and response.rows
+    for before, after in zip(drifting_scene.train, scene.train, strict=True):
+        shown = response.of(after.thermal, after.name)
+        assert shown.dtype == np.float32 and np.abs(shown - before.thermal).max() < 2e-6
+
+
+def test_what_was_corrected_is_shown_again_where_it_was_measured(drifting_scene, drifting_camera):
+    valid = np.random.default_rng(0).random((72, 96)) < 0.7
+    train = [replace(view, load_valid=lambda: valid) for view in drifting_scene.train]
+    scene, response = corrected(replace(drifting_scene, train=train), random_camera(drifting_camera, 0))
+    for before, after in zip(train, scene.train, strict=True):
+        assert np.abs(response.of(after.thermal, after.name) - before.thermal)[valid].max() < 2e-6
+
+
+def test_a_scene_without_temperatures_has_a_response_in_image_values(drifting_scene, drifting_camera):
+    given = replace(drifting_scene, temperature=None)
+    camera = random_camera(drifting_camera, 0)
+    small = replace(
+        camera, unit="image", reference=0.4, offsets=camera.offsets / 50, vignette=camera.vignette / 50,
+        columns=None, rows=None, expected={},
+    )  # fmt: skip
+    scene, response = corrected(given, small)
+    assert scene.temperature is None and response.offsets[small.views[0]] == pytest.approx(small.offsets[0], abs=1e-6)
+    view = scene.train[0]
+    assert np.abs(response.of(view.thermal, view.name) - drifting_scene.train[0].thermal).max() < 2e-6
+
+
+def test_a_test_view_has_what_all_views_share_and_the_offset_that_is_expected(drifting_scene, drifting_camera):
+    scene, response = corrected(drifting_scene, drifting_camera)
+    name, given = scene.test[0].name, drifting_scene.temperature
+    render = np.random.default_rng(0).random((72, 96, 1)).astype(np.float32)
+    degC, shown = celsius_of(render, scene.temperature), celsius_of(response.of(render, name), given)
+    added = drifting_camera.expected[name] + drifting_camera.shared(96, 72)
+    assert np.abs(shown - degC - added[..., None]).max() < 1e-4 and drifting_camera.expected[name] != 0
+    assert celsius_of(response.temperatures(render), given) == pytest.approx(degC, abs=1e-4)
+
+
+def test_the_offset_of_a_test_view_is_near_the_true_one(drifting_scene, drifting_camera, clean_scene):
+    """Nothing of it was read; without it, its values are wrong by degrees. The gains of 5 % are not known."""
+    _, response = corrected(drifting_scene, drifting_camera)
+    span = drifting_scene.temperature.max - drifting_scene.temperature.min
+    shared, clean = drifting_camera.shared(96, 72), {view.name: celsius(view, clean_scene) for view in clean_scene.test}
+    left = {}
+    for view in drifting_scene.test:
+        left[view.name] = float(np.mean(celsius(view, drifting_scene) - shared - clean[view.name]))
+    assert set(left) == set(response.offsets) - set(drifting_camera.views)
+    offsets = np.array([[true, span * response.offsets[name]] for name, true in left.items()])
+    assert np.std(offsets[:, 0] - offsets[:, 1]) < 0.6 * np.std(offsets[:, 0])
+
+
+def celsius_of(image: np.ndarray, span: TemperatureRange) -> np.ndarray:
+    return span.min + (span.max - span.min) * image.astype(np.float64)
+
+
+def test_a_record_holds_all_of_a_response(drifting_scene, drifting_camera):
+    for camera in (drifting_camera, random_camera(drifting_camera, 1)):
+        response = corrected(drifting_scene, camera).response
+        assert read_response(json.loads(json.dumps(response.as_json()))) == response
+    assert read_response(None) == ImageResponse() == read_response(ImageResponse().as_json())
+
+
+def test_an_ideal_camera_shows_renders_as_they_are():
+    render = np.random.default_rng(0).random((4, 5, 3)).astype(np.float32)
+    assert ImageResponse().of(render, "any") is render and ImageResponse().is_ideal
+    wide = ImageResponse(low=-0.5, high=1.5)
+    assert wide.is_ideal and wide.of(render, "any") == pytest.approx(2 * render - 0.5)
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        5, [], [1, 2], "offsets", {"offsets": [1.0]}, {"offsets": {"view000": "much"}}, {"gains": {"view000": None}},
+        {"vignette": "none"}, {"low": []}, {"high": "NaN."}, {"offset": {"view000": 1.0}},
+        {"vignette": [0.1]}, {"low": 1.0, "high": 0.0}, {"gains": {"view000": float("nan")}},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_response_that_is_stated_wrongly_is_refused(stated):
+    with pytest.raises(ValueError, match=r"\w"):
+        read_response(stated)
