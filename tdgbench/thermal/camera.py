@@ -33,8 +33,8 @@ class ThermalCamera:
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
     sightings: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
     sequence let expect; none of their pixels was read. terms: those that held-out views support, of vignette, offsets,
-    gains and pattern; the others are those of an ideal camera. undetermined: directions of the estimated numbers that
-    the prior determines more than the images do.
+    gains and pattern; the others are those of an ideal camera. undetermined: directions of the estimated numbers,
+    beside the mean offset and the mean gain, that the prior determines more than the images do.
     """
 
     unit: str  # "°C" or "image"

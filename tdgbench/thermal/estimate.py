@@ -77,6 +77,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
     found, terms, drift = explain(data, widths, at)
     offset_errors, gain_errors, vignette_errors = _errors(found.fit, len(train))
     response = in_gauge(found.fit.response)
+    undetermined = max(0, found.fit.undetermined - terms.offsets - terms.gains)
     expected = {}
     if drift is not None:
         known, others = counts > 0, [view.name for view in scene.test]
@@ -99,8 +100,8 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
         sightings=counts,
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
-        undetermined=found.fit.undetermined,
-        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains) + _unknown(found.fit, drift)),
+        undetermined=undetermined,
+        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains) + _unknown(undetermined, drift)),
     )
 
 
@@ -137,13 +138,14 @@ def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return errors[:views], errors[views : 2 * views], errors[2 * views :]
 
 
-def _unknown(found: Fit, drift: Drift | None) -> list[str]:
+def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
     """What a prior decided, and how the offsets change in time."""
     notes = []
-    if found.undetermined:
+    if undetermined:
+        directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"
         notes.append(
-            f"{found.undetermined} directions of the estimated numbers, mean offset and mean gain among them, are not "
-            "determined by the images: in these, the camera is as near to an ideal one as can be"
+            f"{directions} of the estimated numbers, beside mean offset and mean gain, not determined by the images: "
+            "there, the camera is as near to an ideal one as can be"
         )
     if drift is not None and drift.jitter < 1:
         events = f"{len(drift.events)} shutter event{'' if len(drift.events) == 1 else 's'}"
