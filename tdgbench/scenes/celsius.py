@@ -1,12 +1,13 @@
-"""Thermal images from temperatures: arrays in °C, gray images of known range, or radiometric files of cameras.
+"""Thermal images from measured values: arrays and float images in °C, gray images of known range, radiometric files of
+cameras, 16-bit images of raw counts.
 
-Pixels that were not measured are masked (`fillers`); the others are scaled so that the range of temperatures is 0 to 1.
+Pixels that were not measured are masked (`fillers`); the others are scaled so that the range of the values is 0 to 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers, impossible
+from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers, impossible
+from tdgbench.scenes.images import read_pixels
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
@@ -33,15 +35,32 @@ from tdgbench.scenes.temperature import PERCENTILES, Radiometry, robust_range, s
 from tdgbench.scenes.validate import check_size
 
 
-class Temperatures(NamedTuple):
-    """Temperatures of a view, as a file has them.
+@dataclass(frozen=True)
+class Unit:
+    """Of the values of a scene's files. steps: of one unit, in which the range of the values is whole.
 
-    degC: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not
+    dtype: in which values are scaled; that of images keeps the bytes of scenes whose range is stated.
+    """
+
+    name: str
+    steps: int
+    dtype: type[np.floating] = np.float32
+
+
+CELSIUS = Unit("°C", 100)
+CELSIUS_OF_IMAGES = replace(CELSIUS, dtype=np.float64)
+COUNTS = Unit("counts", 1)
+
+
+class Temperatures(NamedTuple):
+    """Temperatures of a view in °C, or raw counts, as a file has them.
+
+    values: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not
     finite; else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours.
     ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
     """
 
-    degC: np.ndarray
+    values: np.ndarray
     is_masked: bool = False
     block: int = 1
     ends: bool = False
@@ -62,6 +81,11 @@ def file_reader(radiometry: Radiometry | None) -> Reader:
     return partial(_read_file, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
 
 
+def read_counts(path: Path) -> Temperatures:
+    """Reader of 16-bit images of raw counts."""
+    return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
+
+
 def _read_file(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> Temperatures:
     return Temperatures(read_celsius(path, degC_per_count, degC_at_zero).astype(np.float32))
 
@@ -79,79 +103,92 @@ def _read_array(path: Path, radiometry: Radiometry | None) -> Temperatures:
 
 
 class _Scaling(NamedTuple):
-    """How temperatures become a view's image."""
+    """How measured values become a view's image."""
 
     read: Reader
     fillers: Fillers
     range: TemperatureRange
+    dtype: type[np.floating]
 
 
-def celsius_images(
+def measured_images(
     sources: Mapping[str, Source],
     read: Reader,
     train: list[str],
     options: ReadOptions,
     given: TemperatureRange | None,
+    unit: Unit = CELSIUS,
 ) -> ThermalImages:
     """Images of one channel, or of three equal ones. Raises SceneError.
 
-    train: views whose temperatures give the range, unless it is given.
+    train: views whose values give the range, unless it is given.
     """
     raw = {name: read(source.path) for name, source in sources.items()}
     known = {name for name, one in raw.items() if one.is_masked}
-    if options.fillers is None:
-        fillers = find_fillers({name: one.degC for name, one in raw.items()}, known)
-        if any(one.ends for one in raw.values()):
-            fillers = replace(fillers, beyond=())  # black inside an image may be the coldest object
-    else:
-        fillers = given_fillers(options.fillers)
+    fillers = _find_fillers(raw, known, unit) if options.fillers is None else given_fillers(options.fillers)
     measured, filled = {}, []
     for name, source in sources.items():
         one = raw.pop(name)
         invalid = _invalid(one, fillers)
         filled.append(invalid.mean())
-        measured[name] = _measure(one.degC, invalid, source)
-    span = given or _range_of({name: measured[name] for name in train}, sources)
-    scaling, kept, clipped, count = _Scaling(read, fillers, span), {}, 0, 0
+        measured[name] = _measure(one.values, invalid, source)
+    span = given or _range_of({name: measured[name] for name in train}, sources, unit)
+    scaling, kept, clipped, count = _Scaling(read, fillers, span, unit.dtype), {}, 0, 0
     for name, source in sources.items():
         image = measured.pop(name)
         values = _valid_values(image)
         clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
         count += values.size
-        kept[name] = Kept(_scaled(image, span), partial(_make, source, scaling))
+        kept[name] = Kept(_scaled(image, scaling), partial(_make, source, scaling))
     if clipped == count:
         folder = next(iter(sources.values())).path.parent
         raise SceneError(
             f"{folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
             "temperature.json"
         )
-    notes = [*_about_fillers(fillers, filled, bool(known)), _about_range(span, given, clipped / count)]
-    return ThermalImages(kept, decide_channels(options.channels, are_gray=True), span, notes)
+    notes = [*_about_fillers(fillers, filled, bool(known), unit), _about_range(span, given, clipped / count, unit)]
+    channels = decide_channels(options.channels, are_gray=True)
+    if unit is COUNTS:
+        return ThermalImages(kept, channels, None, notes, counts=(round(span.min), round(span.max)))
+    return ThermalImages(kept, channels, span, notes)
+
+
+def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
+    values = {name: one.values for name, one in views.items()}
+    if unit is COUNTS:
+        return find_apart(values)
+    fillers = find_fillers(values, known)
+    if any(one.ends for one in views.values()):
+        return replace(fillers, beyond=())  # black inside an image may be the coldest object
+    return fillers
 
 
 def _make(source: Source, scaling: _Scaling) -> Measured:
     one = scaling.read(source.path)
-    return _scaled(_measure(one.degC, _invalid(one, scaling.fillers), source), scaling.range)
+    return _scaled(_measure(one.values, _invalid(one, scaling.fillers), source), scaling)
 
 
 def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
     """Pixels (H, W) bool that were not measured."""
-    return impossible(one.degC) if one.is_masked else fillers.mask(one.degC, one.block)
+    return impossible(one.values) if one.is_masked else fillers.mask(one.values, one.block)
 
 
-def _measure(degC: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
-    """Temperatures (height, width, 1) of a view, in °C, without the `invalid` ones and those that its mask hides."""
-    hidden = read_mask(source, degC[..., None])
-    return Measured(*resample(degC[..., None], invalid if hidden is None else invalid | hidden, source))
+def _measure(values: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
+    """Values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
+    hidden = read_mask(source, values[..., None])
+    return Measured(*resample(values[..., None], invalid if hidden is None else invalid | hidden, source))
 
 
-def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source]) -> TemperatureRange:
+def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source], unit: Unit) -> TemperatureRange:
     try:
-        return robust_range(sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
+        samples = (sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
+        return robust_range(samples, unit.steps)
     except ValueError as error:
+        what = "raw counts" if unit is COUNTS else "temperatures"
+        remedy = "export the images again" if unit is COUNTS else "set data.temperature=[min,max] in °C"
         raise SceneError(
-            f"{next(iter(sources.values())).path.parent}: the temperatures of the training views give no range "
-            f"({error}); set data.temperature=[min,max] in °C"
+            f"{next(iter(sources.values())).path.parent}: the {what} of the training views give no range "
+            f"({error} {unit.name}); {remedy}"
         ) from error
 
 
@@ -160,22 +197,24 @@ def _valid_values(measured: Measured) -> np.ndarray:
     return measured.image.ravel() if measured.valid is None else measured.image[measured.valid].ravel()
 
 
-def _scaled(measured: Measured, span: TemperatureRange) -> Measured:
-    """The image in [0, 1], in place of the temperatures."""
-    image, valid = measured
-    image -= np.float32(span.min)
-    image /= np.float32(span.max - span.min)
+def _scaled(measured: Measured, scaling: _Scaling) -> Measured:
+    """The image in [0, 1], in place of the values."""
+    valid, dtype, span = measured.valid, scaling.dtype, scaling.range
+    image = measured.image.astype(dtype, copy=False)
+    image -= dtype(span.min)
+    image /= dtype(span.max - span.min)
     np.clip(image, 0, 1, out=image)
+    image = image.astype(np.float32, copy=False)
     if valid is not None:
         image[~valid] = UNMEASURED
     return Measured(image, valid)
 
 
-def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool) -> list[str]:
+def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool, unit: Unit) -> list[str]:
     """Note on masked pixels. filled: their share of each view. are_known: whether a reader has masked fillers."""
     if fillers.values:
         values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
-        what = f"as not measured or filled with {values} °C (data.fillers=[] keeps them)"
+        what = f"as not measured or filled with {values} {unit.name} (data.fillers=[] keeps them)"
     elif are_known:
         what = "as filler of the warp, darker than the image before it (data.fillers=[] keeps them, raised to that)"
     else:
@@ -183,9 +222,10 @@ def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool) -> li
     return [f"{np.mean(filled):.1%} of the pixels are masked, {what}"]
 
 
-def _about_range(span: TemperatureRange, given: TemperatureRange | None, clipped: float) -> str:
+def _about_range(span: TemperatureRange, given: TemperatureRange | None, clipped: float, unit: Unit) -> str:
     origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
-    return (
-        f"the image's range is {span.min:.2f} to {span.max:.2f} °C{origin}; {clipped:.2%} of the pixels are outside "
-        "and clipped"
-    )
+    if unit is COUNTS:
+        what = f"thermal values are raw counts: image values 0 and 1 are {span.min:.0f} and {span.max:.0f} counts"
+    else:
+        what = f"the image's range is {span.min:.2f} to {span.max:.2f} °C"
+    return f"{what}{origin}; {clipped:.2%} of the pixels are outside and clipped"

@@ -55,6 +55,19 @@ class Fillers:
         return invalid
 
 
+def find_apart(views: Mapping[str, np.ndarray]) -> Fillers:
+    """Fillers of a scene of raw counts (H, W) in all its views: values far from all others, which fill a border region.
+
+    Far is more than all others span. A camera's counts lie far above 0, which warps fill with; in images that use all
+    of the 16 bits, the lowest and the highest value are saturated pixels, next to others.
+    """
+    filled = {region.value for view in views.values() for region in _filled_regions(view)}
+    if not filled:
+        return Fillers()
+    low, high = _range_without(views.values(), filled)
+    return given_fillers(sorted(value for value in filled if max(low - value, value - high) > high - low))
+
+
 def given_fillers(values: Iterable[float]) -> Fillers:
     """All pixels of these values, wherever they are."""
     masked = tuple(map(float, values))

@@ -1,4 +1,4 @@
-"""Read image files as float32 arrays in [0, 1]: 8-bit gray and colour, 16-bit radiometric, float TIFF in °C."""
+"""Read image files: 8-bit gray and colour and 16-bit gray as float32 arrays in [0, 1], or pixels as they are stored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -25,8 +25,13 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP")  # Pillow's names
 TO_GRAY = ("1", "LA", "La")  # modes of Pillow that are converted
 TO_COLOR = ("P", "PA", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
-READ_AS_THEY_ARE = ("L", "RGB", "I", "F", "I;16", "I;16B", "I;16L", "I;16N")
+COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
+FLOAT_MODE = "F"
+READ_AS_THEY_ARE = ("L", "RGB", FLOAT_MODE, *COUNT_MODES)
+MOST_COUNTS = 65535  # of 16 bits
 MAX_BYTES = 16 * MAX_PIXELS  # of an image's file; four channels of 32 bits
+
+Storage = Literal["8-bit", "16-bit", "float"]
 
 
 @contextmanager
@@ -75,6 +80,12 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
+def storage(path: Path) -> Storage:
+    """How an image stores its pixels, of the header alone. Raises SceneError naming the file."""
+    with opened_image(path) as image:
+        return "float" if image.mode == FLOAT_MODE else "16-bit" if image.mode in COUNT_MODES else "8-bit"
+
+
 def read_image_bytes(path: Path) -> bytes:
     """Content of an image's file. Raises SceneError for a file larger than any image."""
     if regular_file(path).stat().st_size > MAX_BYTES:
@@ -93,12 +104,8 @@ def whole_image(path: Path) -> Iterator[Image.Image]:
         yield image
 
 
-def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
-    """Read an image as float32 (H, W, 1 or 3) in [0, 1].
-
-    8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how.
-    Float images are in °C. Temperatures are scaled to the range of `radiometry`. Raises SceneError naming the file.
-    """
+def read_pixels(path: Path) -> np.ndarray:
+    """Pixels (H, W, 1 or 3) of an image as stored: uint8, counts up to 65 535, or float. Raises SceneError."""
     with whole_image(path) as opened:
         image: Image.Image = opened
         if image.mode in (*TO_GRAY, *TO_COLOR):
@@ -106,33 +113,35 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
         if image.mode not in READ_AS_THEY_ARE:
             raise SceneError(f"{path} has mode {image.mode}; save it as 8- or 16-bit gray, 8-bit colour or float")
         values, mode = np.asarray(image), image.mode
-    if values.ndim == 2:
-        values = values[:, :, None]
+    if mode in COUNT_MODES and (values.min() < 0 or values.max() > MOST_COUNTS):
+        raise SceneError(f"{path} (mode {mode}) has values outside 0 to {MOST_COUNTS}")
+    return values[:, :, None] if values.ndim == 2 else values
+
+
+def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
+    """Read an image of 8 or 16 bits as float32 (H, W, 1 or 3) in [0, 1].
+
+    8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where `radiometry` says how,
+    and these to its range. Raises SceneError naming the file.
+    """
+    values = read_pixels(path)
     if values.dtype == np.uint8:
         result = values.astype(np.float32)
         result /= np.float32(255)
         return result
-    degC = None
     if np.issubdtype(values.dtype, np.floating):
-        degC = values.astype(np.float64)
-    elif radiometry is not None and radiometry.degC_per_count is not None:
-        degC = values.astype(np.float64) * radiometry.degC_per_count + radiometry.degC_at_zero
-    if degC is not None:
-        if radiometry is None:
-            raise SceneError(
-                f"{path} holds temperatures; add temperature.json with `min` and `max` in °C, or set "
-                "data.temperature=[min,max]"
-            )
-        wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))  # NaN included
-        if wrong.any():
-            limits = f"not finite or outside {TEMPERATURES[0]} to {TEMPERATURES[1]:g} °C"
-            why = "" if values.dtype.kind == "f" else "; is degC_per_count in temperature.json right?"
-            raise SceneError(f"{path} holds {int(wrong.sum())} pixels that are {limits}{why}")
-        low, high = radiometry.range.min, radiometry.range.max
-        return np.clip((degC - low) / (high - low), 0, 1).astype(np.float32)
-    if values.min() < 0 or values.max() > 65535:
-        raise SceneError(f"{path} (mode {mode}) has values outside 0 to 65535")
-    return (values / 65535.0).astype(np.float32)
+        raise SceneError(f"{path} holds float values, as thermal images in °C alone may; save it with 8 or 16 bits")
+    if radiometry is None or radiometry.degC_per_count is None:
+        return (values / float(MOST_COUNTS)).astype(np.float32)
+    degC = values.astype(np.float64) * radiometry.degC_per_count + radiometry.degC_at_zero
+    wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))
+    if wrong.any():
+        raise SceneError(
+            f"{path} holds {int(wrong.sum())} pixels that are outside {TEMPERATURES[0]} to {TEMPERATURES[1]:g} °C; is "
+            "degC_per_count in temperature.json right?"
+        )
+    low, high = radiometry.range.min, radiometry.range.max
+    return np.clip((degC - low) / (high - low), 0, 1).astype(np.float32)
 
 
 def is_gray(image: np.ndarray) -> bool:

@@ -67,12 +67,13 @@ class Kept:
 
 @dataclass(frozen=True)
 class ThermalImages:
-    """Thermal images of a scene, by view name."""
+    """Thermal images of a scene, by view name. counts: raw counts of the image values 0 and 1, of images without °C."""
 
     kept: Mapping[str, Kept]
     channels: int
     temperature: TemperatureRange | None
     notes: list[str] = field(default_factory=list)
+    counts: tuple[int, int] | None = None
 
     def load(self, name: str) -> np.ndarray:
         """Image (H, W, channels) float32 in [0, 1] of a view."""

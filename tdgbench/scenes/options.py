@@ -23,7 +23,7 @@ class ReadOptions:
     as the authors' loaders do; else they are an error. thermal: `shown` reads the layout's thermal images;
     `radiometric` takes °C from the cameras' files in raw_images/. principal_point: as in the model, or at the image's
     `center`, as 3DGS's and ThermalGaussian's readers assume. temperature: °C of image values 0 and 1; None takes them
-    from the scene's files. fillers: values in °C of pixels that were not measured; None finds them (`fillers.py`).
+    from the scene's files. fillers: values of pixels that were not measured, °C or counts; None finds them.
     """
 
     split: Literal["eighty_twenty", "every_8th", "folder"] = "eighty_twenty"

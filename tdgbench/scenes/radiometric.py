@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import opened_image
+from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
 from tdgbench.scenes.inputs import read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES
 from tdgbench.scenes.validate import MAX_PIXELS
@@ -29,7 +29,6 @@ FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
-COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 TIFF_STARTS = (b"II*\0", b"MM\0*")
 
 
@@ -68,7 +67,7 @@ def is_radiometric(path: Path) -> bool:
     if start not in TIFF_STARTS:
         return False
     with opened_image(path) as image:
-        return image.mode in (*COUNT_MODES, "F")
+        return image.mode in (*COUNT_MODES, FLOAT_MODE)
 
 
 def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> np.ndarray:
@@ -90,7 +89,7 @@ def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: 
                 "(in temperature.json, or as options)"
             )
         values = values * degC_per_count + degC_at_zero
-    elif mode != "F":
+    elif mode != FLOAT_MODE:
         raise SceneError(f"{path} has mode {mode}; temperatures are one channel of 16-bit counts or of float °C")
     return _valid_or_nan(values, path)
 

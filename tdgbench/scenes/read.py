@@ -100,7 +100,8 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
 
     return replace(
         scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],
-        temperature=images.temperature, channels=images.channels, notes=[*scene.notes, *images.notes],
+        temperature=images.temperature, counts=images.counts, channels=images.channels,
+        notes=[*scene.notes, *images.notes],
     )  # fmt: skip
 
 

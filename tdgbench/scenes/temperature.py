@@ -80,18 +80,18 @@ def finite_number(value: object) -> float:
     return number
 
 
-def robust_range(samples: Iterable[np.ndarray]) -> TemperatureRange:
-    """Range between PERCENTILES of temperatures (N,) in °C, in whole hundredths.
+def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> TemperatureRange:
+    """Range between PERCENTILES of values (N,), temperatures in °C or counts, in whole steps: so many are 1.
 
-    Raises ValueError if all temperatures are equal.
+    Raises ValueError if all values are equal.
 
     >>> robust_range([np.linspace(10, 20, 1001), np.full(1, 900.0)])
     TemperatureRange(min=10.01, max=20.0)
     """
     low, high = map(float, np.percentile(np.concatenate(list(samples)), PERCENTILES, method="nearest"))
     if low == high:
-        raise ValueError(f"nearly all are {low:g} °C")
-    return check_range(math.floor(100 * low) / 100, math.ceil(100 * high) / 100)
+        raise ValueError(f"nearly all are {low:g}")
+    return check_range(math.floor(steps * low) / steps, math.ceil(steps * high) / steps)
 
 
 def sampled(values: np.ndarray, views: int) -> np.ndarray:

@@ -5,8 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from tdgbench.scenes.celsius import array_reader, celsius_images, file_reader
+from tdgbench.scenes.celsius import (
+    CELSIUS_OF_IMAGES,
+    COUNTS,
+    array_reader,
+    file_reader,
+    measured_images,
+    read_counts,
+)
 from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import storage
 from tdgbench.scenes.layouts import Found
 from tdgbench.scenes.measured import Source, ThermalImages, shown_images
 from tdgbench.scenes.options import ReadOptions
@@ -41,7 +49,29 @@ def thermal_images(
         return _of_pictures(found, sources, pictures, train, options, radiometry, published)
     if found.in_celsius or options.thermal == "radiometric":
         reader = array_reader(radiometry) if found.in_celsius else file_reader(radiometry)
-        return celsius_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
+        return measured_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
+    return _of_images(sources, train, options, radiometry)
+
+
+def _of_images(
+    sources: Mapping[str, Source], train: list[str], options: ReadOptions, radiometry: Radiometry | None
+) -> ThermalImages:  # fmt: skip
+    """Thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
+    stored: dict[str, list[str]] = {}
+    for name, source in sources.items():
+        stored.setdefault(storage(source.path), []).append(name)
+    hold_counts = radiometry is None and "16-bit" in stored
+    if len(stored) > 1 and ("float" in stored or hold_counts):
+        parts = ", ".join(f"{len(names)} {kind} ({some(names)})" for kind, names in sorted(stored.items()))
+        raise SceneError(
+            f"{next(iter(sources.values())).path.parent} holds images of several kinds: {parts}. Float images are in "
+            "°C, the others are not; export all of them alike"
+        )
+    if "float" in stored:
+        given = None if radiometry is None else radiometry.range
+        return measured_images(sources, file_reader(None), train, options, given, CELSIUS_OF_IMAGES)
+    if hold_counts:
+        return measured_images(sources, read_counts, train, options, None, COUNTS)
     return shown_images(sources, radiometry, options.channels)
 
 
@@ -73,5 +103,5 @@ def _of_pictures(
             f"{len(alone)} gray images have none from before the warp; only constant fillers are found: {some(alone)}"
         )
     reader = Pictures(radiometry, found.unwarped, options.fillers is None, array_reader(radiometry))
-    images = celsius_images(sources, reader, train, options, radiometry.range)
+    images = measured_images(sources, reader, train, options, radiometry.range)
     return replace(images, notes=[*notes, *images.notes])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scenes.fillers import Fillers, find_fillers, given_fillers
+from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers
 
 N, H, W = 8, 60, 80
 
@@ -100,3 +100,12 @@ def test_few_views_say_nothing_about_a_common_place(views):
 
 def test_nothing_but_filler():
     assert find_fillers({name: np.zeros((10, 10), np.float32) for name in "abc"}).values == (0.0,)
+
+
+@pytest.mark.parametrize("value", [0.0, 65535.0])
+def test_fillers_of_raw_counts_are_far_from_them(views, value):
+    counts = {name: np.round(7000 + 20 * view) for name, view in views.items()}
+    assert find_apart(counts) == Fillers()
+    assert find_apart({**counts, "v3": _with(counts["v3"], np.s_[:6], value)}) == given_fillers([value])  # in one view
+    assert find_apart(filled(counts, 7280.0)) == Fillers()  # below all, but near
+    assert find_apart(dict.fromkeys(counts, np.full((H, W), value))) == Fillers()

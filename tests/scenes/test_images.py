@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import image_size, is_gray, opened_image, read_image, resize
+from tdgbench.scenes.images import image_size, is_gray, opened_image, read_image, read_pixels, resize, storage
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
@@ -36,11 +36,17 @@ def test_16_bit_radiometric(tmp_path, suffix):
     assert np.allclose(read_image(tmp_path / f"t{suffix}")[..., 0], counts / 65535)
 
 
-def test_float_tiff_is_degC(tmp_path):
-    Image.fromarray(np.array([[10.0, 35.0]], np.float32)).save(tmp_path / "t.tiff")
-    assert np.allclose(read_image(tmp_path / "t.tiff", RANGE)[..., 0], [[0, 0.5]])
-    with pytest.raises(SceneError, match=r"t\.tiff holds temperatures; add temperature\.json"):
-        read_image(tmp_path / "t.tiff")
+def test_pixels_are_read_as_stored(tmp_path):
+    for dtype, kind in ((np.uint8, "8-bit"), (np.uint16, "16-bit"), (np.int32, "16-bit"), (np.float32, "float")):
+        values = np.array([[10, 35]], dtype)
+        Image.fromarray(values).save(tmp_path / "t.tiff")
+        assert storage(tmp_path / "t.tiff") == kind
+        assert np.array_equal(read_pixels(tmp_path / "t.tiff")[..., 0], values)
+    with pytest.raises(SceneError, match=r"t\.tiff holds float values, as thermal images in °C alone may"):
+        read_image(tmp_path / "t.tiff", RANGE)
+    Image.fromarray(np.array([[10, 65536]], np.int32)).save(tmp_path / "t.tiff")
+    with pytest.raises(SceneError, match=r"t\.tiff \(mode I\) has values outside 0 to 65535"):
+        read_pixels(tmp_path / "t.tiff")
 
 
 def test_a_broken_image_is_named(tmp_path):

@@ -93,9 +93,9 @@ def test_temperatures(write):
     path = write(image, levels(0).repeat(2, axis=1))
     one = reader(path)(path)
     truth = 20 + 0.1 * levels(0)
-    assert one.degC.dtype == np.float32 and one.is_masked and one.block == 1
-    measured = np.isfinite(one.degC)
-    assert not measured[has_filler].any() and np.abs(one.degC - truth)[measured].max() < 1e-4
+    assert one.values.dtype == np.float32 and one.is_masked and one.block == 1
+    measured = np.isfinite(one.values)
+    assert not measured[has_filler].any() and np.abs(one.values - truth)[measured].max() < 1e-4
     assert measured[~ndimage.binary_dilation(has_filler, iterations=2)].all()
 
 
@@ -105,7 +105,7 @@ def test_raised_as_the_authors_do(write):
     path = write(image, levels(1, lowest=40)[:60])
     one = reader(path, mask=False)(path)
     t = np.maximum(image / 255, levels(1, lowest=40)[:60].min() / 255)
-    assert not one.is_masked and np.allclose(one.degC, 20 + t * 25.5, atol=1e-5)
+    assert not one.is_masked and np.allclose(one.values, 20 + t * 25.5, atol=1e-5)
 
 
 def test_what_tells_nothing_is_left_to_the_search(write):
@@ -113,16 +113,16 @@ def test_what_tells_nothing_is_left_to_the_search(write):
     image, _ = warped(levels(0))
     path = write(image, suffix=".jpg", quality=95)
     one = reader(path)(path)
-    assert not one.is_masked and np.isfinite(one.degC).all() and one.block == BLOCK
+    assert not one.is_masked and np.isfinite(one.values).all() and one.block == BLOCK
     path = write(image, levels(0, lowest=2))
     one = reader(path)(path)
-    assert not one.is_masked and one.degC.min() == np.float32(20 + 0.1 * 2)
+    assert not one.is_masked and one.values.min() == np.float32(20 + 0.1 * 2)
 
 
 def test_gray_in_three_channels_and_colours(write):
     gray = levels(0)
     path = write(np.stack([gray] * 3, axis=-1))
-    assert np.allclose(reader(path)(path).degC, 20 + 0.1 * gray, atol=1e-4)
+    assert np.allclose(reader(path)(path).values, 20 + 0.1 * gray, atol=1e-4)
     path = write(np.stack([gray, gray, 255 - gray], axis=-1))
     with pytest.raises(SceneError, match=r"v\.png is in colours, but temperatures are read from gray images"):
         reader(path)(path)
@@ -132,4 +132,4 @@ def test_arrays_are_no_pictures(tmp_path):
     degC = np.full((4, 6), 30.0)
     np.save(tmp_path / "v.npy", degC)
     path = tmp_path / "v.npy"
-    assert not is_picture(path) and np.array_equal(reader(path)(path).degC, degC)
+    assert not is_picture(path) and np.array_equal(reader(path)(path).values, degC)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -54,6 +56,14 @@ def test_pseudo_color_has_no_temperature(small_scene):
     values = score(scoring, small_scene, to_8bit(view.thermal), view.true_depth)
     assert values["mae_degC"] is None and "pseudo-colour" in scoring.missing["mae_degC"]
     assert values["ssim"] == pytest.approx(1)
+
+
+def test_raw_counts_have_no_temperature(small_gray_scene):
+    view = small_gray_scene.test[0]
+    scene = replace(small_gray_scene, temperature=None, counts=(5500, 5830))
+    scoring = scorer()
+    values = score(scoring, scene, to_8bit(view.thermal), view.true_depth)
+    assert values["mae_degC"] is None and scoring.missing["mae_degC"] == "raw counts have no °C"
 
 
 def test_conventions_differ(small_scene):

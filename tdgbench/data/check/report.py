@@ -19,7 +19,7 @@ COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) -> None:
     """Print one row per scene, then problems and notes, one line each."""
     table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
-    for heading in ("scene", "layout", "views", "split", "size", "ch", "°C", "masked", "edges, px", "status"):
+    for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges, px", "status"):
         table.add_column(heading, overflow="fold")
     for check in checks:
         table.add_row(*_row(check))
@@ -40,7 +40,6 @@ def _row(check: SceneCheck) -> list[str]:
     if not check.views:
         return [one_line(check.name).replace("[", r"\["), layout, *[""] * 7, status]
     views = str(check.views) if check.published is None else f"{check.views} of {check.published}"
-    span = check.temperature
     return [
         one_line(check.name).replace("[", r"\["),
         layout,
@@ -48,11 +47,18 @@ def _row(check: SceneCheck) -> list[str]:
         f"{check.train} + {check.test}",
         ", ".join(f"{width}×{height}" for width, height in check.sizes[:2]) + (" …" if check.sizes[2:] else ""),
         str(check.channels),
-        "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f}",
+        _range(check),
         "n/a" if check.masked is None else f"{100 * check.masked:.1f} %",
         f"{check.offset.px:.1f} ± {check.offset.spread:.1f}" if isinstance(check.offset, Offset) else "n/a",
         status,
     ]
+
+
+def _range(check: SceneCheck) -> str:
+    """What image values 0 and 1 are."""
+    if check.counts is not None:
+        return f"counts {check.counts[0]} to {check.counts[1]}"
+    return "n/a" if check.temperature is None else f"{check.temperature[0]:.1f} to {check.temperature[1]:.1f} °C"
 
 
 def as_json(root: Path, checks: list[SceneCheck], time: Table1Time | str, is_paper: bool) -> str:
@@ -88,6 +94,7 @@ def _scene_json(check: SceneCheck) -> dict[str, object]:
         "sizes_px": [list(size) for size in check.sizes],
         "channels": check.channels,
         "temperature_degC": None if check.temperature is None else list(check.temperature),
+        "counts": None if check.counts is None else list(check.counts),
         "masked_share": check.masked,
         "points": check.points,
         "edge_offset_px": offset.px if isinstance(offset, Offset) else None,

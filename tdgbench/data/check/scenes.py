@@ -13,7 +13,7 @@ import numpy as np
 from tdgbench.data.check.alignment import Offset, Untrusted, ViewPair, edge_offset
 from tdgbench.data.check.published import VIEWS
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, View, registry
-from tdgbench.scenes.images import SUFFIXES, read_image
+from tdgbench.scenes.images import SUFFIXES, read_pixels
 from tdgbench.scenes.inputs import is_folder, listed
 from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.layouts.layout import find_files
@@ -27,9 +27,9 @@ class SceneCheck:
     """What is known of a scene.
 
     published: number of views that its authors publish, where known. rgb: views with an RGB image. sizes: (width,
-    height) of the views, px. temperature: °C of image values 0 and 1. masked: share of the thermal pixels that were
-    not measured. offset: of thermal from RGB edges. problems: what is missing or broken, with the remedy; a scene
-    without one can be used.
+    height) of the views, px. temperature: °C of image values 0 and 1. counts: raw counts of them, of scenes without °C.
+    masked: share of the thermal pixels that were not measured. offset: of thermal from RGB edges. problems: what is
+    missing or broken, with the remedy; a scene without one can be used.
     """
 
     name: str
@@ -45,6 +45,7 @@ class SceneCheck:
     sizes: list[tuple[int, int]] = field(default_factory=list)
     channels: int | None = None
     temperature: tuple[float, float] | None = None
+    counts: tuple[int, int] | None = None
     masked: float | None = None
     points: int | None = None
     offset: Offset | Untrusted | None = None
@@ -134,6 +135,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
     check.points = None if scene.points is None else len(scene.points.points)
     span = scene.temperature
     check.temperature = None if span is None or scene.channels != 1 else (span.min, span.max)
+    check.counts = scene.counts
     check.masked = float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views]))
     check.rgb = sum(view.load_rgb is not None for view in views)
     check.notes += scene.notes
@@ -191,9 +193,9 @@ def _broken_images(dataset: Dataset, name: str, said: str) -> Iterator[str]:
             continue
         for path in files.values():
             try:
-                read_image(path)
+                read_pixels(path)
             except SceneError as error:
-                if str(path) not in said and "temperature.json" not in str(error):
+                if str(path) not in said:
                     yield str(error)
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import get_args
 
 from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
-from tdgbench.data.prepare.thermal_camera import Split
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.terminal import say
@@ -33,10 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--matching", choices=("exhaustive", "sequential"), default="exhaustive",
                         help="sequential: neighbours by name, for videos")  # fmt: skip
     parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of the RGB camera")
-    parser.add_argument("--thermal-camera", choices=("ideal", "estimated"), default="ideal",
-                        help="estimated: offsets, gains and vignette are removed from training views")  # fmt: skip
-    parser.add_argument("--split", choices=get_args(Split), default="eighty_twenty",
-                        help="which views --thermal-camera takes for training views")  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
     parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
 
@@ -59,8 +53,6 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
     if arguments.range is not None and not arguments.range[0] < arguments.range[1]:
         raise SceneError("--range: MIN must be below MAX")
-    if arguments.thermal_camera == "estimated" and arguments.no_sfm:
-        raise SceneError("--thermal-camera estimated needs the points of COLMAP; omit --no-sfm")
     sfm = SfmOptions(arguments.matching, arguments.camera_model, arguments.seed, arguments.threads)
     return PrepareOptions(
         pairs=None if arguments.pairs is None else (arguments.pairs[0], arguments.pairs[1]),
@@ -70,8 +62,6 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         width=arguments.width,
         range=None if arguments.range is None else (arguments.range[0], arguments.range[1]),
         sfm=None if arguments.no_sfm else sfm,
-        camera=arguments.thermal_camera,
-        split=arguments.split,
     )
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from tdgbench.data.prepare.sources import ViewFiles
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import read_image, whole_image
+from tdgbench.scenes.images import COUNT_MODES, read_image, whole_image
 from tdgbench.scenes.inputs import regular_file
-from tdgbench.scenes.radiometric import COUNT_MODES, PhotoMapping, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.radiometric import PhotoMapping, is_radiometric, read_celsius, read_thermogram
 from tdgbench.scenes.temperature import Radiometry
 
 

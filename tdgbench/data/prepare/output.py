@@ -27,7 +27,7 @@ class SceneWriter:
     def __init__(self, folder: Path, is_celsius: bool) -> None:
         self.folder, self.is_celsius = folder, is_celsius
         self.names: list[str] = []  # of the views
-        self._samples: dict[str, np.ndarray] = {}
+        self._samples: list[np.ndarray] = []  # of the views' temperatures
         for name in ("rgb", "thermal"):
             (folder / name).mkdir()
 
@@ -38,18 +38,17 @@ class SceneWriter:
         """
         self.names.append(name)
         Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)).save(self.folder / "rgb" / f"{name}.png")
-        self.thermal(name, thermal, valid)
+        self._thermal(name, thermal, valid)
         if not valid.all():
             (self.folder / "masks").mkdir(exist_ok=True)
             Image.fromarray(valid.astype(np.uint8) * 255).save(self.folder / "masks" / f"{name}.png")
 
-    def thermal(self, name: str, thermal: np.ndarray, valid: np.ndarray) -> None:
-        """Write, or replace, the thermal image of a view."""
+    def _thermal(self, name: str, thermal: np.ndarray, valid: np.ndarray) -> None:
         if self.is_celsius:
             tiff = self.folder / "thermal" / f"{name}.tiff"
             Image.fromarray(thermal.astype(np.float32)).save(tiff, compression="tiff_deflate")
             measured = thermal[valid]
-            self._samples[name] = measured[:: max(1, len(measured) // SAMPLES)]
+            self._samples.append(measured[:: max(1, len(measured) // SAMPLES)])
         else:
             is_gray = thermal.shape[2] == 1
             levels = np.round(np.clip(thermal, 0, 1) * (65535 if is_gray else 255))
@@ -62,7 +61,7 @@ class SceneWriter:
             return
         share = None
         if self.is_celsius:
-            samples = np.concatenate(list(self._samples.values()))
+            samples = np.concatenate(self._samples)
             if given is None:
                 given = _range_of(samples)
             share = float(np.mean((samples < given[0]) | (samples > given[1])))

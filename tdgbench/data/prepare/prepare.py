@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pycolmap
@@ -20,7 +19,6 @@ from tdgbench.data.prepare.progress import step
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, make_grid, no_distortion
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
-from tdgbench.data.prepare.thermal_camera import Split, correct_views
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.inputs import is_there
@@ -36,8 +34,7 @@ class PrepareOptions:
 
     pairs: patterns of thermal and RGB files. counts: meaning of 16-bit counts. mapping: where the thermal image lies in
     the RGB image, or homography: a file that says so; by default as the camera's files state, else the same view.
-    width: of the output in px. range: °C of the image values 0 and 1. sfm: None stops after extraction. camera:
-    `estimated` corrects the thermal images of the training views of `split` for their camera (`thermal_camera.py`).
+    width: of the output in px. range: °C of the image values 0 and 1. sfm: None stops after extraction.
     """
 
     pairs: tuple[str, str] | None = None
@@ -47,8 +44,6 @@ class PrepareOptions:
     width: int | None = None
     range: tuple[float, float] | None = None
     sfm: SfmOptions | None = field(default_factory=SfmOptions)
-    camera: Literal["ideal", "estimated"] = "ideal"
-    split: Split = "eighty_twenty"
 
 
 def prepare(folder: Path, out: Path, options: PrepareOptions) -> Report:
@@ -91,15 +86,11 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
     ]
     report.size = grid.size
     views = _write_views(part, captured, (grid, mapping, own), report)
-    span = options.range or _known_range(folder, captured)
-    views.temperature(span, report)
+    views.temperature(options.range or _known_range(folder, captured), report)
     if structure is not None:
         poses = {view: structure.poses[captured.names[view]] for view in views.names}
         views.model({f"{view}.png": grid.camera(pose) for view, pose in poses.items()}, structure.points)
     shutil.rmtree(work)
-    if options.camera == "estimated":
-        correct_views(views, options.split, report)
-        views.temperature(span, report)
 
 
 def _choose_mapping(captured: Captured, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:

@@ -39,7 +39,6 @@ class Report:
     error_px: float | None = None
     points: int | None = None
     edge_offset: dict[str, float] | str | None = None  # of thermal edges from RGB edges; a string says why unknown
-    thermal_camera: dict[str, object] | str | None = None  # as estimated; a string says why it is not
 
     def count(self, status: Status) -> int:
         return sum(one.status == status for one in self.files)
@@ -90,13 +89,4 @@ class Report:
             )
         elif self.edge_offset is not None:
             lines.append(f"  offset of thermal from RGB edges: n/a ({self.edge_offset})")
-        return [*lines, *self._camera()]
-
-    def _camera(self) -> list[str]:
-        if self.thermal_camera is None:
-            return []
-        if isinstance(self.thermal_camera, str):
-            return [f"  the thermal camera is not estimated, images are not corrected: {self.thermal_camera}"]
-        said = ["summary", "notes", "applied"]
-        summary, notes, applied = (self.thermal_camera[name] for name in said)
-        return [f"  thermal camera: {summary}", *(f"    {note}" for note in notes), f"    {applied}"]  # type: ignore[attr-defined]
+        return lines

@@ -18,6 +18,7 @@ from tdgbench.experiments.stress.outcome import Observed
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import read_image
+from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.temperature import read_radiometry
 from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal
 
@@ -72,8 +73,8 @@ def _losses() -> list[tuple[str, Loss, Tensor]]:
 def _files() -> list[tuple[str, Expected, Callable[[Path], object]]]:
     """Name, expectation, and action in a folder, of each case."""
     return [
-        ("NaN in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("nan"))),
-        ("infinity in a thermal image", Raises("SceneError", "1 pixels that are not finite"), _tiff(float("inf"))),
+        ("a thermal image of NaN", Raises("SceneError", "holds no temperature"), _tiff(float("nan"))),
+        ("a thermal image of infinity", Raises("SceneError", "holds no temperature"), _tiff(float("inf"))),
         ("temperatures without a range", Raises("SceneError", r"min. . is not below max|min.*<.*max"), _flat_range),
         ("a broken image", Raises("SceneError", "cannot be read as an image"), _broken),
         ("a prior that is unknown everywhere", Raises("PriorError", "no finite value"), lambda _: _prior(float("nan"))),
@@ -130,11 +131,8 @@ def _in_folder(act: Callable[[Path], object]) -> Callable[[str], Observed]:
 
 def _tiff(bad: float) -> Callable[[Path], object]:
     def act(folder: Path) -> object:
-        degC = np.full(SIZE, 20, np.float32)
-        degC[3, 4] = bad
-        Image.fromarray(degC).save(folder / "view.tiff")
-        (folder / "temperature.json").write_text(json.dumps({"min": 10, "max": 30}), encoding="utf-8")
-        return read_image(folder / "view.tiff", read_radiometry(folder / "temperature.json"))
+        Image.fromarray(np.full(SIZE, bad, np.float32)).save(folder / "view.tiff")
+        return read_celsius(folder / "view.tiff")
 
     return act
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -70,7 +71,8 @@ class SyntheticDataset:
         folder = self.folder(description.scene)
         if not folder.exists():
             write_scene(world, folder, self.shot)
-        return outline_scene(folder, description, self.options, LAYOUTS["rgbt_scenes"])
+        options = self.options if self.options.fillers is not None else replace(self.options, fillers=[])
+        return outline_scene(folder, description, options, LAYOUTS["rgbt_scenes"])  # every pixel was measured
 
     def folder(self, name: str) -> Path:
         """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""

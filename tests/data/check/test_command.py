@@ -1,10 +1,12 @@
 import json
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tdgbench.data.check.table1_time import Table1Time, table1_time
 from tests.helpers.command import tdgbench_here
-from tests.helpers.layouts import write_rgbt_scenes, write_ti_nsd
+from tests.helpers.layouts import write_rgbt_scenes, write_thermoscenes, write_ti_nsd
 from tests.helpers.paths import ROOT
 
 WITHOUT_TIME = ("--time", "0")
@@ -21,6 +23,23 @@ def test_table(tmp_path, small_gray_scene):
     ]  # fmt: skip
     assert "1 of 1 scenes can be used" in run.stdout and "time of Table 1: n/a (--time 0)" in run.stdout
     assert f"checking {name}" in run.stderr
+
+
+def test_the_range_has_a_unit(tmp_path, small_gray_scene):
+    """Of images of temperatures, and of raw counts, which have none."""
+    write_thermoscenes(small_gray_scene, tmp_path / "data" / "warm", names_thermal=False)
+    folder = write_thermoscenes(small_gray_scene, tmp_path / "data" / "raw", names_thermal=False)
+    (folder / "temperature_bounds.json").unlink()
+    for path in (folder / "thermal").iterdir():
+        levels = np.asarray(Image.open(path)).astype(np.uint16)
+        levels[:2], levels[-2:] = 0, 255  # the ends of the range, in every view
+        Image.fromarray(5500 + levels).save(path)
+    out = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME).stdout
+    assert "│ counts 5500 to 5755 │" in out and "│ 14.0 to 50.0 °C " in out
+    content = json.loads(tdgbench_here(tmp_path, "data", "check", "data", "--json", *WITHOUT_TIME).stdout)
+    raw, warm = content["scenes"]
+    assert (raw["counts"], raw["temperature_degC"]) == ([5500, 5755], None)
+    assert (warm["counts"], warm["temperature_degC"]) == (None, [14.0, 50.0])
 
 
 def test_missing_and_broken_scenes_are_status_1(tmp_path, small_gray_scene):

@@ -31,7 +31,6 @@ def test_command_says_what_it_does(tmp_path, small_gray_scene):
         ("--range", "20", "10"),
         ("--width", "0"),
         ("--matching", "none"),
-        ("--thermal-camera", "estimated", "--no-sfm"),
     ],
 )
 def test_wrong_options(tmp_path, options):

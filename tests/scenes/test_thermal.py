@@ -1,0 +1,153 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.data.prepare.output import SceneWriter
+from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
+from tests.helpers.layouts import celsius, write_model, write_thermalmix
+
+LOWEST, STEP = 5500, 0.08  # counts, °C of one
+FRAME = np.arange(48) < 6  # columns that a warp has left empty
+
+
+def load(folder, **options):
+    return FolderDataset(str(folder), ReadOptions(**options)).load(None)
+
+
+def write(scene, folder, stored, suffix=".tiff"):
+    """A scene whose thermal images are what `stored` makes of a view's temperatures (H, W)."""
+    write_model(scene, folder / "sparse" / "0", "PINHOLE", ".png")
+    (folder / "thermal").mkdir()
+    for view in scene.views:
+        Image.fromarray(stored(celsius(view, scene))).save(folder / "thermal" / f"{view.name}{suffix}")
+    return folder
+
+
+def counts(degC):
+    return np.round(LOWEST + (degC - 14) / STEP).astype(np.uint16)
+
+
+def state(folder, **content):
+    (folder / "temperature.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def differs(scene, other):
+    return [not np.array_equal(a.thermal, b.thermal) for a, b in zip(scene.views, other.views, strict=True)]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda degC: degC, lambda degC: np.where(degC > 40, np.nan, degC), lambda degC: np.where(FRAME, 0, degC)],
+    ids=["whole", "nan", "filler"],
+)
+@pytest.mark.parametrize("options", [{}, {"temperature": [10.0, 60.0]}, {"width": 24}])
+def test_float_images_are_read_as_arrays_are(small_gray_scene, tmp_path, change, options):
+    images = load(write(small_gray_scene, tmp_path / "images", lambda d: change(d).astype(np.float32)), **options)
+    arrays = write_thermalmix(
+        small_gray_scene, tmp_path / "arrays", camera="PINHOLE", change=lambda d, number: change(d)
+    )
+    arrays = load(arrays, **options)
+    assert images.temperature == arrays.temperature and images.channels == 1 and images.notes[2:] == arrays.notes[2:]
+    for one, other in zip(images.views, arrays.views, strict=True):
+        assert np.abs(one.thermal - other.thermal).max() < 1e-6
+        assert np.array_equal(one.valid, other.valid) if other.valid is not None else one.valid is None
+    assert images.temperature.min == round(images.temperature.min, 2)
+
+
+def test_float_images_whose_range_is_stated_keep_their_values(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path / "scene", lambda degC: degC)
+    state(folder, min=20.0, max=40.0)
+    for view in load(folder).views:
+        degC = np.asarray(Image.open(view.thermal_path)).astype(np.float64)
+        assert np.array_equal(view.thermal[..., 0], np.clip((degC - 20) / 20, 0, 1).astype(np.float32))
+
+
+@pytest.mark.parametrize("kind, others", [(np.float32, np.uint8), (np.float32, np.uint16), (np.uint16, np.uint8)])
+def test_a_mixture_is_one_error(small_gray_scene, tmp_path, kind, others):
+    folder = write(small_gray_scene, tmp_path / "scene", lambda degC: degC.astype(others))
+    path = folder / "thermal" / "view003.tiff"
+    Image.fromarray(np.asarray(Image.open(path)).astype(kind)).save(path)
+    with pytest.raises(SceneError, match=r"thermal holds images of several kinds: .*1 [^,]* \(view003\).*export all"):
+        load(folder)
+
+
+@pytest.mark.parametrize("suffix", [".tiff", ".png"])
+def test_raw_counts_have_a_range_and_no_temperature(small_gray_scene, tmp_path, suffix):
+    folder = write(small_gray_scene, tmp_path / "scene", counts, suffix)
+    scene = load(folder)
+    stored = {path.stem: np.asarray(Image.open(path)) for path in (folder / "thermal").iterdir()}
+    together = np.concatenate([stored[view.name].ravel() for view in scene.train])
+    low, high = np.percentile(together, [0.1, 99.9], method="nearest").tolist()
+    assert scene.counts == (low, high) and scene.temperature is None and scene.channels == 1
+    assert scene.notes[-1].startswith(
+        f"thermal values are raw counts: image values 0 and 1 are {low} and {high} counts, 0.1 and 99.9 percentile"
+    )
+    for view in scene.views:
+        assert view.valid is None
+        assert np.allclose(
+            view.thermal[..., 0], ((stored[view.name].astype(float) - low) / (high - low)).clip(0, 1), atol=1e-6
+        )
+    low, high = load(folder, width=24).counts
+    assert isinstance(low, int) and scene.counts[0] - 2 <= low < high <= scene.counts[1] + 2
+
+
+def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path / "scene", counts)
+    stored = np.asarray(Image.open(folder / "thermal" / "view001.tiff"))
+    state(folder, min=14.0, max=54.0)
+    encoded = load(folder)
+    assert encoded.counts is None and encoded.temperature.max == 54
+    assert np.array_equal(encoded.train[0].thermal[..., 0], (stored / 65535).astype(np.float32))
+    (folder / "temperature.json").unlink()
+    assert not any(differs(encoded, load(folder, temperature=[14.0, 54.0])))
+    state(folder, min=14.0, max=54.0, degC_per_count=STEP, degC_at_zero=14 - LOWEST * STEP)
+    scaled = load(folder)
+    assert scaled.counts is None
+    assert np.allclose(scaled.train[0].thermal[..., 0] * 40, (stored.astype(float) - LOWEST) * STEP, atol=1e-4)
+
+
+def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
+    whole = load(write(small_gray_scene, tmp_path / "whole", counts))
+    scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
+    assert abs(scene.counts[0] - whole.counts[0]) <= 2 and "filled with 0 counts" in scene.notes[-2]
+    assert all(not view.valid[:, :7].any() and view.valid[:, 7:].all() for view in scene.views)
+    assert load(scene.folder, fillers=[]).counts[0] == 0
+
+
+def test_counts_that_are_all_equal(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path / "scene", lambda degC: np.full(degC.shape, LOWEST, np.uint16))
+    with pytest.raises(SceneError, match=r"the raw counts of the training views give no range \(nearly all are 5500 "):
+        load(folder)
+
+
+def test_prepared_images_without_temperatures_are_counts(small_gray_scene, tmp_path):
+    """Written as 16 bits of [0, 1], read with one stretch for all; counts that were prepared are counts again."""
+    folder = tmp_path / "scene"
+    write_model(small_gray_scene, folder / "sparse" / "0", "PINHOLE", ".png")
+    writer, everywhere = SceneWriter(folder, is_celsius=False), np.ones((36, 48), bool)
+    stored = {}
+    for view in small_gray_scene.views:
+        stored[view.name] = counts(celsius(view, small_gray_scene))
+        writer.view(view.name, view.rgb, (stored[view.name] / 65535).astype(np.float32)[..., None], everywhere)
+    scene = load(folder)
+    low, high = scene.counts
+    assert LOWEST <= low < high <= LOWEST + 500
+    for view in scene.views:
+        assert np.array_equal(np.asarray(Image.open(view.thermal_path)), stored[view.name])
+        assert np.allclose(
+            view.thermal[..., 0], ((stored[view.name].astype(float) - low) / (high - low)).clip(0, 1), atol=1e-6
+        )
+
+
+def test_black_and_white_of_all_16_bits_are_measured(small_gray_scene, tmp_path):
+    """Images that a camera stretches are black where it is coldest, also at the border and in all views."""
+
+    def stretched(degC):
+        image = ((degC - 20) / 20).clip(0, 1)
+        image[:5], image[-5:] = 0, 1
+        return np.round(image * 65535).astype(np.uint16)
+
+    scene = load(write(small_gray_scene, tmp_path / "scene", stretched))
+    assert scene.counts == (0, 65535) and all(view.valid is None for view in scene.views)
