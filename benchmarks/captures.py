@@ -17,7 +17,6 @@ fresco   a frescoed room, hand-held (Workswell WIRIS Pro, °C), with RGB, which 
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import tempfile
@@ -36,9 +35,7 @@ from tdgbench.data.prepare.prepare import PrepareOptions, prepare
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.temperature import FILE, robust_range
 
-COUNTS_AS_DEGC = 0.04  # stands for an unknown scale, as the reader takes counts only as °C; without it: no FILE
 RGB_SIZE = 960, 540  # of fresco, half that of the files: thermal images have 640×512 px
 RGB_TO_THERMAL = "0.8916 0.0023 -122.53 -0.0028 0.8822 18.07 -5.5e-6 -6.5e-6 1"  # homography, px; to 1 px RMS
 APP3, SCAN = 0xE3, 0xDA  # segments of a JPEG: DJI's raw counts, the image
@@ -87,8 +84,8 @@ def river(source: Path, out: Path, views: int) -> None:
     raw = read_frames(sorted((source / "RawData").glob("*.tiff"))[first:][:views])
     unbiased = read_frames([source / "TIFFs - pixel bias removed" / f"{name}.tiff" for name in raw])
     model = from_motion(image_names(unbiased))
-    write_scene(out / "river", raw, model, COUNTS_AS_DEGC)
-    write_scene(out / "river_unbiased", unbiased, model, COUNTS_AS_DEGC)
+    write_scene(out / "river", raw, model)
+    write_scene(out / "river_unbiased", unbiased, model)
     differences = [raw[name].astype(np.float32) - unbiased[name] for name in raw]
     np.save(out / "river_pattern.npy", np.mean(differences, axis=0))
 
@@ -97,8 +94,8 @@ def orchard(source: Path, out: Path, views: int) -> None:
     files = sorted((source / "examples").glob("*.JPG"))[:views]
     counts = {path.stem: dji_counts(path) for path in files}
     model = from_motion(image_names(counts))
-    write_scene(out / "orchard", {path.stem: np.asarray(Image.open(path).convert("L")) for path in files}, model, None)
-    write_scene(out / "orchard_counts", counts, model, COUNTS_AS_DEGC)
+    write_scene(out / "orchard", {path.stem: np.asarray(Image.open(path).convert("L")) for path in files}, model)
+    write_scene(out / "orchard_counts", counts, model)
 
 
 def plots(source: Path, out: Path, views: int) -> None:
@@ -109,7 +106,7 @@ def plots(source: Path, out: Path, views: int) -> None:
     frames = {name: (frame / 1000).astype(np.float32) for name, frame in read_frames(files[:views]).items()}
     named = image_names(frames)
     model = triangulated(named, camera, {file: poses[Path(file).stem] for file in named})
-    write_scene(out / "plots", frames, model, 1.0)
+    write_scene(out / "plots", frames, model)
 
 
 def fresco(source: Path, out: Path, views: int) -> None:
@@ -155,24 +152,17 @@ def dji_counts(path: Path) -> np.ndarray:
     return np.frombuffer(raw, "<u2").reshape(height, width)
 
 
-def write_scene(
-    folder: Path, frames: Mapping[str, np.ndarray], model: pycolmap.Reconstruction, scale: float | None
-) -> None:  # fmt: skip
-    """Write the registered views and the model; print what they are. scale: °C of a value; None for shown images."""
+def write_scene(folder: Path, frames: Mapping[str, np.ndarray], model: pycolmap.Reconstruction) -> None:
+    """Write the registered views (8 bits, raw counts, or float in °C) and the model; print what they are."""
     registered = {Path(image.name).stem for image in model.images.values()}
-    kept = {view: frame for view, frame in frames.items() if view in registered}
     with whole_folder(folder) as part:
         (part / "thermal").mkdir()
         (part / "sparse" / "0").mkdir(parents=True)
-        for view, frame in kept.items():
-            suffix = "png" if frame.dtype == np.uint8 else "tiff"
-            Image.fromarray(frame).save(part / "thermal" / f"{view}.{suffix}")
+        for view, frame in frames.items():
+            if view in registered:
+                suffix = "png" if frame.dtype == np.uint8 else "tiff"
+                Image.fromarray(frame).save(part / "thermal" / f"{view}.{suffix}")
         model.write(part / "sparse" / "0")
-        if scale is not None:
-            span = robust_range([scale * frame[::2, ::2].ravel().astype(np.float64) for frame in kept.values()])
-            known = {"unit": "degC", "min": span.min, "max": span.max}
-            counts = {} if scale == 1 else {"degC_per_count": scale, "degC_at_zero": 0.0}
-            (part / FILE).write_text(json.dumps(known | counts) + "\n", encoding="utf-8")
     print(f"{folder}: {summary(model, len(frames))}", flush=True)
 
 

@@ -63,8 +63,8 @@ def test_counts_of_dji_are_its_third_application_segments(tmp_path):
         dji_counts(path)
 
 
-@pytest.mark.parametrize(("dtype", "scale"), [(np.uint8, None), (np.uint16, 0.04), (np.float32, 1.0)])
-def test_scenes_are_read(tmp_path, dtype, scale):
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_scenes_are_read(tmp_path, dtype):
     rng = np.random.default_rng(0)
     frames = {f"v{k}": rng.integers(0, 200, (24, 32)).astype(dtype) for k in range(5)}
     model = pycolmap.Reconstruction()
@@ -75,7 +75,7 @@ def test_scenes_are_read(tmp_path, dtype, scale):
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.eye(3, 4) + [[0, 0, 0, number]] * 3))
     for point in rng.normal((0, 0, 9), size=(10, 3)):
         model.add_point3D(point, pycolmap.Track())
-    write_scene(tmp_path / "made", frames, model, scale)
+    write_scene(tmp_path / "made", frames, model)
     scene = FolderDataset(str(tmp_path), ReadOptions()).load("made")
     assert len(scene.train) + len(scene.test) == 4
-    assert (scene.temperature is not None) == (scale is not None)
+    assert (scene.temperature is not None) == (dtype == np.float32) and (scene.counts is not None) == (dtype == np.uint16)
