@@ -78,4 +78,5 @@ def test_scenes_are_read(tmp_path, dtype):
     write_scene(tmp_path / "made", frames, model)
     scene = FolderDataset(str(tmp_path), ReadOptions()).load("made")
     assert len(scene.train) + len(scene.test) == 4
-    assert (scene.temperature is not None) == (dtype == np.float32) and (scene.counts is not None) == (dtype == np.uint16)
+    assert (scene.temperature is not None) == (dtype == np.float32)
+    assert (scene.counts is not None) == (dtype == np.uint16)
