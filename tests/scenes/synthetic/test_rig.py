@@ -82,7 +82,7 @@ def test_the_thermal_camera_stands_where_the_offset_says():
     given = Camera(np.diag([90.0, 90.0, 1.0]), np.eye(4)[[1, 2, 0, 3]], 96, 72)
     camera = RIGS["all"].camera(given)
     assert given.world_to_camera[:3, :3] @ camera.center == pytest.approx([0.3, -0.1, 0.05])
-    assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([99, 99, 2, 1])
+    assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([99, 99, 1.92, 0.96])
 
 
 def test_a_lens_that_folds_the_image_is_an_error(tmp_path):
