@@ -12,20 +12,11 @@ from tdgbench.thermal.camera import Response, ThermalCamera, in_gauge
 
 
 class Truth(NamedTuple):
-    """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C.
-
-    shape: (H, W), of which a view's vignette is a share, shares: (V,).
-    """
+    """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C."""
 
     response: Response
-    shape: np.ndarray
-    shares: np.ndarray
+    vignette: np.ndarray
     pattern: np.ndarray
-
-    @property
-    def vignette(self) -> np.ndarray:
-        """(H, W), the mean of the views'."""
-        return np.asarray(self.shares.mean() * self.shape)
 
 
 class Errors(NamedTuple):
@@ -40,10 +31,10 @@ class Errors(NamedTuple):
 def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
     """The true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
     true, index = truth.camera, truth.index(list(views))
-    gains, shares = true.gains[index], true.shares[index]
-    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + shares * true.vignette.mean()
+    gains = true.gains[index]
+    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
     response = in_gauge(Response(offsets + true.pattern.mean(), gains))
-    return Truth(response, true.vignette - true.vignette.mean(), shares, true.pattern - true.pattern.mean())
+    return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> Errors:

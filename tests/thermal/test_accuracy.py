@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.scenes.synthetic import ThermalErrors
-from tdgbench.scenes.synthetic.truth import CameraTruth, read_truth
+from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
 
 
@@ -23,15 +22,3 @@ def test_an_error_is_counted_where_it_is_made(drifting_scene, drifting_camera):
     after = errors_of(replace(drifting_camera, offsets=offsets), truth)
     assert after.offsets - before.offsets == pytest.approx([float(i == 2) for i in range(12)])
     assert np.array_equal(after.vignette, before.vignette)
-
-
-def test_vignettes_of_the_views_are_shares_of_one():
-    names = [f"view{index}" for index in range(12)]
-    camera = ThermalErrors(vignette_degC=2.0, vignette_walk=0.8).drawn((40, 30), (10.0, 30.0), np.zeros(12), [0])
-    some = names[2:7]
-    true = truth_in_gauge(CameraTruth(names, camera), some, 20.0)
-    zero = np.zeros((30, 40))
-    for index, name in enumerate(some):
-        shown = camera.shown(zero + 20, names.index(name), zero) - 20
-        assert shown - shown.mean() == pytest.approx(true.shares[index] * true.shape, abs=1e-12)
-    assert true.vignette == pytest.approx(true.shares.mean() * true.shape) and np.ptp(true.response.offsets) > 0.01

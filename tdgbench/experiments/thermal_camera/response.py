@@ -39,12 +39,11 @@ class Comparison:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Root mean square and largest errors, of the vignette over all views."""
-        vignettes = [self.found_vignette - share * self.true.shape for share in self.true.shares]
+        """Root mean square and largest errors."""
         true = self.true.response
         parts = {
             "offset_degC": self.found.offsets - true.offsets, "gain": self.found.gains - true.gains,
-            "vignette_degC": np.stack(vignettes),
+            "vignette_degC": self.found_vignette - self.true.vignette,
         }  # fmt: skip
         return {
             f"{name}_{kind}": float(value)
@@ -64,7 +63,7 @@ def compare(
         return None
     found = _found(record) or _ideal(train, truth.camera.reference)
     true = truth_in_gauge(truth, found.views, found.reference)
-    height, width = true.shape.shape
+    height, width = true.vignette.shape
     return Comparison(
         record.scene, capture, record.method, camera, record.seed, found.views, in_gauge(found.response),
         evaluate(found.vignette, width, height), true,

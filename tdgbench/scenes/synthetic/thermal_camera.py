@@ -1,6 +1,6 @@
 """Errors of a thermal camera: drift, gain, vignette, fixed pattern, blur, dead pixels, automatic gain control.
 
-value = T + (gain_v − 1) (T − reference) + offset_v + share_v vignette(x, y) + pattern(x, y) + noise, in °C, of
+value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise, in °C, of
 temperatures T.
 
 Sizes in real cameras. An uncooled camera is off by up to ±5 °C under the changing conditions of a flight, with a
@@ -37,7 +37,6 @@ class ThermalErrors:
     gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
     vignette_x, vignette_y: how far right of the image's centre and below it the vignette's is, as in real cameras;
     shares of width and height. A vignette off the centre has a linear part, and vignette_degC at the farthest corner.
-    vignette_walk: largest deviation of the share of the vignette that a view has from 1, another smooth random walk.
     pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns. blur_px: σ.
     dead_share: of pixels that show one value in all views. encoding: of the thermal files. `range`: 8 bits of the
     world's range, which clips, and the world's palette; `degC`: float TIFF; `agc`: 8-bit gray, each image stretched
@@ -51,7 +50,6 @@ class ThermalErrors:
     pattern_degC: DegC = 0.0
     blur_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     dead_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    vignette_walk: Annotated[float, Field(ge=0, le=1)] = 0.0
     encoding: Encoding | None = None
     vignette_x: Annotated[float, Field(ge=-1, le=1)] = 0.0
     vignette_y: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -84,7 +82,7 @@ class ThermalErrors:
         Each kind of error has random numbers of its own, so that one does not change with another.
         """
         width, height = size
-        streams = [np.random.default_rng([*seed, number]) for number in range(5)]
+        streams = [np.random.default_rng([*seed, number]) for number in range(4)]
         views, (low, high) = len(drifts), span
         dead = streams[2].random((height, width)) < self.dead_share
         return TrueCamera(
@@ -92,7 +90,6 @@ class ThermalErrors:
             offsets=drifts + self.walk(views, streams[0]),
             gains=1 + self.gain * streams[1].uniform(-1, 1, views),
             vignette=self.vignette_degC * vignette(width, height, self.vignette_x, self.vignette_y),
-            shares=1 + self.vignette_walk * _walk(views, streams[4]),
             pattern=self.pattern_degC * _pattern(height, width, streams[3]),
             dead=np.where(dead, streams[2].uniform(low, high, dead.shape), np.nan),
             blur_px=self.blur_px,
@@ -107,7 +104,6 @@ class TrueCamera:
     offsets: np.ndarray  # (V,)
     gains: np.ndarray  # (V,)
     vignette: np.ndarray  # (H, W)
-    shares: np.ndarray  # (V,) of the vignette that a view has
     pattern: np.ndarray  # (H, W)
     dead: np.ndarray  # (H, W), what a dead pixel shows; NaN for pixels that work
     blur_px: float = 0.0  # σ
@@ -116,7 +112,7 @@ class TrueCamera:
     def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
         """What the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
         seen = gaussian_filter(degC, self.blur_px, mode="nearest") if self.blur_px else degC
-        shared = self.shares[view] * self.vignette + self.pattern
+        shared = self.vignette + self.pattern
         response = seen + (self.gains[view] - 1) * (seen - self.reference) + shared
         return np.where(np.isnan(self.dead), response + noise + self.offsets[view], self.dead)
 

@@ -39,10 +39,8 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
         np.save(folder / f"{name}.npy", getattr(camera, name).astype(np.float32))
     limits = [None] * len(truth.names) if camera.limits is None else camera.limits.tolist()
     views = {
-        name: {"offset_degC": float(offset), "gain": float(gain), "vignette_share": float(share), "limits_degC": limit}
-        for name, offset, gain, share, limit in zip(
-            truth.names, camera.offsets, camera.gains, camera.shares, limits, strict=True
-        )
+        name: {"offset_degC": float(offset), "gain": float(gain), "limits_degC": limit}
+        for name, offset, gain, limit in zip(truth.names, camera.offsets, camera.gains, limits, strict=True)
     }
     content = {"reference_degC": camera.reference, "blur_px": camera.blur_px, "views": views}
     (folder / "camera.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -65,7 +63,6 @@ def read_truth(scene: Path) -> CameraTruth:
             reference=float(content["reference_degC"]),
             offsets=np.array([view["offset_degC"] for view in views.values()], np.float64),
             gains=np.array([view["gain"] for view in views.values()], np.float64),
-            shares=np.array([view["vignette_share"] for view in views.values()], np.float64),
             blur_px=float(content["blur_px"]),
             limits=None if None in stated else np.array(stated, np.float64),
             **maps,

@@ -38,7 +38,7 @@ def test_a_vignette_that_is_found_has_no_errors():
     in_gauge = truth_in_gauge(true, NAMES, true.camera.reference)
     grid = [(np.arange(size) + 0.5) / size for size in (40, 30)]
     terms = basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
-    shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.shape.ravel(), rcond=None)[0]
+    shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.vignette.ravel(), rcond=None)[0]
     found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
     none = compare(record(estimated=found), "vignette", "estimated", true, NAMES)
     one = compare(record(estimated=found | {"vignette": shape.tolist()}), "vignette", "estimated", true, NAMES)

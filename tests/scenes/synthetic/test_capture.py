@@ -55,7 +55,7 @@ def test_folders_name_the_errors(tmp_path):
 
 
 def test_folders_of_many_errors_have_short_names(tmp_path):
-    many = ThermalErrors(0.123, 12, 0.0123, 1.234, 0.123, 0.123, 0.0123, 0.123, "degC", 0.123, 0.123)
+    many = ThermalErrors(0.123, 12, 0.0123, 1.234, 0.123, 0.123, 0.0123, "degC", 0.123, 0.123)
     folders = {
         SyntheticDataset(
             str(tmp_path), ReadOptions(), errors=CaptureErrors(0.123, 0.123, 0.123, 0.0123, many, rig=Rig(degrees=turn))

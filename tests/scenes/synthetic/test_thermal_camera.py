@@ -62,14 +62,6 @@ def test_vignette_is_radial_and_as_asked_at_the_corners():
     assert np.argmin(shape[24]) in (31, 32)
 
 
-def test_views_have_shares_of_the_vignette_that_walk():
-    camera, steady = drawn(vignette_degC=2.0, vignette_walk=0.8), drawn(vignette_degC=2.0)
-    assert np.abs(camera.shares - 1).max() == pytest.approx(0.8) and camera.shares.mean() == pytest.approx(1)
-    assert np.abs(np.diff(camera.shares)).max() < 0.4 and (steady.shares == 1).all()
-    zero = np.zeros((36, 48))
-    assert np.allclose(camera.shown(zero, 5, zero), camera.shares[5] * steady.shown(zero, 5, zero))
-
-
 def test_pattern_is_partly_one_of_columns():
     pattern = drawn(pattern_degC=0.5).pattern
     assert pattern.std() == pytest.approx(0.5, rel=0.15) and pattern.mean() == pytest.approx(0, abs=1e-9)
