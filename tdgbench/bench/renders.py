@@ -18,10 +18,8 @@ from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
-from tdgbench.thermal import ImageResponse, read_response
+from tdgbench.thermal import IDEAL, ImageResponse, read_response
 from tdgbench.training.method import Method
-
-IDEAL = ImageResponse()
 
 
 def render_views(method: Method, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:

@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tdgbench.scenes import Scene
-from tdgbench.thermal import ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
+from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.polynomials import evaluate
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
 DIGITS = 6
 Facts = dict[str, Any]
-IDEAL = ImageResponse()
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 
 from tdgbench.bench.reading import read_table
-from tdgbench.bench.renders import IDEAL, render_images, render_views
+from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
-from tdgbench.thermal import ImageResponse
+from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.training.method import Method
 
 Row = dict[str, float | None]

@@ -12,10 +12,10 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
-from tdgbench.bench.response import IDEAL, CameraOptions, Facts, prepare
+from tdgbench.bench.response import CameraOptions, Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
-from tdgbench.thermal import ImageResponse
+from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.thermal.correct import in_one_range
 from tdgbench.training.method import Context, Method
@@ -78,11 +78,11 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    response, scored = IDEAL, scene
+    response, scored, is_changed = IDEAL, scene, cfg.contrast.training != "none"
     if camera.estimate:
         with observer.stage("camera"):
             scene, facts, notes, response = prepare(scene)
-            if cfg.contrast.training != "none":  # the camera never showed the changed images
+            if is_changed:  # the camera never showed the changed images
                 scene, response = in_one_range(scene, response), IDEAL
         observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
     before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
@@ -100,9 +100,7 @@ def set_up(
             channels = {scene.channels, *([3] if method.needs_rgb else [])}
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
-    if cfg.contrast.training != "none":
-        scored = scene
-    return Training(method, context, scored, response)
+    return Training(method, context, scene if is_changed else scored, response)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:

@@ -3,9 +3,9 @@
 from tdgbench.thermal.camera import ThermalCamera, Unknown
 from tdgbench.thermal.correct import Corrected, correct_values, corrected
 from tdgbench.thermal.estimate import estimate_camera
-from tdgbench.thermal.shown import ImageResponse, read_response
+from tdgbench.thermal.shown import IDEAL, ImageResponse, read_response
 
 __all__ = [
-    "Corrected", "ImageResponse", "ThermalCamera", "Unknown", "correct_values", "corrected", "estimate_camera",
+    "IDEAL", "Corrected", "ImageResponse", "ThermalCamera", "Unknown", "correct_values", "corrected", "estimate_camera",
     "read_response",
 ]  # fmt: skip

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.thermal.pattern import line_map
 from tdgbench.thermal.polynomials import evaluate
 
 
@@ -79,15 +80,7 @@ class ThermalCamera:
 
         Raises ValueError for an image of another size than those that it was estimated from.
         """
-        pattern = np.zeros((height, width))
-        for lines, size, axis in ((self.columns, width, 0), (self.rows, height, 1)):
-            if lines is not None:
-                if len(lines) != size:
-                    raise ValueError(
-                        f"the fixed pattern has {len(lines)} lines, an image of {width}×{height} px has not"
-                    )
-                pattern += np.expand_dims(lines, axis)
-        return pattern
+        return line_map(self.columns, self.rows, width, height)
 
     def shared(self, width: int, height: int) -> np.ndarray:
         """What the camera adds in all views, (height, width): vignette and fixed pattern."""

@@ -8,22 +8,13 @@ over clusters of points does: what changes as much as it is large when a part of
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
 
 from tdgbench.thermal.camera import Response
 from tdgbench.thermal.fit import Data, Fit, System, Terms, deviation, predict
 
 LEAST = 1e-9  # variance of a direction, in those of the prior
-
-
-class _Directions(NamedTuple):
-    """Orthonormal directions of the free parameters, in units of the prior: axes (F, F) by column."""
-
-    axes: np.ndarray
-    known: np.ndarray  # (F,) inverse variances, by the values alone
 
 
 def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
@@ -33,30 +24,25 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
         return found
     theta = np.concatenate([*found.response, found.vignette])
     system = System(data, theta, found.temperatures, found.reference, found.weights)
-    directions = _directions(system.matrix[np.ix_(free, free)], precision[np.ix_(free, free)])
+    told, axes = system.directions(precision, free)
     given = precision[np.ix_(free, free)]
     others = [_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
-    moved = np.stack(others)[:, free] @ given @ directions.axes
+    moved = np.stack(others)[:, free] @ given @ axes
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    drawn = directions.known / (directions.known + 1)  # the share of a value that the prior leaves
-    known = np.minimum(directions.known, drawn**2 / np.maximum(variance, LEAST))
-    place = (theta - data.ideal)[free] @ given @ directions.axes
+    drawn = told / (told + 1)  # the share of a value that the prior leaves
+    known = np.minimum(told, drawn**2 / np.maximum(variance, LEAST))
+    place = (theta - data.ideal)[free] @ given @ axes
     kept = np.where(drawn > 0, place / np.maximum(drawn, LEAST), 0.0) * known / (known + 1)
     theta = data.ideal
-    theta[free] += directions.axes @ kept
+    theta[free] += axes @ kept
     temperatures = _temperatures(data, theta, found)
     residuals = data.value - predict(data, theta, temperatures, found.reference)
     response = Response(theta[: data.views], theta[data.views : 2 * data.views])
     return replace(
         found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
-        after=deviation(residuals), undetermined=int(np.count_nonzero(known < 1)),
+        after=deviation(residuals), known=lambda: known,
     )  # fmt: skip
-
-
-def _directions(matrix: np.ndarray, precision: np.ndarray) -> _Directions:
-    known, axes = eigh(matrix, precision)
-    return _Directions(axes, np.maximum(known, 0.0))
 
 
 def _without(

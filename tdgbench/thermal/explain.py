@@ -50,9 +50,12 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
     places: (V,) of the views in the sequence, NaN if it is unknown.
     """
     terms = choose_terms(data, widths, places)
-    drift = _drift(fit(data, terms, prior(data, widths)), data, terms, widths, places) if terms.offsets else None
+    found = fit(data, terms, prior(data, widths))
+    drift = _drift(found, data, terms, widths, places)
     precision = prior(data, widths, drift, places)
-    best = Explained(held_back(data, fit(data, terms, precision), terms, precision))
+    if drift is not None:
+        found = fit(data, terms, precision)
+    best = Explained(held_back(data, found, terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -84,8 +84,8 @@ class Fit:
     """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
     covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
-    the mean of their point; after: of the residuals. undetermined: directions of the estimated parameters that the
-    prior determines more than the values do.
+    the mean of their point; after: of the residuals. known: gives (F,), what the values tell of each direction of the
+    F estimated parameters, as inverse variances in those of the prior.
     """
 
     response: Response
@@ -97,7 +97,15 @@ class Fit:
     covariance: Callable[[], np.ndarray]
     before: float
     after: float
-    undetermined: int
+    known: Callable[[], np.ndarray]
+
+    @property
+    def undetermined(self) -> int:
+        """Directions of the estimated parameters that the prior determines more than the values do.
+
+        The mean offset, which no value tells anything about, is one of them, and so is the mean gain.
+        """
+        return int(np.count_nonzero(self.known() < 1))
 
 
 def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
@@ -123,7 +131,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
         partial(system.covariance, inflated, data, precision, free), before, deviation(residuals),
-        system.undetermined(precision, free),
+        lambda: system.directions(precision, free)[0],
     )  # fmt: skip
 
 
@@ -152,9 +160,8 @@ class System:
         self.curvature = np.maximum(np.bincount(data.point, weights * gains**2, data.points), 1e-12)
         self.from_views, self.from_terms = self.by_point @ self.by_view, self.by_point @ self.terms
 
-        self.matrix = self._matrix()
-
-    def _matrix(self) -> np.ndarray:
+    @cached_property
+    def matrix(self) -> np.ndarray:
         """Normal matrix (2 V + K, 2 V + K)."""
         views = self.by_view.shape[1]
         matrix = np.empty((views + self.terms.shape[1],) * 2)
@@ -181,15 +188,15 @@ class System:
         step[free] = np.linalg.solve(matrix, (right + pull)[free])
         return step
 
-    def undetermined(self, precision: np.ndarray, free: np.ndarray) -> int:
-        """Directions in which the values tell less than the prior: eigenvalues below 1 of the normal matrix by it.
+    def directions(self, precision: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the values tell of each direction of the F `free` parameters (F,), and the directions (F, F) by column.
 
-        The mean offset, which no value tells anything about, is one of them, and so is the mean gain.
+        In units of the prior: the eigenvalues of the normal matrix by its precision, and vectors that it makes
+        orthonormal.
         """
-        if not free.any():
-            return 0
         block = np.ix_(free, free)
-        return int(np.count_nonzero(eigh(self.matrix[block], precision[block], eigvals_only=True) < 1))
+        known, axes = eigh(self.matrix[block], precision[block]) if free.any() else (np.zeros(0), np.zeros((0, 0)))
+        return np.maximum(known, 0.0), axes
 
     def covariance(self, residuals: np.ndarray, data: Data, precision: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Of offsets, gains and coefficients, robust to errors that are alike in a patch of a view."""

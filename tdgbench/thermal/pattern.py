@@ -6,10 +6,28 @@ pattern of single pixels is not estimated: sparse points show each pixel about o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
 FEWEST_LINES = 16  # with values
+
+
+def line_map(
+    columns: Sequence[float] | np.ndarray | None, rows: Sequence[float] | np.ndarray | None, width: int, height: int
+) -> np.ndarray:  # fmt: skip
+    """Fixed pattern (height, width) of columns and rows; 0 where there are none.
+
+    Raises ValueError for an image of another size than those that it was estimated from.
+    """
+    pattern = np.zeros((height, width))
+    for lines, size, axis in ((columns, width, 0), (rows, height, 1)):
+        if lines is not None and len(lines):
+            if len(lines) != size:
+                raise ValueError(f"the fixed pattern has {len(lines)} lines, an image of {width}×{height} px has not")
+            pattern += np.expand_dims(np.asarray(lines), axis)
+    return pattern
 
 
 def line_pattern(residuals: np.ndarray, weights: np.ndarray, line: np.ndarray, lines: int) -> np.ndarray | None:

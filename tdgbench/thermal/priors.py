@@ -34,7 +34,8 @@ def places(names: Sequence[str]) -> dict[str, float]:
     if not all(re.search(r"[0-9]", name) for name in names):
         return dict.fromkeys(names, float("nan"))
     order = sorted(names, key=lambda name: [part.zfill(20) for part in re.split(r"([0-9]+)", name)])
-    return {name: float(order.index(name)) for name in names}
+    place = {name: float(number) for number, name in enumerate(order)}
+    return {name: place[name] for name in names}
 
 
 class Widths(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, with_config
 
+from tdgbench.thermal.pattern import line_map
 from tdgbench.thermal.polynomials import TERMS, evaluate
 
 
@@ -57,15 +58,15 @@ class ImageResponse:
 
     def shared(self, width: int, height: int) -> np.ndarray:
         """What the camera adds in all views, (height, width): vignette and fixed pattern."""
-        added = evaluate(np.array(self.vignette), width, height) if self.vignette else np.zeros((height, width))
-        for lines, axis in ((self.columns, 0), (self.rows, 1)):
-            if lines:
-                added = added + np.expand_dims(np.array(lines), axis)
-        return added
+        pattern = line_map(self.columns, self.rows, width, height)
+        return pattern + evaluate(np.array(self.vignette), width, height) if self.vignette else pattern
 
     def as_json(self) -> dict[str, Any]:
         """Its numbers, as a record holds them."""
         return {name: value for name, value in asdict(self).items() if value not in ((), {})}
+
+
+IDEAL = ImageResponse()  # shows renders as they are
 
 
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:

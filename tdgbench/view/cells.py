@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ from tdgbench.bench.cameras import read_all_cameras
 from tdgbench.bench.hashes import file_problems
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
+from tdgbench.bench.renders import response_of
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import to_8bit
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
+from tdgbench.thermal import ImageResponse
 
 MODELS = {"thermal": "model.ply", "rgb": "model_rgb.ply"}
 PICTURES = {"thermal": ("targets", "renders"), "RGB": ("targets_rgb", "renders_rgb")}  # the first that there is
@@ -42,6 +45,11 @@ class ViewedCell:
         """Temperatures of the values 0 and 1; None if the thermal images are pseudo-colour or no range is known."""
         low_high = self.record.temperature
         return (low_high[0], low_high[1]) if low_high is not None and self.record.channels == 1 else None
+
+    @cached_property
+    def response(self) -> ImageResponse:
+        """What the thermal camera shows of renders, read once and not for each frame."""
+        return response_of(self.record)
 
     def pictures(self, view: str) -> dict[str, np.ndarray]:
         """Pictures of a view, (H, W, 1 or 3) uint8, by modality: the ground truth, else a test view's stored render.

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import torch
 
-from tdgbench.bench.renders import background_of, response_of
+from tdgbench.bench.renders import background_of
 from tdgbench.scenes import Camera
 from tdgbench.scoring import to_8bit
 from tdgbench.splats.render import render_view
@@ -128,7 +128,7 @@ class Renderer:
             alpha = render.alpha
             return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan)[..., None].numpy()
         image: np.ndarray = render.image.numpy()
-        return response_of(self.cells[name].record).temperatures(image) if modality == "thermal" else image
+        return self.cells[name].response.temperatures(image) if modality == "thermal" else image
 
     def _part(self, name: str, look: Look, camera: Camera) -> Part:
         values = self.values(name, look.quantity, camera)
