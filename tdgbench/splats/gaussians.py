@@ -1,9 +1,9 @@
-"""A set of 3-D Gaussians: five tensors before their activations (3DGS, section 4)."""
+"""A set of 3-D Gaussians: five tensors before their activations (3DGS, section 4), and further named fields."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import torch
 from torch import Tensor
@@ -28,15 +28,16 @@ class Gaussians:
     quats: Tensor  # (N, 4) wxyz, any length
     opacity_logits: Tensor  # (N,)
     sh: Tensor  # (N, K, C)
+    more: dict[str, Tensor] = field(default_factory=dict)  # (N, ...): further fields, such as a second colour set
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(field.name for field in fields(cls))
+        """Return the names of the five parameters that all Gaussians have."""
+        return tuple(one.name for one in fields(cls) if one.name != "more")
 
     def items(self) -> Iterable[tuple[str, Tensor]]:
-        """Names and tensors of the parameters."""
-        return [(name, getattr(self, name)) for name in self.names()]
+        """Return the names and tensors of the parameters, those of `more` last."""
+        return [*((name, getattr(self, name)) for name in self.names()), *self.more.items()]
 
     def __len__(self) -> int:
         return len(self.means)
@@ -65,7 +66,8 @@ class Gaussians:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Gaussians:
         """Apply a function to every tensor."""
-        return Gaussians(**{name: function(tensor) for name, tensor in self.items()})
+        parameters = {name: function(getattr(self, name)) for name in self.names()}
+        return Gaussians(**parameters, more={name: function(tensor) for name, tensor in self.more.items()})
 
     def select(self, index: Tensor | slice) -> Gaussians:
         """The Gaussians at an index, in a slice or under a mask."""

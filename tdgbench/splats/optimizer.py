@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -73,11 +74,20 @@ class Adam:
     before reading `state.values`. Elsewhere every step moves every row.
     """
 
-    def __init__(self, state: TrainingState, rates: LearningRates, extent: float) -> None:
-        """extent: of the scene, world units."""
-        self.state, self.rates, self.extent = state, rates, extent
+    def __init__(
+        self, state: TrainingState, rates: LearningRates, extent: float, own: Mapping[str, float | str] | None = None
+    ) -> None:
+        """extent: of the scene, world units. own: rates of fields, in the place of those in `rates`, 0 for a
+        frozen one; the name of one of the five parameters stands for that one's rate.
+
+        Raises ValueError for a further field without a rate, and for the rate of a field that is not there.
+        """
+        self.state, self.rates, self.extent, self._own = state, rates, extent, dict(own or {})
         self.slowdown = 1.0  # factor of all learning rates, at most 1
-        self.steps = dict.fromkeys(Gaussians.names(), 0)  # as torch counts them: opacity misses those of its resets
+        names = [name for name, _ in state.split(state.values[:0]).items()]
+        if not {*names[len(Gaussians.names()) :]} <= {*self._own} <= {*names}:
+            raise ValueError(f"there are rates for {[*self._own]}; the fields are {', '.join(names)}")
+        self.steps = dict.fromkeys(names, 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
         self._used = 0  # columns that ever had a gradient
@@ -149,8 +159,8 @@ class Adam:
 
     def tolerance(self, iteration: int) -> Tolerance:
         """How far rows can be from their bounds at an iteration."""
-        fastest = self.rates.position(max(iteration - FLUSH_EVERY, 0)) * self.extent
-        return Tolerance(MAX_DEFERRED * fastest, MAX_DEFERRED * self.rates.log_scale)
+        means, log_scales = (self._rate_of(name, max(iteration - FLUSH_EVERY, 0)) for name in ("means", "log_scales"))
+        return Tolerance(MAX_DEFERRED * float(means), MAX_DEFERRED * float(log_scales))
 
     def reset_moments(self, name: str) -> None:
         """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); `flush` first."""
@@ -191,19 +201,25 @@ class Adam:
         """Learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
         width = self.state.values.shape[1]
         rates, steps = np.zeros(width), np.ones(width)
-        by_name = {
+        for name, count in self.steps.items():
+            columns = self.state.column_of(name)
+            rates[columns], steps[columns] = self._rate_of(name, iteration), max(count, 1)
+        return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
+
+    def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
+        """Return the learning rate of a field, or those of its columns."""
+        rate = self._own.get(name, name)
+        if not isinstance(rate, str):
+            return rate
+        if rate == "sh":
+            columns, channels = self.state.column_of(name), self.state.channels_of(name)
+            return np.where(np.arange(columns.stop - columns.start) < channels, self.rates.sh_dc, self.rates.sh_rest)
+        return {
             "means": self.rates.position(iteration) * self.extent,
             "log_scales": self.rates.log_scale,
             "quats": self.rates.quaternion,
             "opacity_logits": self.rates.opacity,
-            "sh": self.rates.sh_rest,
-        }
-        for name, rate in by_name.items():
-            columns = self.state.column_of(name)
-            rates[columns], steps[columns] = rate, max(self.steps[name], 1)
-        start = self.state.column_of("sh").start
-        rates[start : start + self.state.channels] = self.rates.sh_dc
-        return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
+        }[rate]
 
     @torch.no_grad()
     def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:

@@ -1,10 +1,12 @@
 """Gaussians as PLY files in the layout of 3DGS.
 
-Gray models are written as three equal channels; a model whose channels are equal is read as gray.
+Gray models are written as three equal channels; a model whose channels are equal is read as gray. Further fields follow
+under their names: `sh_rgb_3_0` is the first channel of the fourth coefficient of `sh_rgb`.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ PROPERTY_BYTES = {**_SIZES, **_ALIASES}
 
 
 def _columns(rest: int) -> list[str]:
-    """Names of the file's columns, with `rest` harmonics coefficients per channel beyond the first."""
+    """Return the names of 3DGS's columns, with `rest` harmonics coefficients per channel beyond the first."""
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
         *(f"f_dc_{i}" for i in range(3)),
@@ -44,7 +46,8 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
     (1, 1, 1)
     """
     rest = gaussians.sh.shape[1] - 1
-    kind = np.dtype([(name, "<f4") for name in _columns(rest)])
+    more = [_column(name, at) for name, field in gaussians.more.items() for at in np.ndindex(*field.shape[1:])]
+    kind = np.dtype([(name, "<f4") for name in [*_columns(rest), *more]])
     shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # for the header; stores one row
     header = PlyData([PlyElement.describe(shape_only, "vertex")], byte_order="<").header
     with whole_file(path) as part, part.open("wb") as file:
@@ -58,8 +61,27 @@ def _rows(g: Gaussians) -> torch.Tensor:
     """Rows (N, columns) of the file."""
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
     harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as in 3DGS
-    parts = (g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats)
-    return torch.cat(parts, dim=1).float()
+    parts = [g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats]
+    return torch.cat([*parts, *(field.flatten(1) for field in g.more.values())], dim=1).float()
+
+
+def _column(name: str, at: tuple[int, ...]) -> str:
+    """Return the name of the column of a further field's number."""
+    return "_".join([name, *map(str, at)])
+
+
+def _more_of(vertex: PlyElement, names: list[str]) -> dict[str, torch.Tensor]:
+    """Return the further fields that columns of the file hold in full; other columns are ignored."""
+    found: dict[str, list[tuple[int, ...]]] = {}
+    for match in filter(None, (re.fullmatch(r"(\w*?[^\W\d_])((?:_\d+){1,2})", name) for name in names)):
+        found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
+    more = {}
+    for name, places in found.items():
+        shape = tuple(1 + int(axis) for axis in np.max(places, axis=0)) if len({*map(len, places)}) == 1 else ()
+        if sorted(places) == [*np.ndindex(*shape)]:
+            values = np.stack([_finite(vertex, _column(name, at)) for at in sorted(places)], axis=-1)
+            more[name] = torch.from_numpy(values.reshape(-1, *shape))
+    return more
 
 
 def load_ply(path: Path) -> Gaussians:
@@ -79,6 +101,7 @@ def load_ply(path: Path) -> Gaussians:
         if round((rest + 1) ** 0.5) ** 2 != rest + 1:
             raise ValueError(f"{rest} f_rest coefficients per channel are no whole SH degree")
         columns = {name: _finite(vertex, name) for name in _columns(rest) if name not in ("nx", "ny", "nz")}
+        more = _more_of(vertex, [p.name for p in vertex.properties if p.name not in _columns(rest)])
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
@@ -98,6 +121,7 @@ def load_ply(path: Path) -> Gaussians:
         quats=stack(*(f"rot_{i}" for i in range(4))),
         opacity_logits=torch.from_numpy(columns["opacity"]),
         sh=sh.contiguous(),
+        more=more,
     )
 
 

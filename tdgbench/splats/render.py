@@ -8,6 +8,7 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.backends.backend import Collect, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.pose import with_pose_gradient
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
@@ -21,7 +22,7 @@ def render_view(
     blending: Blending = AS_3DGS,
     backend: str = "auto",
 ) -> Render:
-    """Render one view; the options are those of `RenderOptions`.
+    """Render one view; the options are those of `RenderOptions`. The camera's pose gets a gradient if it asks for one.
 
     Raises ValueError for what the backend cannot render.
 
@@ -41,6 +42,7 @@ def render_view(
     if background is not None and background.shape != (channels,):
         raise ValueError(f"the background has the shape {tuple(background.shape)}; it must be ({channels},)")
     chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
+    gaussians, camera = with_pose_gradient(gaussians, camera)
     return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending))
 
 

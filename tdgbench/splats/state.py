@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, then sh; a row fills cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, more; a row fills cache lines.
 
     `first` and `second` are Adam's moments in the same layout. The arrays have spare capacity, so that Gaussians can be
     added and removed without copying the others.
@@ -31,7 +32,8 @@ class TrainingState:
 
     def __init__(self, gaussians: Gaussians) -> None:
         count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
-        self.columns = COLORS_AT + self.bases * self.channels
+        self._more = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.more)
+        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._more.values())])
         self.count = count
         like = gaussians.means.detach()
         shape = (max(count, 1), padded(self.columns))
@@ -77,14 +79,15 @@ class TrainingState:
             log_scales=rows[:, SCALES],
             quats=rows[:, QUATS],
             opacity_logits=rows[:, OPACITY_AT],
-            sh=rows[:, COLORS_AT : self.columns].unflatten(1, (self.bases, self.channels)),
+            sh=rows[:, self.column_of("sh")].unflatten(1, (self.bases, self.channels)),
+            more={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._more.items()},
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
         """Gaussians as new rows (n, columns) of this layout."""
         rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
         for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
-            part[1].copy_(given[1].detach())
+            part[1].copy_(given[1].detach().reshape(part[1].shape))
         return rows
 
     def column_of(self, name: str) -> slice:
@@ -94,8 +97,13 @@ class TrainingState:
             "log_scales": SCALES,
             "quats": QUATS,
             "opacity_logits": slice(OPACITY_AT, OPACITY_AT + 1),
-            "sh": slice(COLORS_AT, self.columns),
+            "sh": slice(COLORS_AT, COLORS_AT + self.bases * self.channels),
+            **{field: at for field, (at, _) in self._more.items()},
         }[name]
+
+    def channels_of(self, name: str) -> int:
+        """Return the length of the last axis of a field: the channels of a colour set."""
+        return self.channels if name == "sh" else self._more[name][1][-1]
 
     def exchange(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
@@ -166,6 +174,16 @@ class TrainingState:
             setattr(self, name, larger)
             del old, larger
             release()  # C's allocator may hold the old array: it is not always a mapping of its own
+
+
+def _columns_after(first: int, more: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Return columns and shape of one Gaussian's value for each further field, from a first column on."""
+    found: dict[str, tuple[slice, tuple[int, ...]]] = {}
+    for name, tensor in more.items():
+        shape = tuple(tensor.shape[1:]) or (1,)
+        found[name] = slice(first, first + math.prod(shape)), shape
+        first += math.prod(shape)
+    return found
 
 
 def compact(tensor: Tensor) -> Tensor:

@@ -9,22 +9,10 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import BETA1, BETA2, EPS, FLUSH_EVERY, MAX_DEFERRED, MAX_SPEED, Adam
 from tdgbench.splats.state import TrainingState
-from tests.helpers.deferred import apply_deferred_steps
+from tests.helpers.deferred import apply_deferred_steps, step_gradients
 from tests.helpers.gaussians import RATES, model
 
 EXTENT = 2.0
-
-
-def step_gradients(state: TrainingState, step: int, share: float) -> Gradients:
-    """Random gradients for a random share of the Gaussians, in two spans with a gap."""
-    g = torch.Generator().manual_seed(step)
-    index = (torch.rand(len(state), generator=g) < share).nonzero().squeeze(1).to(torch.int32)
-    values = torch.zeros(len(index) + 3, state.values.shape[1], dtype=state.values.dtype)
-    values[:, : state.columns] = torch.randn(len(values), state.columns, generator=g) * 10.0 ** (step % 7 - 4)
-    half = len(index) // 2
-    spans = [(0, half), (half + 3, len(index) - half)]
-    padded = torch.cat([index[:half], torch.zeros(3, dtype=torch.int32), index[half:]])
-    return Gradients(spans, padded, values, torch.zeros(len(padded), 3), [], padded[:0], padded[:0])
 
 
 def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:

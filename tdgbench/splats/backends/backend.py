@@ -9,13 +9,18 @@ from typing import NamedTuple, Protocol
 import torch
 
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam, Tolerance
 from tdgbench.splats.pending import PendingGradients
+from tdgbench.splats.pose import with_pose_gradient
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
 Collect = Callable[[Gradients | PendingGradients], None]
+
+
+Hook = Callable[[Gaussians, int], GaussianTensors]  # of the Gaussians and the SH degree in use
 
 
 class StateOptions(NamedTuple):
@@ -26,6 +31,7 @@ class StateOptions(NamedTuple):
     blending: Blending = AS_3DGS
     tolerance: Tolerance | None = None  # of the culling bounds; None: project every Gaussian
     background: torch.Tensor | None = None  # (D,) colour behind the Gaussians; None: black
+    hook: Hook | None = None  # what is rendered of the Gaussians, with gradients; None: they are activated
 
     @property
     def of_view(self) -> RenderOptions:
@@ -77,8 +83,8 @@ class Backend(Protocol):
         rows = state.values.detach()
         if torch.is_grad_enabled():
             rows = rows.requires_grad_()
-        gaussians = state.split(rows).activated(options.sh_degree)
-        view = self.render(gaussians, camera.to(rows), options.of_view)
+        gaussians = (options.hook or Gaussians.activated)(state.split(rows), options.sh_degree)
+        view = self.render(*with_pose_gradient(gaussians, camera.to(rows)), options.of_view)
         if rows.requires_grad:
             _deliver_once(rows, lambda grad: collect(_dense(grad, view)))
         return view

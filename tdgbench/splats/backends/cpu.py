@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 
 import numpy as np
@@ -92,15 +93,23 @@ class CpuBackend(Backend):
         means, quats, scales, opacities, colors, sh_degree = gaussians
         if colors.dim() == 2:
             colors = colors[:, None, :]
-        settings = _settings(camera, colors.shape[-1], -1 if sh_degree is None else sh_degree, options)
+        degree = -1 if sh_degree is None else sh_degree
         probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
-        image, depth, transmittance, radii = Rasterize.apply(means, quats, scales, opacities, colors, probe, settings)
+        images = []
+        for part, some in _passes(colors.shape[-1], options):
+            settings = _settings(camera, part.stop - part.start, degree, some)
+            parameters = (means, quats, scales, opacities, colors[..., part].contiguous())
+            image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, settings)
+            images.append(image)
+        image = images[0] if len(images) == 1 else torch.cat(images, dim=-1)
         depths = means.detach() @ camera.viewmat[2, :3].to(means) + camera.viewmat[2, 3].to(means)
         return Render(image, depth if options.depth else None, transmittance, Projection(probe, radii, depths))
 
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
+        if options.hook is not None or camera.viewmat.requires_grad or state.channels + options.depth > MAX_CHANNELS:
+            return super().render_state(state, optimizer, camera, options, collect)
         tolerance = options.tolerance or EVERYWHERE
         source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
         settings = _settings(camera, state.channels, options.sh_degree, options.of_view)
@@ -113,20 +122,22 @@ class CpuBackend(Backend):
         return Render(image, depth if options.depth else None, transmittance)
 
 
-def check(channels: int, depth: bool, width: int, height: int) -> None:
-    """Raise ValueError for a view that this backend cannot render."""
-    if not 1 <= channels + depth <= MAX_CHANNELS:
-        raise ValueError(
-            f"backend cpu blends 1 to {MAX_CHANNELS} channels, and depth is one; {channels} colours"
-            f"{' and depth' if depth else ''} were requested: render them one after the other"
-        )
-    if max(width, height) > MAX_SIDE:
-        raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {width}×{height} was requested")
+def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, RenderOptions]]:
+    """Yield the channels that each pass blends, and its options; depth, a channel too, is in the last pass."""
+    firsts = [*range(0, channels, MAX_CHANNELS)] or [0]
+    if options.depth and channels == firsts[-1] + MAX_CHANNELS:
+        firsts.append(channels)
+    for first in firsts:
+        part = slice(first, min(first + MAX_CHANNELS, channels))
+        behind = None if options.background is None else options.background[part]
+        yield part, RenderOptions(options.depth and first == firsts[-1], behind, options.blending)
 
 
 def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOptions) -> Settings:
     """Kernel settings of a view. Raises ValueError if this backend cannot render it."""
-    check(channels, options.depth, camera.width, camera.height)
+    if max(camera.width, camera.height) > MAX_SIDE:
+        asked = f"{camera.width}×{camera.height}"
+        raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {asked} was requested")
     background = options.background
     black = np.zeros(channels, np.float32)
     return Settings(

@@ -1,0 +1,64 @@
+"""Gradients by a camera's pose: the Gaussians move instead, with gradients through their means and rotations."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.view import GaussianTensors, Pinhole
+
+
+def with_pose_gradient(gaussians: GaussianTensors, camera: Pinhole) -> tuple[GaussianTensors, Pinhole]:
+    """Return Gaussians and camera that render the same; where the pose asks for a gradient, they hand it on.
+
+    The Gaussians are then in the camera's coordinates, and harmonics are colours: their direction depends on the
+    camera's centre.
+    """
+    if not camera.viewmat.requires_grad:
+        return gaussians, camera
+    means, quats, _, _, colors, degree = gaussians
+    viewmat = camera.viewmat.to(means)
+    turn, shift = viewmat[:3, :3], viewmat[:3, 3]
+    if degree is not None:
+        colors = colors_from_sh(colors, torch.nn.functional.normalize(means + turn.T @ shift, dim=1), degree)
+    moved = gaussians._replace(
+        means=means @ turn.T + shift,
+        quats=product(quaternion(turn), quats),
+        colors=colors,
+        sh_degree=None,
+    )
+    return moved, camera._replace(viewmat=torch.eye(4, dtype=means.dtype, device=means.device))
+
+
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """Return the quaternion (..., 4) wxyz of the rotation b followed by a.
+
+    >>> product(torch.tensor([0.0, 1, 0, 0]), torch.tensor([0.0, 0, 1, 0])).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)
+    parts = [
+        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
+    ]  # fmt: skip
+    return torch.stack(parts, dim=-1)
+
+
+def quaternion(rotation: Tensor) -> Tensor:
+    """Return the quaternion (4,) wxyz of a rotation matrix (3, 3), with a gradient everywhere.
+
+    Of the four formulas, each of which divides by one component, it takes that with the largest.
+
+    >>> quaternion(torch.diag(torch.tensor([1.0, -1.0, -1.0]))).tolist()
+    [0.0, 1.0, 0.0, 0.0]
+    """
+    a, b, c, d, e, f, g, h, i = rotation.flatten()
+    candidates = [
+        torch.stack([1 + a + e + i, h - f, c - g, d - b]),
+        torch.stack([h - f, 1 + a - e - i, b + d, c + g]),
+        torch.stack([c - g, b + d, 1 - a + e - i, f + h]),
+        torch.stack([d - b, c + g, f + h, 1 - a - e + i]),
+    ]
+    largest = max(range(4), key=lambda k: float(candidates[k][k].detach()))
+    return torch.nn.functional.normalize(candidates[largest], dim=0)

@@ -1,0 +1,77 @@
+"""Further named fields of Gaussians: in rows, under Adam, density control and in PLY files."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.optimizer import FLUSH_EVERY, Adam
+from tdgbench.splats.ply import load_ply, save_ply
+from tdgbench.splats.state import TrainingState
+from tests.helpers.deferred import step_gradients
+from tests.helpers.gaussians import RATES, model
+
+OWN = {"sh_rgb": "sh", "opacity_rgb": 0.02, "means": 0.0}
+
+
+def two_colour_sets(count: int = 40) -> Gaussians:
+    draw = torch.Generator().manual_seed(5)
+    more = {"sh_rgb": torch.randn(count, 4, 3, generator=draw), "opacity_rgb": torch.randn(count, 1, generator=draw)}
+    return replace(model(1, 1, count=count), more=more)
+
+
+def test_rows_hold_every_field():
+    gaussians = two_colour_sets()
+    state = TrainingState(gaussians)
+    back = state.split(state.values)
+    order = [int((gaussians.means == mean).all(dim=1).nonzero()) for mean in back.means]
+    assert sorted(order) == list(range(40))
+    for (name, tensor), (_, original) in zip(back.items(), gaussians.items(), strict=True):
+        assert torch.equal(tensor, original[order]), name
+
+
+def test_each_field_has_its_rate():
+    """A frozen field stays, and a colour set moves like the first one under the same gradients."""
+    state = TrainingState(two_colour_sets())
+    start = state.split(state.values.clone())
+    optimizer = Adam(state, RATES, 2.0, OWN)
+    reference = torch.cat([start.sh.repeat(1, 1, 3), start.more["sh_rgb"]], dim=2).flatten(1).double().requires_grad_()
+    dc = [6 * k + c for k in range(4) for c in range(6)]
+    rates = torch.tensor([RATES.sh_dc if column < 6 else RATES.sh_rest for column in dc], dtype=torch.float64)
+    peer = torch.optim.Adam([reference], lr=1.0, betas=(0.9, 0.999), eps=1e-15)
+    for step in range(1, FLUSH_EVERY + 20):
+        gradients = step_gradients(state, step, 0.5)
+        index, rows, _ = gradients.rows()
+        dense = torch.zeros(len(state), state.values.shape[1])
+        dense[index] = rows
+        parts = state.split(dense)
+        before = reference.detach().clone()
+        reference.grad = torch.cat([parts.sh.repeat(1, 1, 3), parts.more["sh_rgb"]], dim=2).flatten(1).double()
+        peer.step()
+        reference.data = before + rates * (reference.data - before)
+        optimizer.step(gradients, step)
+    optimizer.flush()
+    now = state.split(state.values)
+    assert torch.equal(now.means, start.means)
+    assert not torch.equal(now.more["opacity_rgb"], start.more["opacity_rgb"])
+    moved = reference.detach().unflatten(1, (4, 6))
+    for ours, theirs in ((now.sh, moved[..., :1]), (now.more["sh_rgb"], moved[..., 3:])):
+        assert (ours.double() - theirs).abs().max() < 1e-4
+
+
+def test_rates_and_fields_must_fit():
+    state = TrainingState(two_colour_sets())
+    with pytest.raises(ValueError, match=r"the fields are means, .*sh_rgb, opacity_rgb"):
+        Adam(state, RATES, 2.0, {"sh_rgb": "sh"})
+    with pytest.raises(ValueError, match="there are rates for"):
+        Adam(state, RATES, 2.0, {**OWN, "sh_depth": "sh"})
+
+
+def test_a_ply_file_holds_every_field(tmp_path):
+    saved = two_colour_sets()
+    save_ply(saved, tmp_path / "model.ply")
+    loaded = load_ply(tmp_path / "model.ply")
+    assert list(loaded.more) == ["sh_rgb", "opacity_rgb"]
+    for (name, tensor), (_, original) in zip(loaded.items(), saved.items(), strict=True):
+        assert torch.equal(tensor, original), name
