@@ -9,23 +9,21 @@ from __future__ import annotations
 import torch
 from pydantic import NonNegativeFloat
 
-from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
-from tdgbench.training.images import COLOUR
+from tdgbench.training.context import Context
+from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.losses import photometric, thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, rgb_tensor, thermal_tensor, valid_tensor
-from tdgbench.training.model import SplatModel
+from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
-class MSMG:
+class MSMG(Method):
     """L = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, with w the shares in all Gaussians.
 
     L_rgb is 3DGS's loss (eq. 7), L_thermal that of ThermalGaussian, with smoothness.
     """
 
     name = "msmg"
-    needs_rgb = True
-    needs_prior = False
+    modalities = ("thermal", "rgb")
 
     def __init__(
         self,
@@ -39,26 +37,23 @@ class MSMG:
         self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
 
     def setup(self, context: Context) -> None:
-        self.rgb = context.make_model(3, COLOUR)
-        self.thermal = context.make_model(context.scene.channels)
-        self.rgb_views = context.view_order()
-        self.thermal_views = context.view_order()
+        self.rgb = context.gaussians("rgb")
+        self.thermal = context.gaussians("thermal")
+        self.rgb_views = context.views("rgb_views")
+        self.thermal_views = context.views("thermal_views")
 
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
         image = self.rgb.render(rgb_view.camera).image
-        loss_rgb = photometric(image, rgb_tensor(rgb_view, image.device), self.lambda_ssim)
-        render = self.thermal.show(thermal_view)
-        device = render.image.device
-        target, valid = thermal_tensor(thermal_view, device), valid_tensor(thermal_view, device)
+        loss_rgb = photometric(image, RGB.of(rgb_view, image.device)[0], self.lambda_ssim)
+        render = self.thermal.render(thermal_view.camera)
+        target, valid = THERMAL.of(thermal_view, render.image.device)
         loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)
 
-    def models(self) -> dict[str, SplatModel]:
-        return {"rgb": self.rgb, "thermal": self.thermal}
-
     @torch.no_grad()
-    def render(self, camera: Camera) -> Render:
-        return self.thermal.render(camera, depth=True)
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        model = {"thermal": self.thermal, "rgb": self.rgb}[modality]
+        return model.render(frame.camera, depth=modality == "thermal")

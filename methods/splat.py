@@ -8,22 +8,20 @@ from __future__ import annotations
 import torch
 from pydantic import NonNegativeFloat
 
-from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
+from tdgbench.training.context import Context
+from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor, valid_tensor
-from tdgbench.training.model import SplatModel
+from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
-class Splat:
+class Splat(Method):
     """L = weight · ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth): 3DGS, eq. 7; ThermalGaussian.
 
     The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
     name = "splat"
-    needs_rgb = False
-    needs_prior = False
 
     def __init__(
         self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
@@ -31,20 +29,16 @@ class Splat:
         self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels)
-        self.views = context.view_order()
+        self.model = context.gaussians()
+        self.views = context.views()
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.model.show(view)
-        device = render.image.device
-        target, valid = thermal_tensor(view, device), valid_tensor(view, device)
+        render = self.model.render(view.camera)
+        target, valid = THERMAL.of(view, render.image.device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
 
-    def models(self) -> dict[str, SplatModel]:
-        return {"thermal": self.model}
-
     @torch.no_grad()
-    def render(self, camera: Camera) -> Render:
-        return self.model.render(camera, depth=True)
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        return self.model.render(frame.camera, depth=True)

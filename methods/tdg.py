@@ -26,19 +26,19 @@ from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
+from tdgbench.training.context import Context
+from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
-from tdgbench.training.method import Context, Share, SmoothnessReading, Step, thermal_tensor, valid_tensor
-from tdgbench.training.model import SplatModel
+from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
 RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
 
 
-class TDg:
+class TDg(Method):
     """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
 
     name = "tdg"
-    needs_rgb = False
     needs_prior = True
 
     def __init__(
@@ -58,8 +58,8 @@ class TDg:
         self.lambda_depth, self.depth, self.decay, self.decay_end = lambda_depth, depth, decay, decay_end
 
     def setup(self, context: Context) -> None:
-        self.model = context.make_model(context.scene.channels)
-        self.views = context.view_order()
+        self.model = context.gaussians()
+        self.views = context.views()
         self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
         self.last_depth_iteration = int(self.decay_end * context.budget.method_iterations)  # t_end
@@ -69,9 +69,8 @@ class TDg:
         view = self.views.next()
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
-        render = self.model.show(view, depth=needs_depth and self.depth == "written")
-        device = render.image.device
-        target, valid = thermal_tensor(view, device), valid_tensor(view, device)
+        render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
+        target, valid = THERMAL.of(view, render.image.device)
         loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         terms = {"thermal": loss.item()}
         if needs_depth:
@@ -80,12 +79,9 @@ class TDg:
             loss = loss + weight * depth
         return Step(loss, terms, render, target, valid)
 
-    def models(self) -> dict[str, SplatModel]:
-        return {"thermal": self.model}
-
     @torch.no_grad()
-    def render(self, camera: Camera) -> Render:
-        return self.model.render(camera, depth=True)
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        return self.model.render(frame.camera, depth=True)
 
     def _decay(self, iteration: int) -> float:
         if self.decay == "switch":
@@ -106,7 +102,7 @@ class TDg:
             without = iterations
         if self.depth == "released":
             reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
-        return context.skips.depth.skip_iterations(without, iterations, reason)
+        return context.skips.skip_depth(without, iterations, reason)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from tdgbench.files import settle
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
-from tdgbench.training.method import training_device
+from tdgbench.training.context import training_device
 
 
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:

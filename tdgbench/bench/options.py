@@ -15,7 +15,7 @@ from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, n
 from tdgbench.bench.suggest import choices, option_meant
 from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
-from tdgbench.training.skips.registry import find_skips
+from tdgbench.training.skips import RULES, SWITCHES
 
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
 LONGEST_NAME = 120  # bytes
@@ -107,10 +107,12 @@ def _backend(name: str) -> str:
 
 
 def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
-    known = find_skips()
-    unknown = [name for name in allowed if name not in ("_target_", "otherwise", *known)]
+    unknown = [name for name in allowed if name not in ("_target_", "otherwise", *SWITCHES)]
+    rules = [name for name in unknown if name in RULES]
+    if rules:
+        raise ValueError(f"{rules[0]} is a rule of the budget: budget.{rules[0]}=null switches it off")
     if unknown:
-        raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(known)}")
+        raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(SWITCHES)}")
     return allowed
 
 

@@ -26,11 +26,9 @@ from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
 FILE = "record.json"
-SCHEMA = 1
+SCHEMA = 2
 ADDED_LATER = (
-    "background",
     "camera",
-    "density",
     "masked",
     "of_environment",
     "train_processor_seconds",
@@ -97,6 +95,17 @@ class SkipRecord(TypedDict):
     saved: str
 
 
+@with_config(ConfigDict(extra="allow", allow_inf_nan=False))
+class PartReport(TypedDict, total=False):
+    """What `report` of a part of the training says; other parts than Gaussians have other fields."""
+
+    gaussians: Count
+    cloned: Count
+    split: Count
+    pruned: Count
+    background: list[float]  # (C,) image value behind the Gaussians; left out: black
+
+
 @dataclass
 class Failure:
     """Why a cell has no scores."""
@@ -144,9 +153,7 @@ class Record:
     missing: dict[str, Text] = field(default_factory=dict)
     seconds: dict[str, Seconds] = field(default_factory=dict)
     train_processor_seconds: Seconds | None = None  # of all threads: less than wall time depends on other work
-    gaussians: dict[str, Count] = field(default_factory=dict)
-    background: dict[str, list[float]] = field(default_factory=dict)  # (C,) image value, by model; left out: black
-    density: dict[str, dict[str, Count]] = field(default_factory=dict)  # Gaussians cloned, split, pruned; by model
+    parts: dict[str, PartReport] = field(default_factory=dict)  # facts about each part of the training, by name
     peak_rss_mb: Megabytes | None = None  # of the process that finished the cell
     peak_gpu_mb: Megabytes | None = None  # reserved by torch; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)
@@ -172,6 +179,11 @@ class Record:
             return ""
         error = (self.failure.error.splitlines() or [""])[0]
         return error if self.failure.stage == READ_STAGE else f"failed in {self.failure.stage}: {error}"
+
+    @property
+    def gaussians(self) -> dict[str, int]:
+        """Number of Gaussians of each part that has them."""
+        return {name: report["gaussians"] for name, report in self.parts.items() if "gaussians" in report}
 
     def setting(self, name: str) -> Any:
         """Value of a setting by its dotted name; None if the record has none.

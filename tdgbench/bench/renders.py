@@ -19,25 +19,25 @@ from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.thermal import IDEAL, ImageResponse, read_response
-from tdgbench.training.method import Method
+from tdgbench.training.trainer import Trainer
 
 
-def render_views(method: Method, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
-    """Render each view, by name, also with the method's RGB model if it trains one. response: of the thermal camera."""
-    return {view.name: render_images(method, view, with_rgb=True, response=response) for view in views}
+def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
+    """Render each view, by name, in all of the method's modalities. response: of the thermal camera."""
+    return {view.name: render_images(trainer, view, with_rgb=True, response=response) for view in views}
 
 
 @torch.no_grad()
 def render_images(
-    method: Method, view: View, *, with_rgb: bool, response: ImageResponse = IDEAL
+    trainer: Trainer, view: View, *, with_rgb: bool, response: ImageResponse = IDEAL
 ) -> RenderedImages:  # fmt: skip
     """Thermal image (H, W, C) and expected depth (H, W, world units) of a view; RGB image (H, W, 3) if asked for."""
-    render = method.render(view.camera).cpu()
+    method, frame = trainer.method, trainer.frame(view)
+    render = method.render(frame).cpu()
     if render.depth is None:
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
     depth = render.depth / render.alpha.clamp_min(1e-6)
-    model = method.models().get("rgb") if with_rgb else None
-    rgb = None if model is None else model.render(view.camera).cpu().image.numpy()
+    rgb = method.render(frame, "rgb").cpu().image.numpy() if with_rgb and "rgb" in method.modalities else None
     image = render.image.numpy()
     return RenderedImages(response.of(image, view.name), depth.numpy(), rgb, response.temperatures(image))
 
@@ -76,7 +76,8 @@ def render_model(
 
 def background_of(record: Record, model: str) -> Tensor | None:
     """(C,) behind a cell's model, `thermal` or `rgb`; None: black."""
-    return torch.tensor(record.background[model]) if model in record.background else None
+    behind = record.parts.get(model, {}).get("background")
+    return None if behind is None else torch.tensor(behind)
 
 
 def response_of(record: Record) -> ImageResponse:

@@ -25,7 +25,7 @@ from tdgbench.bench.record import Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
-from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
+from tdgbench.bench.setup import SetupObserver, loader_of, set_up
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
 from tdgbench.files import whole_folder
@@ -35,11 +35,12 @@ from tdgbench.scoring import Scorer, mean_scores, to_8bit
 from tdgbench.splats.ply import save_ply
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.context import training_device
 from tdgbench.training.errors import TrainingError
-from tdgbench.training.loop import LogLine, TrainingLog, stopping_of, train
-from tdgbench.training.method import Method, training_device
-from tdgbench.training.skips import Skips
-from tdgbench.training.skips.account import note_training
+from tdgbench.training.loop import LogLine, TrainingLog, train
+from tdgbench.training.method import Method
+from tdgbench.training.skips import Finished, Skips, account
+from tdgbench.training.trainer import Trainer
 
 
 class CellRun(SetupObserver):
@@ -52,6 +53,7 @@ class CellRun(SetupObserver):
     scorer: Scorer
     log: TrainingLog
     checkpoint: Checkpoint
+    trainer: Trainer
     response: ImageResponse  # of the thermal camera, for renders
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
@@ -126,39 +128,37 @@ class CellRun(SetupObserver):
         training = set_up(
             self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
         )  # fmt: skip
-        self.scene, self.response = training.scored, training.response
+        self.trainer, self.scene, self.response = training
         self._describe_images()
         with self.stage("train"):
-            self._train(training)
-        self._describe_training(training)
+            self._train()
+        self._describe_training()
 
-    def _train(self, training: Training) -> None:
+    def _train(self) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
-        method, context = training.method, training.context
-        stopping = stopping_of(method, context)
         self.checkpoint = self._open_checkpoint()
-        log = self.checkpoint.take_up(method, context, stopping)
+        log = self.checkpoint.take_up(self.trainer)
         on_line = self._log_listener(log.iterations)
         try:
-            self.log = train(method, context.budget.iterations, on_line, stopping, self.checkpoint.after_step, log)
+            self.log = train(self.trainer, on_line, self.checkpoint.after_step, log)
         except TrainingError:
             self._discard(self.checkpoint)  # training from it would end at the same iteration
             raise
 
     def write(self) -> None:
         """Render and score the views; write the cell's folder whole or not at all."""
-        record, scene, method, scorer = self.record, self.scene, self.method, self.scorer
+        record, scene, trainer, scorer = self.record, self.scene, self.trainer, self.scorer
         with whole_folder(self.folder) as part:
             with self.stage("render"):
-                renders = render_views(method, scene.test, self.response)
+                renders = render_views(trainer, scene.test, self.response)
                 write_renders(renders, scene.test, part)
             with self.stage("score"):
                 scores = scorer.score(scene, renders)
             with self.stage("score_train"):
-                record.train_scores = score_training_views(method, scene, scorer, self.response)
+                record.train_scores = score_training_views(trainer, scene, scorer, self.response)
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
             with self.stage("write"):
-                for name, model in method.models().items():
+                for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, part / ("model.ply" if name == "thermal" else f"model_{name}.ply"))
                 cameras.write_cameras(part / cameras.FILE, scene)
                 write_views(part / "views.csv", scores)
@@ -225,20 +225,20 @@ class CellRun(SetupObserver):
         if contrast != "none":
             self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
 
-    def _describe_training(self, training: Training) -> None:
+    def _describe_training(self) -> None:
         """Put facts about the finished training into the record."""
-        record, method, log = self.record, self.method, self.log
+        record, trainer, log = self.record, self.trainer, self.log
         record.masked = {"train": masked_share(self.scene.train), "test": masked_share(self.scene.test)}
         record.resumed = log.resumed
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
-        note_training(self.skips, self.scene, method, training.context.budget, log)
-        record.skips = [cast(SkipRecord, asdict(skip)) for skip in self.skips.all()]
-        record.gaussians = {name: len(model) for name, model in method.models().items()}
-        record.density = {name: model.work.density() for name, model in method.models().items()}
-        behind = {name: model.background for name, model in method.models().items()}
-        record.background = {name: color.tolist() for name, color in behind.items() if color is not None}
+        work = [model.work for model in trainer.gaussians.values()]
+        budget, curriculum = trainer.whole.budget, trainer.context.curriculum
+        on_rgb = "rgb" in self.method.modalities
+        finished = Finished(self.scene, self.method.name, on_rgb, budget, log.iterations, curriculum, work)
+        record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(self.skips, finished)]
+        record.parts = trainer.reports()
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -13,27 +13,27 @@ from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.thermal import IDEAL, ImageResponse
-from tdgbench.training.method import Method
+from tdgbench.training.trainer import Trainer
 
 Row = dict[str, float | None]
 VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
 
 
 def score_views(
-    method: Method, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
+    trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
 ) -> dict[str, dict[str, float | None]]:
     """Render and score the test views of a scene; scores by view and metric, None where a metric has no value."""
-    return scorer.score(scene, render_views(method, scene.test, response))
+    return scorer.score(scene, render_views(trainer, scene.test, response))
 
 
 def score_training_views(
-    method: Method, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
+    trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
 ) -> dict[str, float | None]:
     """Mean PSNR and SSIM of the training views; a model that overfits scores far higher here than on test views."""
     scores: dict[str, dict[str, float | None]] = {}
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
-        renders = {view.name: render_images(method, view, with_rgb=False, response=response) for view in views}
+        renders = {view.name: render_images(trainer, view, with_rgb=False, response=response) for view in views}
         scores |= scorer.score_all_train(views, renders)
     return mean_scores(scores, TRAIN_METRICS)
 

@@ -18,19 +18,20 @@ from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.thermal.correct import in_one_range
-from tdgbench.training.method import Context, Method
+from tdgbench.training.context import Context
+from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
+from tdgbench.training.trainer import Trainer
 from tdgbench.training.warmup import compile_kernels
 
 
 class Training(NamedTuple):
-    """A method that is ready to train, and the context it was set up with (scene, priors, budget, seed …).
+    """A method that is ready to train.
 
     scored: the scene as it is scored, with images as the thermal camera showed them. response: that camera's.
     """
 
-    method: Method
-    context: Context
+    trainer: Trainer
     scored: Scene
     response: ImageResponse = IDEAL
 
@@ -94,13 +95,13 @@ def set_up(
         init: InitialPoints = instantiate(cfg.init.points)
         context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
-        method.setup(context)
+        trainer = Trainer(method, context)
     if compiles:
         with observer.stage("compile"):
-            channels = {scene.channels, *([3] if method.needs_rgb else [])}
+            channels = {model.state.channels for model in trainer.gaussians.values()}
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
-    return Training(method, context, scene if is_changed else scored, response)
+    return Training(trainer, scene if is_changed else scored, response)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
@@ -134,10 +135,11 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     A method that trains on RGB needs that of every training view, and scores those of the test views that have one.
     For other methods the skip `rgb` leaves all out; without it, those of the training views are read.
     """
-    if method.needs_rgb:
+    if "rgb" in method.modalities:
         return scene.train + [view for view in scene.test if view.load_rgb is not None]
     available = [view for view in scene.train if view.load_rgb is not None]
-    return [] if skips.rgb.skip_images(method.name, len(available)) else available
+    reason = f"{method.name} trains on thermal images alone"
+    return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
 
 
 def _estimate_priors(
@@ -147,7 +149,9 @@ def _estimate_priors(
     with observer.stage("prior"):
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
-        skips.prior.note_cached(len(scene.train) - estimated, len(scene.train))
+        views, cached = len(scene.train), len(scene.train) - estimated
+        reason = f"{cached} of {views} training views were estimated before; test views need no prior"
+        skips.prior.decide(cached > 0, reason, f"{cached} estimates")
         source = {"made_from": cfg.prior.made_from} if cfg.prior.get("made_from") else {}
         observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source})
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}

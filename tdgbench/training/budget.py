@@ -1,23 +1,84 @@
-"""Length and schedules of a training; the numbers are in `conf/budget/`."""
+"""Length, schedules and rules of a training; the numbers are in `conf/budget/`, and a rule that is null is off."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveInt
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.splats.density import DensityRules
 from tdgbench.splats.optimizer import LearningRates
-from tdgbench.training.growth import GrowthRule
-from tdgbench.training.pixels import PixelRule
-from tdgbench.training.settling import SettlingRule
-from tdgbench.training.skips.plateau import PlateauRule
+
+SCALES = (8, 6, 4, 3, 2, 1)
+
+
+@dataclass(frozen=True)
+class GrowthRule:
+    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold.
+
+    `tdgbench.training.growth` decides by it.
+    """
+
+    views: PositiveInt  # training views that a round looks at
+    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
+    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
+
+
+@dataclass(frozen=True)
+class PixelRule:
+    """Images have 1/scale of their width until the share of the schedule that their spectrum has below that scale.
+
+    DashGaussian (Chen et al. 2025) gives a resolution the iterations that its frequencies add to the spectrum. Noise
+    has no part in the spectrum here. Held-out views may end a resolution earlier (`SettlingRule`).
+    """
+
+    largest_scale: Annotated[int, Field(ge=1, le=SCALES[0])]
+    until: Annotated[float, Field(gt=0, le=1)]  # share of all iterations, after which images have all their pixels
+    smallest_side: PositiveInt  # px, of an image at any scale
+
+
+@dataclass(frozen=True)
+class SettlingRule:
+    """A training stalls once its held-out training views gain less than `gain` from one window of checks to the next.
+
+    A window is a share of the checks at the current resolution. A training that stalls below the full resolution goes
+    on to the next one. At the full one, or after two in a row that are no better than the best, it settles at the best:
+    the held-out views are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a
+    while. A training that never settles does the same at its end, at the full resolution.
+    """
+
+    share: Annotated[float, Field(gt=0, le=0.25)]  # of the training views that is held out
+    fewest: PositiveInt  # views held out; with less than four times as many training views none is
+    most: PositiveInt  # views held out
+    every: PositiveInt  # iterations between checks
+    checks: PositiveInt  # in a window, at least
+    window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
+    gain: PositiveFloat  # dB, the median over held-out views
+    tail: PositiveFloat  # iterations after settling, as a share of those before
+    slowdown: Annotated[float, Field(gt=0, le=1)]  # of all learning rates at the end
+
+    def latest(self, iterations: int) -> int:
+        """Return the last iteration at which a training of so many iterations settles."""
+        return max(1, int(iterations / (1 + self.tail)))
+
+
+@dataclass(frozen=True)
+class PlateauRule:
+    """Training ends after `patience` windows in a row whose mean loss is not below the best one by `gain`.
+
+    A window is `rounds` times all training views, so that every view has equal weight in it.
+    """
+
+    rounds: PositiveInt
+    patience: PositiveInt  # windows
+    gain: NonNegativeFloat  # relative
+    after: NonNegativeInt  # earliest iteration
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Iterations and the schedules that depend on them."""
+    """Iterations, and the schedules and rules that depend on them."""
 
     name: str
     iterations: PositiveInt
@@ -34,9 +95,16 @@ class Budget:
 
     @property
     def method_iterations(self) -> int:
-        """The training's length for schedules of methods, which must not outlast it."""
+        """Length of the training for schedules of methods, which must not outlast it."""
         return min(self.iterations, self.expected_iterations or self.iterations)
 
     def active_degree(self, iteration: int) -> int:
-        """SH degree in use at an iteration (1-based)."""
+        """Return the SH degree in use at an iteration (1-based)."""
         return min(self.sh_degree, iteration // self.sh_every)
+
+    def part(self, share: float) -> Budget:
+        """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one."""
+        if share == 1.0:
+            return self
+        expected = None if self.expected_iterations is None else max(1, round(share * self.expected_iterations))
+        return replace(self, iterations=max(1, round(share * self.iterations)), expected_iterations=expected)

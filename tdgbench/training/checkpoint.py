@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import glob
 import hashlib
 import os
@@ -16,8 +15,8 @@ import torch
 from torch import Tensor
 
 from tdgbench.files import whole_file
-from tdgbench.training.loop import LogLine, Stopping, TrainingLog
-from tdgbench.training.method import Context, Method
+from tdgbench.training.loop import LogLine, TrainingLog
+from tdgbench.training.trainer import Trainer
 
 MAX_SHARE = 0.02  # of the time that writing takes
 DIGEST = "sha256"  # of the file of torch, behind which it is written
@@ -30,7 +29,7 @@ class Checkpoint:
     """File with the state of one training, written at intervals and loaded when the training is resumed.
 
     Writing does not affect training: a resumed run ends with the bytes of an uninterrupted one. What changes during
-    training is in models, random streams and view orders, all of which a method gets from its Context.
+    training is in parts, which a method makes through its context.
     """
 
     path: Path
@@ -43,12 +42,12 @@ class Checkpoint:
         if self.seconds is not None and self.seconds < 0:
             raise ValueError(f"checkpoint is {self.seconds}; it must be 0 or more seconds of training, or null")
 
-    def take_up(self, method: Method, context: Context, stopping: Stopping | None) -> TrainingLog:
-        """Load the stored state into a method that was just set up; returns the log so far, or an empty one.
+    def take_up(self, trainer: Trainer) -> TrainingLog:
+        """Load the stored state into a trainer that was just made; returns the log so far, or an empty one.
 
         A file that is not whole, or that holds another state than this method has, is not used; nothing is loaded then.
         """
-        self._method, self._context, self._stopping = method, context, stopping
+        self._trainer = trainer
         for partial in self.path.parent.glob(f".{glob.escape(self.path.stem)}.*{self.path.suffix}"):
             with suppress(OSError):
                 partial.unlink()  # of a process that was killed while it wrote
@@ -58,6 +57,7 @@ class Checkpoint:
                 log = self._load(self._read())
             except Exception as error:  # torch documents no exception types for foreign files
                 self.notes.append(f"a checkpoint was not used: {error or type(error).__name__}")
+                trainer.restart()
         self._next = log.seconds + (self.seconds or 0.0)
         return log
 
@@ -78,20 +78,12 @@ class Checkpoint:
         self.path.unlink(missing_ok=True)
 
     def _write(self, log: TrainingLog) -> None:
-        content = {"made_with": self.made_with, **_progress(log), **self._state()}
+        content = {"made_with": self.made_with, **_progress(log), **self._trainer.state_dict()}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(self.path) as part, part.open("wb") as file:
             hashing = _HashingFile(file)
             torch.save(content, cast(IO[bytes], hashing))
             file.write(hashing.digest.digest())
-
-    def _state(self) -> dict[str, Any]:
-        """Everything that training changes, but for its log; tensors may share memory with the models."""
-        return {
-            "context": self._context.state_dict(),
-            "models": {name: model.state_dict() for name, model in self._method.models().items()},
-            "stopping": None if self._stopping is None else self._stopping.state_dict(),
-        }
 
     def _read(self) -> dict[str, Any]:
         """The stored content. Raises ValueError if it is not whole or not of this training."""
@@ -103,31 +95,20 @@ class Checkpoint:
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]
         if differs:
             raise ValueError(f"other {', '.join(differs)} (iteration {at})")
-        wanted = {"made_with": self.made_with, **_progress(TrainingLog()), **self._state()}
+        self._trainer.at_stage(saved["stage"])
+        wanted = {"made_with": self.made_with, **_progress(TrainingLog()), **self._trainer.state_dict()}
         problem = _mismatch(saved, wanted, "", is_exact=True)
         if problem is not None:
             raise ValueError(f"its {problem} does not fit this training")
         return saved
 
     def _load(self, saved: dict[str, Any]) -> TrainingLog:
-        """Load all of the stored content, or nothing of it if that raises an error."""
-        before = copy.deepcopy(self._state())
-        try:
-            lines = [LogLine(**line) for line in saved["lines"]]
-            self._load_state(saved)
-        except Exception:
-            self._load_state(before)
-            raise
+        """Load the stored content."""
+        lines = [LogLine(**line) for line in saved["lines"]]
+        self._trainer.load_state_dict(saved)
         at = saved["iterations"]
         resumed = [*saved["resumed"], at]
         return TrainingLog(lines, saved["seconds"], saved["processor_seconds"], at, saved["ended"], resumed)
-
-    def _load_state(self, saved: dict[str, Any]) -> None:
-        self._context.load_state_dict(saved["context"])
-        for name, model in self._method.models().items():
-            model.load_state_dict(saved["models"][name])
-        if self._stopping is not None:
-            self._stopping.load_state_dict(saved["stopping"])
 
 
 class _HashingFile:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from tdgbench.scenes import View
+from tdgbench.training.part import Part
 from tdgbench.training.pixels import shrunk
 
 
-class Curriculum:
+class Curriculum(Part):
     """The training views at the current iteration. Without steps and held-out views: all of them, as they are.
 
     The resolution is that of the schedule, or a higher one that `advance` asked for before.
@@ -27,9 +28,7 @@ class Curriculum:
         self._trained = [0] * (len(self.steps) + 1)  # iterations at each step
 
     def begin(self, iteration: int) -> None:
-        """Set the resolution of an iteration (1-based); each model of a method says when it begins one."""
-        if iteration == self._iteration:
-            return
+        """Set the resolution of an iteration (1-based)."""
         self._iteration = iteration
         step = self._step
         while not self.settled_at and step < len(self.steps) and iteration > self.steps[step][0]:
@@ -78,14 +77,16 @@ class Curriculum:
         return self._shrunk[view.name]
 
     def state_dict(self) -> dict[str, Any]:
-        """What has changed so far."""
         return {
             "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
             "iteration": self._iteration, "trained": list(self._trained),
         }  # fmt: skip
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore a state from `state_dict`."""
         self.settled_at, self.is_holding = saved["settled_at"], saved["is_holding"]
         self._iteration, self._trained = saved["iteration"], list(saved["trained"])
         self._use(saved["step"])
+
+    def report(self) -> dict[str, Any]:
+        by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
+        return {"iterations": by_scale, "held_out": len(self.held), "settled_at": self.settled_at}

@@ -12,12 +12,9 @@ How much D differs between views says nothing more: where a model still lacks Ga
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import torch
-from pydantic import NonNegativeFloat, PositiveInt
 from torch import Tensor
 
 from tdgbench.scenes import View
@@ -25,6 +22,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
+from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.evidence import Evidence, Footprints, look_at
 from tdgbench.training.images import Modality
@@ -83,15 +81,5 @@ class Significance:
         camera = Pinhole.of(view.camera).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        residual = self.modality.tensor(view, image.device) - image
-        return look_at(gaussians, view.camera, residual, self.modality.mask(view, image.device), self.backend)
-
-
-@dataclass(frozen=True)
-class GrowthRule:
-    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold."""
-
-    views: PositiveInt  # training views that a round looks at
-    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
-    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
-    significance: ClassVar[type[Significance]] = Significance  # what decides by the rule
+        target, valid = self.modality.of(view, image.device)
+        return look_at(gaussians, view.camera, target - image, valid, self.backend)

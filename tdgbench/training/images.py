@@ -1,4 +1,4 @@
-"""The images that a model is trained on: thermal or RGB."""
+"""The images that a model is trained on, by modality: thermal images, of which pixels may be masked, and RGB."""
 
 from __future__ import annotations
 
@@ -8,31 +8,40 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.scenes import View
+from tdgbench.scenes import Scene, View
+from tdgbench.training.targets import ViewTensors
+
+_TENSORS = ViewTensors()
 
 
 class Modality:
     """Thermal images, of which some pixels may be masked."""
 
+    name = "thermal"
+
+    def channels(self, scene: Scene) -> int:
+        """Return the channels of the scene's images."""
+        return scene.channels
+
     def array(self, view: View) -> np.ndarray:
-        """(H, W, C), 0 at masked pixels."""
+        """Return the image (H, W, C) of a view, 0 at masked pixels."""
         return view.thermal
 
     def valid(self, view: View) -> np.ndarray | None:
-        """(H, W) bool; None if every pixel counts."""
+        """Return the mask (H, W) bool of a view; None if every pixel counts."""
         return view.valid
 
-    def tensor(self, view: View, device: torch.device) -> Tensor:
-        """(H, W, C); on the CPU it shares the view's memory."""
-        return torch.from_numpy(self.array(view)).to(device)
+    def of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
+        """Return image and mask of a view as tensors, for a loss; on the CPU they share the view's memory.
 
-    def mask(self, view: View, device: torch.device) -> Tensor | None:
-        """(H, W) bool; None if every pixel counts."""
+        They are the same tensors as long as the view lives, so that losses prepare them once.
+        """
         valid = self.valid(view)
-        return None if valid is None else torch.from_numpy(valid).to(device)
+        mask = None if valid is None else _TENSORS.of(view, "valid", device)
+        return _TENSORS.of(view, self.name, device), mask
 
     def mean(self, views: Sequence[View]) -> np.ndarray:
-        """(C,) float32: the mean of the pixels that count in some view."""
+        """Return the mean (C,) float32 of the pixels that count in some view."""
         total, count = 0.0, 0
         for view in views:
             image, valid = self.array(view), self.valid(view)
@@ -41,8 +50,13 @@ class Modality:
         return np.asarray(total / max(count, 1), np.float32)
 
 
-class RGB(Modality):
+class _RGB(Modality):
     """RGB images, of which every pixel counts."""
+
+    name = "rgb"
+
+    def channels(self, scene: Scene) -> int:
+        return 3
 
     def array(self, view: View) -> np.ndarray:
         return view.rgb
@@ -51,4 +65,5 @@ class RGB(Modality):
         return None
 
 
-THERMAL, COLOUR = Modality(), RGB()
+THERMAL, RGB = Modality(), _RGB()
+MODALITIES: dict[str, Modality] = {one.name: one for one in (THERMAL, RGB)}

@@ -4,42 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
 
 import torch
 
-from tdgbench.training.errors import EmptyModelError, NonFiniteError
-from tdgbench.training.method import Context, Method, Step
-from tdgbench.training.model import SplatModel
-from tdgbench.training.settling import Settling
-from tdgbench.training.skips.plateau import Plateau
+from tdgbench.training.errors import NonFiniteError
+from tdgbench.training.method import Step
+from tdgbench.training.part import Part
+from tdgbench.training.trainer import Trainer
 
 LOG_LINES = 200
-
-
-class Stopping(Protocol):
-    """Decides when a training ends before its last iteration."""
-
-    def reached(self, iteration: int, loss: float) -> bool:
-        """Note an iteration's loss; True from the iteration on at which training may end."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Its state, as `torch.save` takes it."""
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
-
-
-def stopping_of(method: Method, context: Context) -> Stopping | None:
-    """What stops a training early, by the rules of its budget and the skips; None: nothing."""
-    budget, skips = context.budget, context.skips
-    if budget.settling is not None and skips.settling.allowed:
-        return Settling(budget.settling, method, context)
-    if budget.plateau is not None and skips.plateau.allowed:
-        return Plateau(budget.plateau, len(context.scene.train))
-    return None
 
 
 @dataclass
@@ -67,65 +42,71 @@ class TrainingLog:
 
 
 def train(
-    method: Method,
-    iterations: int,
+    trainer: Trainer,
     on_line: Callable[[LogLine], None] | None = None,
-    stopping: Stopping | None = None,
     on_step: Callable[[TrainingLog], None] | None = None,
     log: TrainingLog | None = None,
     on_model: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
-    """Train a method that is set up, for so many iterations or until `stopping` lets it end.
+    """Train stage after stage, each for its budget's iterations or until its rule lets it end.
 
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
-    density control and optimiser step. Training ends early once the models have recovered from density control.
+    density control and optimiser step. A stage ends early once its parts have recovered from density control.
 
     on_line is called with each log line. on_step is called after each iteration; on_model before its changes of the
-    models, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to
+    parts, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to
     resume after them.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
     """
     log = log or TrainingLog()
-    every = max(1, iterations // LOG_LINES)
-    smoothed = log.lines[-1].psnr if log.lines else None
     clock = Clock(log)
-    remaining = range(0) if log.ended else range(log.iterations + 1, iterations + 1)
-    for iteration in remaining:
-        models = method.models()
-        for model in models.values():
-            model.begin(iteration)
-        step = method.step(iteration)
-        loss = _finite_loss(step, models, iteration)
-        may_end = stopping is not None and stopping.reached(iteration, step.terms.get("thermal", loss))
-        ends = iteration == iterations or (may_end and all(m.has_recovered(iteration) for m in models.values()))
+    while not log.ended:
+        iteration = log.iterations - trainer.before + 1  # within the stage
+        for part in trainer.parts.values():
+            part.begin(iteration)
+        step = trainer.stage.step(iteration)
+        loss = _finite_loss(step, trainer.parts, iteration)
+        ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
+        log.iterations += 1
+        log.ended = ends_stage and trainer.number + 1 == len(trainer.stages)
         if on_model is not None:
-            log.iterations, log.ended = iteration, ends
             clock.stop()
             on_model(log)
             clock = Clock(log)
-        if not ends:
-            _update(step, models, iteration)
-        if iteration % every == 0 or iteration == 1 or ends:
-            for name, model in models.items():
-                _check_parameters(name, model, iteration)
-            psnr = _psnr(step)
-            smoothed = psnr if smoothed is None else 0.8 * smoothed + 0.2 * psnr
-            gaussians = sum(len(model) for model in models.values())
+        if not ends_stage:
+            _update(step, trainer.parts, iteration)
+        every = max(1, trainer.whole.budget.iterations // LOG_LINES)
+        if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
+            _check_parameters(trainer.parts, iteration)
             clock.stop()
-            line = LogLine(iteration, log.seconds, loss, smoothed, gaussians, step.terms)
+            line = _line(log, step, loss, trainer.parts)
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
-        log.iterations, log.ended = iteration, ends
+        if ends_stage:
+            trainer.advance(iteration)
         clock.stop()
         if on_step is not None:
             on_step(log)
             clock = Clock(log)
-        if ends:
-            break
     return log
+
+
+def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
+    """Return whether the stage ends with an iteration."""
+    may_end = trainer.stopping is not None and trainer.stopping.reached(iteration, loss)
+    recovered = all(part.has_recovered(iteration) for part in trainer.parts.values())
+    return iteration >= trainer.context.budget.iterations or (may_end and recovered)
+
+
+def _line(log: TrainingLog, step: Step, loss: float, parts: Mapping[str, Part]) -> LogLine:
+    """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
+    psnr = _psnr(step)
+    smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
+    gaussians = sum(part.report().get("gaussians", 0) for part in parts.values())
+    return LogLine(log.iterations, log.seconds, loss, smoothed, gaussians, step.terms)
 
 
 class Clock:
@@ -142,31 +123,28 @@ class Clock:
         self._log.processor_seconds = time.process_time() - self._processor_start
 
 
-def _finite_loss(step: Step, models: dict[str, SplatModel], iteration: int) -> float:
-    """Value of the loss. Raises NonFiniteError with the tensor that made it not finite."""
+def _finite_loss(step: Step, parts: Mapping[str, Part], iteration: int) -> float:
+    """Return the value of the loss. Raises NonFiniteError with the tensor that made it not finite."""
     loss = step.loss.item()
     if not math.isfinite(loss):
-        for name, model in models.items():
-            _check_parameters(name, model, iteration)
+        _check_parameters(parts, iteration)
         raise NonFiniteError(iteration, _first_bad(step))
     return loss
 
 
-def _update(step: Step, models: dict[str, SplatModel], iteration: int) -> None:
-    """Backward pass, density control and Adam step."""
+def _update(step: Step, parts: Mapping[str, Part], iteration: int) -> None:
+    """Do the backward pass and let every part change by its gradients."""
     step.loss.backward()
-    for name, model in models.items():
-        bad = model.finish(iteration)
+    for name, part in parts.items():
+        bad = part.step(iteration)
         if bad is not None:
             raise NonFiniteError(iteration, f"gradient of {name} {bad}")
-        if len(model) == 0:
-            raise EmptyModelError(iteration, name)
 
 
 @torch.no_grad()
 def _psnr(step: Step) -> float:
-    """PSNR of the thermal render at valid pixels, dB; finite for every finite render."""
-    difference = step.thermal.image - step.target
+    """Return the PSNR of the render at valid pixels, dB; finite for every finite render."""
+    difference = step.render.image - step.target
     if step.valid is not None:
         difference = difference[step.valid]
     mse = difference.square().mean().item()
@@ -179,16 +157,16 @@ def _first_bad(step: Step) -> str:
     """Name of the first image, render or loss term that is not finite."""
     if not torch.isfinite(step.target).all():
         return "target image"
-    for name, tensor in (("thermal render", step.thermal.image), ("depth render", step.thermal.depth)):
+    for name, tensor in (("render", step.render.image), ("depth render", step.render.depth)):
         if tensor is not None and not torch.isfinite(tensor).all():
             return name
     bad = [name for name, value in step.terms.items() if not math.isfinite(value)]
     return f"loss term {bad[0]}" if bad else "loss"
 
 
-def _check_parameters(name: str, model: SplatModel, iteration: int) -> None:
-    """Raise NonFiniteError with the first parameter that is not finite."""
-    if not torch.isfinite(model.state.values.sum()):  # one pass in the usual case
-        for parameter, tensor in model.gaussians.items():
-            if not torch.isfinite(tensor).all():
-                raise NonFiniteError(iteration, f"{name} {parameter}")
+def _check_parameters(parts: Mapping[str, Part], iteration: int) -> None:
+    """Raise NonFiniteError with the first parameter of a part that is not finite."""
+    for name, part in parts.items():
+        bad = part.not_finite()
+        if bad is not None:
+            raise NonFiniteError(iteration, f"{name} {bad}")

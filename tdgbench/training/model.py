@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import torch
 
-from tdgbench.scenes import Camera, View
+from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
-from tdgbench.splats.backends.backend import StateOptions
+from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
-from tdgbench.splats.density import DensityChange, DensityControl, Verdict
+from tdgbench.splats.density import DensityControl, Verdict
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.pending import PendingGradients
@@ -21,56 +22,28 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.errors import EmptyModelError
 from tdgbench.training.growth import Significance
+from tdgbench.training.part import Part
 from tdgbench.training.skips import Skips
-
-
-@dataclass
-class Work:
-    """Counts of the work so far, summed over all backward passes and rounds of density control."""
-
-    rows: int = 0  # Gaussians of the model
-    touched: int = 0  # Gaussians with a gradient
-    pairs: int = 0  # (tile, Gaussian) pairs
-    blended: int = 0  # pairs that the blend read before their tile ended
-    cloned: int = 0  # Gaussians
-    split: int = 0
-    pruned: int = 0
-    withheld: int = 0
-
-    def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
-        """Add the backward pass of a view of `count` Gaussians, but for those that it touched."""
-        self.rows += count
-        self.pairs += gradients.pairs
-        self.blended += gradients.blended
-
-    def add_change(self, change: DensityChange) -> None:
-        """Add an iteration's density control."""
-        self.cloned += change.cloned
-        self.split += change.split
-        self.pruned += change.pruned
-        self.withheld += change.withheld
-
-    def density(self) -> dict[str, int]:
-        """Numbers of Gaussians that density control cloned, split and pruned."""
-        return {"cloned": self.cloned, "split": self.split, "pruned": self.pruned}
+from tdgbench.training.work import Work
 
 
 @dataclass(frozen=True)
-class ViewRules:
-    """How a model meets its training views.
+class ModelOptions:
+    """What sets one model apart from another with the same budget.
 
-    significance: what decides by them which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians;
-    None: black.
+    name: for messages. significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
+    black. rates: learning rates of fields, in the place of the budget's; see `tdgbench.splats.optimizer.Adam`.
     """
 
-    curriculum: Curriculum = field(default_factory=Curriculum)
+    name: str = "thermal"
     significance: Significance | None = None
     background: torch.Tensor | None = None
+    rates: Mapping[str, float | str] = field(default_factory=dict)
 
 
-class SplatModel:
+class SplatModel(Part):
     """Gaussians in training, with their optimiser and density control."""
 
     def __init__(
@@ -81,19 +54,20 @@ class SplatModel:
         backend: str,
         generator: torch.Generator,
         skips: Skips | None = None,
-        rules: ViewRules | None = None,
+        options: ModelOptions | None = None,
     ) -> None:
         """extent: of the scene, world units. generator: draws the children of split Gaussians."""
-        rules = rules or ViewRules()
+        options = options or ModelOptions()
+        self.name = options.name
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
         self.degree = 0
-        self.optimizer = Adam(self.state, budget.rates, extent)
+        self.optimizer = Adam(self.state, budget.rates, extent, options.rates)
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.significance, self.curriculum, self.background = rules.significance, rules.curriculum, rules.background
+        self.significance, self.background = options.significance, options.background
         self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -114,8 +88,13 @@ class SplatModel:
         optimizer.flush()
         return state.split(state.values)
 
-    def render(self, camera: Camera, *, depth: bool = False) -> Render:
-        """Render at the SH degree in use, over the background. The backward pass is observed by density control."""
+    def render(self, camera: Camera | Pinhole, *, depth: bool = False, hook: Hook | None = None) -> Render:
+        """Render at the SH degree in use, over the background. The backward pass is observed by density control.
+
+        hook: changes what is rendered (means, turns, scales, opacities, colours), given the Gaussians and the degree;
+        gradients go back through it, to Gaussians and whatever else it used. A camera's pose may ask for a gradient,
+        too. Both cost time: gradients of all Gaussians pass through torch then.
+        """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
             self._views.append(_View(gradients, camera.width, camera.height))
@@ -124,35 +103,42 @@ class SplatModel:
                 self.density.observe_visible(gradients)
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
-        options = StateOptions(self.degree, depth, self._blending, tolerance, self.background)
-        return render_state(self.state, self.optimizer, Pinhole.of(camera), options, collect, self.backend)
-
-    def show(self, view: View, *, depth: bool = False) -> Render:
-        """Render a training view: what a loss compares with the view's image."""
-        return self.render(view.camera, depth=depth)
+        options = StateOptions(self.degree, depth, self._blending, tolerance, self.background, hook)
+        pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
+        return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that training changes, as `torch.save` takes it. Call it between iterations."""
+        """Return everything that training changes, as `torch.save` takes it. Call it between iterations."""
         return {
             "rows": self.state.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "density": self.density.state_dict(),
             "degree": self.degree,
             "work": asdict(self.work),
+            "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned; the random stream is the context's."""
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
         self.degree = saved["degree"]
         self.work = Work(**saved["work"])
+        self._generator.set_state(saved["generator"])
+
+    def report(self) -> dict[str, Any]:
+        behind = {} if self.background is None else {"background": self.background.tolist()}
+        counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
+        return {**counts, "pruned": self.work.pruned, **behind}
+
+    def not_finite(self) -> str | None:
+        if torch.isfinite(self.state.values.sum()):  # one pass in the usual case
+            return None
+        return next((name for name, tensor in self.gaussians.items() if not torch.isfinite(tensor).all()), None)
 
     def begin(self, iteration: int) -> None:
-        """Start an iteration (1-based): raise the SH degree if it is due."""
+        """Raise the SH degree if it is due."""
         self._iteration = iteration
-        self.curriculum.begin(iteration)
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
             self.degree += 1
 
@@ -162,11 +148,9 @@ class SplatModel:
         return Gradients.total([view.gradients.computed() for view in views], len(self.state)) if views else None
 
     def has_recovered(self, iteration: int) -> bool:
-        """Whether the model at an iteration has recovered from density control, and is worth saving."""
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
 
     def stop_growth(self, iteration: int) -> None:
-        """End density control before an iteration."""
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
@@ -176,11 +160,14 @@ class SplatModel:
             return None
         return self.significance.judge(self.gaussians, self.degree, iteration // self.density.rules.every)
 
-    def finish(self, iteration: int) -> str | None:
-        """End an iteration, after the backward pass: density control, then an Adam step.
+    def slow_down(self, factor: float) -> None:
+        self.optimizer.slowdown = factor
 
-        Gaussians have no step after a round of density control, and none for opacities after their reset. Returns the
-        name of a parameter whose gradient is not finite, or None; Adam has then used it.
+    def step(self, iteration: int) -> str | None:
+        """Do density control, then an Adam step.
+
+        Gaussians have no step after a round of density control, and none for opacities after their reset. Adam has
+        used a gradient that is not finite. Raises EmptyModelError if no Gaussian is left.
         """
         views, self._views = self._views, []
         gradients, watch = self._gradients_of(views, iteration)
@@ -196,6 +183,8 @@ class SplatModel:
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
         self._forget(views)
+        if len(self) == 0:
+            raise EmptyModelError(iteration, self.name)
         return bad
 
     def _forget(self, views: list[_View]) -> None:

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Annotated
+from dataclasses import replace
 
 import numpy as np
-from pydantic import Field, PositiveInt
 
 from tdgbench.scenes import View
 from tdgbench.scenes.images import nearest_valid, resize
+from tdgbench.training.budget import SCALES, PixelRule
 from tdgbench.training.noise import noise_of
 from tdgbench.training.spectrum import significant_amplitudes
 
-SCALES = (8, 6, 4, 3, 2, 1)
 MOSTLY = 0.5
-
-
-@dataclass(frozen=True)
-class PixelRule:
-    """Images have 1/scale of their width until the share of the schedule that their spectrum has below that scale.
-
-    DashGaussian (Chen et al. 2025) gives a resolution the iterations that its frequencies add to the spectrum. Noise
-    has no part in the spectrum here. Held-out views may end a resolution earlier (`tdgbench.training.settling`).
-    """
-
-    largest_scale: Annotated[int, Field(ge=1, le=SCALES[0])]
-    until: Annotated[float, Field(gt=0, le=1)]  # share of all iterations, after which images have all their pixels
-    smallest_side: PositiveInt  # px, of an image at any scale
 
 
 def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:

@@ -9,9 +9,9 @@ from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
+from tdgbench.training.context import training_device
 from tdgbench.training.evidence import look_at
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
-from tdgbench.training.method import training_device
 from tdgbench.training.model import SplatModel
 
 SIZE = 16  # px
@@ -54,7 +54,7 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
                 model.density.observe_gradients(gradients, SIZE, SIZE)
                 model.optimizer.step(gradients, iteration)
             else:
-                model.finish(iteration)
+                model.step(iteration)
         if budget.growth is not None:
             look_at(model.gaussians, camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()

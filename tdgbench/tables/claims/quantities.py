@@ -82,8 +82,8 @@ def _seconds(cell: Cell, _claim: Claim) -> float | None:
 
 
 def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
-    done = cell.record.density.get("thermal")
-    return None if done is None else float(sum(done[name] for name in names))
+    done = cell.record.parts.get("thermal")
+    return None if done is None else float(sum(done[name] for name in names))  # type: ignore[literal-required]
 
 
 def _gaussians(cell: Cell, _claim: Claim) -> float | None:

@@ -1,0 +1,169 @@
+"""What a method is set up with, and how it makes its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+
+from tdgbench.priors import DepthPrior
+from tdgbench.scenes import PointCloud, Scene, View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.backends import choose_backend, load_backend
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.training.budget import Budget
+from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.growth import Significance
+from tdgbench.training.images import MODALITIES, Modality
+from tdgbench.training.model import ModelOptions, SplatModel
+from tdgbench.training.part import Network, Part, RandomStream
+from tdgbench.training.pixels import schedule
+from tdgbench.training.settling import hold_out
+from tdgbench.training.skips import Skips
+
+P = TypeVar("P", bound=Part)
+
+
+class ViewOrder(RandomStream):
+    """Views in random order without replacement, reshuffled after each round (3DGS)."""
+
+    def __init__(self, views: list[View], seed: int, curriculum: Curriculum) -> None:
+        """curriculum: which of the views, and at which resolution."""
+        super().__init__(seed)
+        self.views, self.curriculum = views, curriculum
+        self._order: list[int] = []
+
+    def next(self) -> View:
+        """Return the next view, at the resolution of the iteration."""
+        if not self._order:
+            order = torch.randperm(len(self.views), generator=self.generator).tolist()
+            self._order = [i for i in order if self.curriculum.shows(self.views[i])]
+        return self.curriculum.at_resolution(self.views[self._order.pop()])
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"order": list(self._order), **super().state_dict()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        super().load_state_dict(saved)
+        self._order = list(saved["order"])
+
+
+@dataclass
+class Context:
+    """What a stage is set up with: scene, initial points, depth priors by view (empty if it needs none), budget.
+
+    Its methods make parts and keep them in `parts`, by name: the loop drives them, and a checkpoint saves them.
+    """
+
+    scene: Scene
+    points: PointCloud
+    priors: dict[str, DepthPrior]
+    budget: Budget
+    backend: str
+    seed: int
+    skips: Skips = field(default_factory=Skips)
+    parts: dict[str, Part] = field(default_factory=dict, init=False)
+    _streams: int = field(default=0, init=False, repr=False)
+
+    @cached_property
+    def curriculum(self) -> Curriculum:
+        """What the stage shows of the training views."""
+        budget, views = self.budget, self.scene.train
+        steps, held = [], []
+        if budget.pixels is not None and views:
+            steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
+        if budget.settling is not None:
+            held = hold_out(budget.settling, views)
+        return self.keep("curriculum", Curriculum(steps, held))
+
+    def of_stage(self, number: int, share: float) -> Context:
+        """Return the context of a stage (0-based) with a share of the budget; it has no parts yet."""
+        stage = replace(self, budget=self.budget.part(share))
+        stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
+        _ = stage.curriculum  # the first part, which the others follow
+        return stage
+
+    @property
+    def device(self) -> torch.device:
+        """Device on which the backend trains."""
+        return training_device(self.backend)
+
+    def keep(self, name: str, part: P) -> P:
+        """Train a part of this name in this stage, perhaps one of the stage before, and return it."""
+        if name in self.parts:
+            raise ValueError(f"two parts have the name {name!r}; give one of them another name")
+        self.parts[name] = part
+        return part
+
+    def gaussians(
+        self,
+        modality: str = "thermal",
+        *,
+        name: str | None = None,
+        start: Gaussians | None = None,
+        more: Mapping[str, torch.Tensor] | None = None,
+        rates: Mapping[str, float | str] | None = None,
+    ) -> SplatModel:
+        """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
+
+        start: by default Gaussians at the initial points. more: further fields (N, ...) of these. rates: of fields, in
+        the place of the budget's: a number (0: frozen), or the parameter that has the rate. Fields of `more` need one.
+        """
+        images = MODALITIES[modality]
+        stream = self._stream()
+        if start is None:
+            channels = images.channels(self.scene)
+            start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
+        start = replace(start, more={**start.more, **(more or {})})
+        background = self._background(images)
+        options = ModelOptions(name or modality, self._significance(images, background), background, dict(rates or {}))
+        start = start.map(lambda tensor: tensor.to(self.device))
+        model = SplatModel(
+            start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options
+        )  # fmt: skip
+        return self.keep(options.name, model)
+
+    def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:
+        """Make a random order of the training views, or of some of them."""
+        return self.keep(name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum))
+
+    def network(self, name: str, module: torch.nn.Module, rate: float) -> Network:
+        """Make a network with Adam at a learning rate. Its weights are drawn when `module` is made: see `random`."""
+        return self.keep(name, Network(module.to(self.device), rate))
+
+    def random(self, name: str) -> torch.Generator:
+        """Make a stream of random numbers; equal seeds give equal streams in the order of the calls."""
+        return self.keep(name, RandomStream(self._seed())).generator
+
+    def _seed(self) -> int:
+        self._streams += 1
+        state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
+        return int(state) % 2**63
+
+    def _stream(self) -> RandomStream:
+        return RandomStream(self._seed())
+
+    def _background(self, images: Modality) -> torch.Tensor | None:
+        if self.budget.background != "mean":
+            return None
+        return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
+
+    def _significance(self, images: Modality, background: torch.Tensor | None) -> Significance | None:
+        rule = self.budget.growth
+        if rule is None:
+            return None
+        return Significance(rule, self.scene.train, images, self.curriculum, self.backend, background)
+
+
+def training_device(backend: str) -> torch.device:
+    """Return the device on which a backend trains; raises RuntimeError if it cannot run.
+
+    `auto` is the CPU here: `tdgbench.bench` replaces it by a name before a cell is set up.
+    """
+    device = torch.device("cpu" if backend == "auto" else load_backend(backend).device)
+    choose_backend(backend, device, torch.float32)
+    return device

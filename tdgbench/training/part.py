@@ -1,0 +1,108 @@
+"""A part of a training: what changes while it runs, such as Gaussians, a network, or a rule that ends it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+
+class Part:
+    """Something that a training changes. The loop drives it, a checkpoint stores it, a record describes it.
+
+    Every method has a default that does nothing; a part overrides those that concern it.
+    """
+
+    def begin(self, iteration: int) -> None:
+        """Prepare for an iteration (1-based within its stage), before the method's step."""
+
+    def step(self, iteration: int) -> str | None:
+        """Change by the gradients of an iteration's backward pass, which is over.
+
+        Returns the name of a parameter whose gradient is not finite, or None.
+        """
+        return None
+
+    def slow_down(self, factor: float) -> None:
+        """Multiply all learning rates by a factor, at most 1, from now on; the last factor counts."""
+
+    def stop_growth(self, iteration: int) -> None:
+        """Take up and remove nothing any more from an iteration on."""
+
+    def has_recovered(self, iteration: int) -> bool:
+        """Return whether training may end at an iteration: the part is as good as it was before its last large change."""
+        return True
+
+    def not_finite(self) -> str | None:
+        """Return the name of the first parameter that is not finite, or None."""
+        return None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that training changes, as `torch.save` takes it; tensors may share memory with the part."""
+        return {}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+
+    def report(self) -> dict[str, Any]:
+        """Return facts for the record, as JSON can hold them."""
+        return {}
+
+
+class Stopping(Part):
+    """A rule that may end a training before its last iteration."""
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        """Note an iteration's loss, after its forward pass; True from the iteration on at which training may end."""
+        raise NotImplementedError
+
+
+class RandomStream(Part):
+    """A generator of random numbers."""
+
+    def __init__(self, seed: int) -> None:
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"generator": self.generator.get_state()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        self.generator.set_state(saved["generator"])
+
+
+class Network(Part):
+    """A torch module with its optimiser, by default Adam."""
+
+    def __init__(
+        self, module: torch.nn.Module, rate: float, optimizer: type[torch.optim.Optimizer] = torch.optim.Adam
+    ) -> None:
+        """rate: learning rate of all parameters."""
+        self.module, self.rate = module, rate
+        self.optimizer = optimizer(module.parameters(), lr=rate)  # type: ignore[call-arg]
+
+    def begin(self, iteration: int) -> None:
+        self.optimizer.zero_grad(set_to_none=True)
+
+    def step(self, iteration: int) -> str | None:
+        for name, parameter in self.module.named_parameters():
+            if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
+                return name
+        self.optimizer.step()
+        return None
+
+    def slow_down(self, factor: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = factor * self.rate
+
+    def not_finite(self) -> str | None:
+        return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"module": dict(self.module.state_dict()), "optimizer": self.optimizer.state_dict()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        self.module.load_state_dict(saved["module"])
+        self.optimizer.load_state_dict(saved["optimizer"])
+
+    def report(self) -> dict[str, Any]:
+        return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}

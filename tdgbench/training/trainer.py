@@ -1,0 +1,115 @@
+"""A method's training on its way: the stage that runs, its parts, and what may end it early."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from tdgbench.scenes import Scene, View
+from tdgbench.training.context import Context
+from tdgbench.training.method import Frame, Method, Stage
+from tdgbench.training.model import SplatModel
+from tdgbench.training.part import Part, Stopping
+from tdgbench.training.plateau import Plateau
+from tdgbench.training.settling import Settling
+
+
+class Trainer:
+    """A method with its parts. It is set up for the first stage when it is made."""
+
+    def __init__(self, method: Method, whole: Context) -> None:
+        """whole: the context of the whole training, of which each stage gets its own."""
+        self.method, self.whole = method, whole
+        self.frames = frames_of(whole.scene)
+        self.restart()
+
+    def restart(self) -> None:
+        """Set the first stage up again, as if nothing had been trained."""
+        self.stages = self.method.stages()
+        self.number, self.before = 0, 0  # of the stage, and of iterations in those before it
+        self._finished: dict[str, Part] = {}
+        self._start()
+
+    def _start(self) -> None:
+        self.context = self.whole.of_stage(self.number, self.stage.share)
+        self.stage.setup(self.context)
+        self.stopping = self._stopping()
+
+    @property
+    def stage(self) -> Stage:
+        """The stage that runs."""
+        return self.stages[self.number]
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        """The parts of the stage that runs, in the order in which they are driven."""
+        return self.context.parts
+
+    def all_parts(self) -> dict[str, Part]:
+        """Return the parts by name; those of finished stages that no later one trains come first, as stage/name."""
+        stopping = {} if self.stopping is None else {"stopping": self.stopping}
+        return {**self._finished, **self.parts, **stopping}
+
+    @property
+    def gaussians(self) -> dict[str, SplatModel]:
+        """The Gaussians in training, by name."""
+        return {name: part for name, part in self.parts.items() if isinstance(part, SplatModel)}
+
+    def advance(self, iterations: int) -> bool:
+        """Start the next stage after so many iterations in this one; False if it was the last."""
+        if self.number + 1 == len(self.stages):
+            return False
+        done, name = self.parts, self.stage.name
+        self.number, self.before = self.number + 1, self.before + iterations
+        self._start()
+        kept = [id(part) for part in self.parts.values()]
+        self._finished |= {f"{name}/{n}": part for n, part in done.items() if id(part) not in kept}
+        return True
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""
+        parts = {name: part.state_dict() for name, part in self.all_parts().items()}
+        return {"stage": self.number, "before": self.before, "parts": parts}
+
+    def at_stage(self, number: int) -> None:
+        """Set up all stages up to one (0-based), to load its state. Raises ValueError if there is no such stage."""
+        if not 0 <= number < len(self.stages):
+            raise ValueError(f"there is no stage {number}")
+        while self.number < number:
+            self.advance(0)
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned at the same stage."""
+        self.before = saved["before"]
+        for name, part in self.all_parts().items():
+            part.load_state_dict(saved["parts"][name])
+
+    def reports(self) -> dict[str, dict[str, Any]]:
+        """Return the facts about each part that has any."""
+        found = {name: part.report() for name, part in self.all_parts().items()}
+        return {name: report for name, report in found.items() if report}
+
+    def frame(self, view: View) -> Frame:
+        """Return the frame of a view of the scene."""
+        return self.frames[view.name]._replace(camera=view.camera)
+
+    def _stopping(self) -> Stopping | None:
+        """Return what ends the stage early, by the rules of its budget; None: nothing."""
+        budget, context = self.context.budget, self.context
+        if budget.settling is not None:
+            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self._thermal_image)
+        if budget.plateau is not None:
+            return Plateau(budget.plateau, len(context.scene.train))
+        return None
+
+    @torch.no_grad()
+    def _thermal_image(self, view: View) -> Any:
+        return self.method.render(self.frame(view)).image.cpu().numpy()
+
+
+def frames_of(scene: Scene) -> dict[str, Frame]:
+    """Return the frame of each view of a scene, by name; they are numbered, and timed from 0 to 1, in this order."""
+    views = sorted(scene.views, key=lambda view: view.name)
+    last = max(len(views) - 1, 1)
+    return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
