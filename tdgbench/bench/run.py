@@ -21,7 +21,7 @@ from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record, SkipRecord
+from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
@@ -238,7 +238,7 @@ class CellRun(SetupObserver):
         on_rgb = "rgb" in self.method.modalities
         finished = Finished(self.scene, self.method.name, on_rgb, budget, log.iterations, curriculum, work)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(self.skips, finished)]
-        record.parts = trainer.reports()
+        record.parts = cast(dict[str, PartReport], trainer.reports())
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -17,7 +17,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
 
 
-class Frame(NamedTuple):
+@dataclass(frozen=True)
+class Frame:
     """What is rendered: a camera, and the view that was taken there, if one was."""
 
     camera: Camera

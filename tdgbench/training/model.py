@@ -33,8 +33,8 @@ from tdgbench.training.work import Work
 class ModelOptions:
     """What sets one model apart from another with the same budget.
 
-    name: for messages. significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
-    black. rates: learning rates of fields, in the place of the budget's; see `tdgbench.splats.optimizer.Adam`.
+    name: for messages. significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the
+    Gaussians; None: black. rates: learning rates of fields, in the place of the budget's; see `Adam`.
     """
 
     name: str = "thermal"

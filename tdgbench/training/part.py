@@ -30,7 +30,7 @@ class Part:
         """Take up and remove nothing any more from an iteration on."""
 
     def has_recovered(self, iteration: int) -> bool:
-        """Return whether training may end at an iteration: the part is as good as it was before its last large change."""
+        """Return whether the part is over its last large change at an iteration, so that training may end there."""
         return True
 
     def not_finite(self) -> str | None:

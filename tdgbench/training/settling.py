@@ -27,7 +27,7 @@ def hold_out(rule: SettlingRule, views: list[View]) -> list[View]:
 
 
 def windows(rule: SettlingRule, psnrs: list[list[float]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the PSNR (V,) of V views in the last window and in that before; None while there are too few checks (C, V)."""
+    """Return the PSNR (V,) of V views in the last window and the one before; None while there are too few checks."""
     size = max(rule.checks, math.ceil(rule.window * len(psnrs)))
     if len(psnrs) < 2 * size:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -92,7 +93,7 @@ class Trainer:
 
     def frame(self, view: View) -> Frame:
         """Return the frame of a view of the scene."""
-        return self.frames[view.name]._replace(camera=view.camera)
+        return replace(self.frames[view.name], camera=view.camera)
 
     def _stopping(self) -> Stopping | None:
         """Return what ends the stage early, by the rules of its budget; None: nothing."""
