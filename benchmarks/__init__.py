@@ -1,1 +1,1 @@
-"""How fast, in ratios from one interleaved run: `python -m benchmarks.core`, `python -m benchmarks.training`."""
+"""Speed, accuracy and robustness of the code itself, outside the wheel: `python -m benchmarks.core` and others."""

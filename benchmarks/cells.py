@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tdgbench.experiments.measure.timing import interleave
+from tdgbench.experiments.error_time.timing import interleave
 from tdgbench.experiments.stamp import FILE
 from tdgbench.resources import PACKAGE
 from tdgbench.scenes import Camera, Scene, View
@@ -46,7 +46,7 @@ def random_scene(views: int, width: int, height: int) -> tuple[Scene, dict[str, 
         pose = np.eye(4)
         pose[0, 3] = 0.01 * number
         image, render = (rng.random((height, width, 1), np.float32) for _ in range(2))
-        found.append(View(f"view{number}", Camera(K, pose, width, height), lambda image=image: image))
+        found.append(View(f"view{number}", Camera(K, pose, width, height), image.copy))
         renders[found[-1].name] = RenderedImages(render, np.ones((height, width), np.float32))
     scene = Scene("noise", "", "", [], found, None, None, "", "", channels=1)
     return scene, renders

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,46 +18,19 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from tdgbench.experiments.measure import oracle
-from tdgbench.experiments.measure.clouds import Cloud, random_cloud, trained_cloud
-from tdgbench.experiments.measure.timing import fma_peak_gflops, interleave, median_ms
-from tdgbench.splats.backends import fast_backends, load_backend
+from tdgbench.bench.backend_check.compare import Cloud
+from tdgbench.experiments.error_time.clouds import leaves_of, random_cloud, render, trained_cloud, view_of
+from tdgbench.experiments.error_time.timing import interleave, median_ms, time_pass
+from tdgbench.splats.backends import fast_backends
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.simd.registers import LANES
-from tdgbench.splats.render import render_view
-from tdgbench.splats.view import GaussianTensors, Pinhole
+from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.simd import reductions
+from tdgbench.splats.cpu.simd import registers as simd
 
 FORWARD_FLOPS, BACKWARD_FLOPS = 26, 47  # per pixel and Gaussian that has weight there
 VARIANTS = {"1": (1, False), "3": (3, False), "1+depth": (1, True), "3+depth": (3, True)}
 MOST = "3+depth"  # that the others are compared with
-
-
-def ours(cloud: Cloud, channels: int, depth: bool, backend: str, part: str) -> Callable[[], float]:
-    """Seconds of one forward pass, backward pass, or both, through autograd as training uses it."""
-    device = torch.device(load_backend(backend).device)
-    given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :channels])
-    leaves = [t.to(device).clone().requires_grad_() for t in given]
-    size = (cloud.height, cloud.width)
-    grads = [torch.ones(*size, channels, device=device), *([torch.ones(size, device=device)] if depth else [])]
-    camera = Pinhole(cloud.viewmat.to(device), cloud.K.to(device), cloud.width, cloud.height)
-
-    def now() -> float:
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        return time.perf_counter()
-
-    def run() -> float:
-        start = now()
-        rendered = render_view(GaussianTensors(*leaves), camera, depth=depth, backend=backend)
-        middle = now()
-        outputs = [rendered.image, *([rendered.depth] if rendered.depth is not None else [])]
-        torch.autograd.backward(outputs, grads)
-        end = now()
-        for leaf in leaves:
-            leaf.grad = None
-        return {"forward": middle - start, "backward": end - middle, "both": end - start}[part]
-
-    return run
+FMA_CHAINS, FMA_STEPS = 16, 1_000_000
 
 
 def plain_torch(cloud: Cloud) -> Callable[[], float]:
@@ -65,7 +39,7 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
 
     def run() -> float:
         start = time.perf_counter()
-        oracle.render(cloud, torch.float32, weights)
+        render(cloud, torch.float32, weights)
         return time.perf_counter() - start
 
     return run
@@ -73,28 +47,68 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
 
 def pairs_with_weight(cloud: Cloud) -> int:
     """Pixel-Gaussian pairs that a blend cannot skip, in registers of 8 or 16 pixels in which any has weight."""
-    given = (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.colors[:, :1])
-    leaves = [t.clone().requires_grad_() for t in given]
-    camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height)
-    view = render_view(GaussianTensors(*leaves), camera, backend="cpu")
+    view = view_of(cloud, leaves_of(cloud, torch.float32), "cpu", depth=False)
     _, _, done, _ = view.image.grad_fn.saved  # type: ignore[union-attr]
     starts, counts = done.tiles.starts, done.visits.counts
     active = [done.visits.active_blocks[start : start + n] for start, n in zip(starts, counts, strict=False)]
-    return int(np.bitwise_count(np.concatenate(active)).sum()) * LANES
+    return int(np.bitwise_count(np.concatenate(active)).sum()) * simd.LANES
 
 
 def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Callable[[], float]]:
     channels, depth = VARIANTS[variant]
+    cloud = replace(cloud, colors=cloud.colors[:, :channels])
     candidates = {
-        "cpu": ours(cloud, channels, depth, "cpu", "both"),
-        "cpu forward": ours(cloud, channels, depth, "cpu", "forward"),
-        "cpu backward": ours(cloud, channels, depth, "cpu", "backward"),
+        "cpu": time_pass(cloud, "both", "cpu", depth=depth),
+        "cpu forward": time_pass(cloud, "forward", "cpu", depth=depth),
+        "cpu backward": time_pass(cloud, "backward", "cpu", depth=depth),
     }
     if "cuda" in fast_backends():
-        candidates["gsplat"] = ours(cloud, channels, depth, "cuda", "both")
+        candidates["gsplat"] = time_pass(cloud, "both", "cuda", depth=depth)
     if with_torch and variant == MOST:
         candidates["torch"] = plain_torch(cloud)
     return candidates
+
+
+@kernel()
+def _fma_chains(steps, out):
+    """Run sixteen independent chains, which hide the latency of two FMA units."""
+    x = simd.broadcast(np.float32(0.999999))
+    c = simd.broadcast(np.float32(1e-7))
+    a0, a1, a2, a3, a4, a5, a6, a7 = c, c, c, c, c, c, c, c
+    b0, b1, b2, b3, b4, b5, b6, b7 = c, c, c, c, c, c, c, c
+    for _ in range(steps):
+        a0 = a0 * x + c
+        a1 = a1 * x + c
+        a2 = a2 * x + c
+        a3 = a3 * x + c
+        a4 = a4 * x + c
+        a5 = a5 * x + c
+        a6 = a6 * x + c
+        a7 = a7 * x + c
+        b0 = b0 * x + c
+        b1 = b1 * x + c
+        b2 = b2 * x + c
+        b3 = b3 * x + c
+        b4 = b4 * x + c
+        b5 = b5 * x + c
+        b6 = b6 * x + c
+        b7 = b7 * x + c
+    total = a0 + a1 + a2 + a3 + (a4 + a5 + a6 + a7) + (b0 + b1 + b2 + b3) + (b4 + b5 + b6 + b7)
+    out[0] = reductions.lane_sum(total)
+
+
+def fma_peak_gflops() -> float:
+    """Peak rate of fused multiply-adds on registers, all threads together, in GFLOP/s (two flops each)."""
+    threads = pool.get_threads()
+    outs = [np.zeros(1, np.float32) for _ in range(threads)]
+    work = [(FMA_STEPS, out) for out in outs]
+    seconds = []
+    for _ in range(8):  # the first call compiles
+        start = time.perf_counter()
+        pool.run(_fma_chains, work)
+        seconds.append(time.perf_counter() - start)
+    best = min(seconds)
+    return 2 * FMA_CHAINS * simd.LANES * FMA_STEPS * threads / best / 1e9
 
 
 def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, with_torch: bool) -> pd.DataFrame:

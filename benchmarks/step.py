@@ -18,7 +18,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from tdgbench.experiments.measure.training_step import REMAINDER, part_of_kernel
+from benchmarks.training import REMAINDER, part_of_kernel
 from tdgbench.resources import conf_folder
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians

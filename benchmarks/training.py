@@ -7,14 +7,150 @@ measured. Then steps and bare renders (forward and backward) take turns, for the
 from __future__ import annotations
 
 import argparse
+import functools
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
 import torch
 from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import DictConfig
 
-from tdgbench.experiments.measure.training_step import measure_step
+from tdgbench.bench.setup import set_up
 from tdgbench.resources import conf_folder
+from tdgbench.scenes import Scene
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.density import DensityControl
+from tdgbench.splats.optimizer import Adam
+from tdgbench.training.loop import train
+from tdgbench.training.method import Method
+
+PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
+    "raster.culling": "project",
+    "raster.projection_forward": "project",
+    "raster.sorting": "bin",
+    "raster.tiles": "bin",
+    "raster.blend": "blend",
+    "raster.blend_backward": "blend backward",
+    "raster.projection_backward": "projection backward, Adam",
+    "raster.dense": "projection backward, Adam",
+    "adam": "Adam",
+    "statistics": "density control",
+    "rows": "density control",
+    "losses.photometric": "losses",
+    "losses.smoothness": "losses",
+    "losses.minmax": "losses",
+}
+REMAINDER = "Python and torch"
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """Cost of a step. parts: milliseconds and share by part. step_ms, render_ms: measured in turns."""
+
+    parts: pd.DataFrame
+    step_ms: float
+    render_ms: float
+    gaussians: int
+
+
+class StepProfile:
+    """Seconds by part. A part within another counts for itself only."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._nested: list[float] = []
+
+    @contextmanager
+    def watch(self) -> Iterator[None]:
+        """Context that times kernels, optimiser and density control."""
+        with ExitStack() as stack:
+            stack.enter_context(self._timed(pool, "run", part_of_kernel))
+            stack.enter_context(self._timed(Adam, "step", lambda *_: "Adam"))
+            for name in ("observe_visible", "observe_gradients", "update"):
+                stack.enter_context(self._timed(DensityControl, name, lambda *_: "density control"))
+            yield
+
+    @contextmanager
+    def _timed(self, owner, attribute: str, part_of) -> Iterator[None]:
+        """Context in which a function of `owner` times itself; part_of gives the part from its arguments."""
+        original = getattr(owner, attribute)
+
+        @functools.wraps(original)
+        def timed(*args, **kwargs):
+            self._nested.append(0.0)
+            start = time.perf_counter()
+            try:
+                return original(*args, **kwargs)
+            finally:
+                spent = time.perf_counter() - start
+                self.seconds[part_of(*args)] += spent - self._nested.pop()
+                if self._nested:
+                    self._nested[-1] += spent
+
+        setattr(owner, attribute, timed)
+        try:
+            yield
+        finally:
+            setattr(owner, attribute, original)
+
+
+def part_of_kernel(kernel, _arguments) -> str:
+    """Part of a step that a kernel belongs to."""
+    return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.splats.cpu.")]
+
+
+def measure_step(cfg: DictConfig, steps: int) -> StepCost:
+    """Train the configured method: `steps` steps to warm up, as many to measure, then as many in turns with renders."""
+    scene = instantiate(cfg.dataset.loader).load(cfg.scene)
+    method = set_up(cfg, scene).method
+    train(method, steps)
+    profile = StepProfile()
+    with profile.watch():
+        start = time.perf_counter()
+        train(method, steps)
+        total = time.perf_counter() - start
+    seconds = {**profile.seconds, REMAINDER: total - sum(profile.seconds.values())}
+    parts = pd.DataFrame([{"part": part, "ms": 1e3 * s / steps} for part, s in seconds.items()])
+    parts = parts.sort_values("ms", ascending=False)
+    parts["share"] = parts["ms"] / (1e3 * total / steps)
+    return StepCost(parts, *_steps_and_renders(method, scene, steps), sum(len(m) for m in method.models().values()))
+
+
+def _steps_and_renders(method: Method, scene: Scene, steps: int) -> tuple[float, float]:
+    """Milliseconds of a training step, and of rendering every model forward and backward, in turns."""
+    seconds = {"step": 0.0, "render": 0.0}
+    with_depth = method.step(1).thermal.depth is not None
+    for turn in range(max(1, steps // len(scene.train))):
+        for view in scene.train:  # a round of steps uses every view once, as do the renders
+            start = time.perf_counter()
+            _step(method)
+            middle = time.perf_counter()
+            for model in method.models().values():
+                render = model.render(view.camera, depth=with_depth)
+                outputs = [render.image, *([render.depth] if render.depth is not None else [])]
+                torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
+                model.take_gradients()
+            end = time.perf_counter()
+            if turn > 0 or steps < 2 * len(scene.train):
+                seconds["step"] += middle - start
+                seconds["render"] += end - middle
+    count = len(scene.train) * max(1, steps // len(scene.train) - 1)
+    return 1e3 * seconds["step"] / count, 1e3 * seconds["render"] / count
+
+
+def _step(method: Method) -> None:
+    models = method.models().values()
+    for model in models:
+        model.begin(1)
+    method.step(1).loss.backward()
+    for model in models:
+        model.finish(1)
 
 
 def main() -> None:

@@ -18,8 +18,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tdgbench.bench.record import Record
-from tdgbench.experiments.measure.clouds import random_cloud
-from tdgbench.experiments.measure.timing import median_ms
+from tdgbench.experiments.error_time.clouds import random_cloud
+from tdgbench.experiments.error_time.timing import median_ms
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool

@@ -76,8 +76,9 @@ def test_the_commands_page_is_complete():
     for experiment in (ROOT / "conf" / "experiment").glob("*.yaml"):
         assert f"+experiment={experiment.stem}" in text
     assert all(f"`tdgbench {tool} " in text for tool in TOOLS)
-    for benchmark in set((ROOT / "benchmarks").glob("*.py")) - {ROOT / "benchmarks" / "__init__.py"}:
-        assert f"`python -m benchmarks.{benchmark.stem}" in text
+    files = {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - {"__init__"}
+    for benchmark in files | {path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py")}:
+        assert f"`python -m benchmarks.{benchmark}" in text
 
 
 def test_the_architecture_picture_is_what_its_script_draws():

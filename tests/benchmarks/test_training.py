@@ -1,9 +1,17 @@
+import time
+
 import pandas as pd
 import pytest
 
 from benchmarks import training
+from benchmarks.training import PART_OF_MODULE, StepProfile
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.adam import step_rows
+from tdgbench.splats.cpu.losses.minmax import normalise_rows
+from tdgbench.splats.optimizer import Adam
 from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
+from tests.helpers.paths import ROOT
 
 
 @pytest.mark.parametrize("method", ["tdg", "msmg"])
@@ -14,3 +22,27 @@ def test_parts_add_up(tmp_path, data_root, method):
     table = pd.read_csv(tmp_path / "training.csv")
     assert table["share"].sum() == pytest.approx(1) and (table["ms"] > 0).all()
     assert {"blend", "blend backward", "Adam", "losses", "Python and torch"} <= set(table["part"])
+
+
+def test_a_part_within_another_counts_for_itself_only_and_functions_are_restored(monkeypatch):
+    def step(self):
+        time.sleep(0.02)
+        pool.run(step_rows, [])
+
+    def run(function, arguments):
+        time.sleep(0.1)
+
+    monkeypatch.setattr(Adam, "step", step)
+    monkeypatch.setattr(pool, "run", run)
+    profile = StepProfile()
+    with profile.watch():
+        Adam.step(None)
+        pool.run(normalise_rows, [])
+    assert 0.1 < profile.seconds["Adam"] < 0.2 and 0.1 < profile.seconds["losses"] < 0.2
+    assert Adam.step is step and pool.run is run
+
+
+def test_every_kernel_of_the_losses_has_a_part():
+    modules = [path.stem for path in (ROOT / "tdgbench/splats/cpu/losses").glob("*.py")]
+    with_kernels = [name for name in modules if f"losses.{name}" in PART_OF_MODULE]
+    assert {"photometric", "smoothness", "minmax"} <= set(with_kernels)

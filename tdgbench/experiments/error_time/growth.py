@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 import torch
 
-from tdgbench.experiments.measure.clouds import Cloud, random_cloud
-from tdgbench.experiments.measure.oracle import NAMES
-from tdgbench.experiments.measure.timing import interleave, median_ms
+from tdgbench.experiments.error_time.clouds import NAMES, Cloud, random_cloud
+from tdgbench.experiments.error_time.timing import interleave, median_ms
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import scratch
 

@@ -8,20 +8,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import torch
 from torch import Tensor
 
-from tdgbench.experiments.measure import oracle
-from tdgbench.experiments.measure.clouds import Cloud
-from tdgbench.experiments.measure.timing import interleave, median_ms
+from tdgbench.bench.backend_check.compare import Cloud
+from tdgbench.experiments.error_time.clouds import Result, on_backend, render
+from tdgbench.experiments.error_time.timing import interleave, median_ms, time_pass
 from tdgbench.splats.backends import fast_backends
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 
 BASELINE = "cpu"
+PARTS: tuple[Literal["forward", "both"], ...] = ("forward", "both")
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,8 @@ def _measure_scene(scene: str, cloud: Cloud, repetitions: int, slow: bool) -> li
     errors: dict[str, dict[str, float]] = {}
     for name, setting in settings(slow).items():
         if setting.backend not in ("torch", "oracle"):
-            errors[name] = _errors(oracle.on_backend(cloud, setting.backend, weights, setting.blending), want)
-            runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in ("forward", "both")}
+            errors[name] = _errors(on_backend(cloud, setting.backend, weights, setting.blending), want)
+            runs |= {f"{name}|{part}": _timed(cloud, setting, part) for part in PARTS}
         elif setting.backend == "torch":  # takes seconds, so it is timed once
             got, taken = _oracle(cloud, torch.float32, weights)
             errors[name], ms = _errors(got, want), ms | {f"{name}|{part}": t for part, t in taken.items()}
@@ -83,7 +84,7 @@ def _measure_scene(scene: str, cloud: Cloud, repetitions: int, slow: bool) -> li
     rows = []
     for name in settings(slow):
         row: dict[str, Any] = {"scene": scene, "gaussians": len(cloud.means), "setting": name}
-        for part in ("forward", "both"):
+        for part in PARTS:
             row[f"{part}_ms"] = ms[f"{name}|{part}"]
             row[f"{part}_ratio"] = ms[f"{name}|{part}"] / ms[f"{BASELINE}|{part}"]
         rows.append({**row, **errors[name]})
@@ -102,17 +103,17 @@ def non_dominated(table: pd.DataFrame, time_column: str, error_column: str) -> p
     return pd.Series([not is_dominated(t, e) for t, e in zip(seconds, errors, strict=True)], index=table.index)
 
 
-def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[oracle.Result, dict[str, float]]:
+def _oracle(cloud: Cloud, dtype: torch.dtype, weights: Tensor) -> tuple[Result, dict[str, float]]:
     """Plain torch's render of a scene, and its milliseconds."""
     start = time.perf_counter()
-    oracle.render(cloud, dtype, None)
+    render(cloud, dtype, None)
     middle = time.perf_counter()
-    result = oracle.render(cloud, dtype, weights)
+    result = render(cloud, dtype, weights)
     end = time.perf_counter()
     return result, {"forward": 1e3 * (middle - start), "both": 1e3 * (end - middle)}
 
 
-def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
+def _errors(got: Result, want: Result) -> dict[str, float]:
     """Errors of a render by column name."""
 
     def relative_rms(a: Tensor, b: Tensor) -> float:
@@ -129,28 +130,16 @@ def _errors(got: oracle.Result, want: oracle.Result) -> dict[str, float]:
     }
 
 
-def _timed(cloud: Cloud, setting: Setting, part: str) -> Callable[[], float]:
-    """Function that renders a cloud, part `forward` or `both`, and returns the seconds."""
-    device = oracle.device_of(setting.backend)
-    leaves = oracle.leaves_of(cloud, torch.float32, device)
-    size = (cloud.height, cloud.width)
-    upstream = [torch.ones(*size, cloud.colors.shape[1], device=device), torch.ones(size, device=device)]
+def _timed(cloud: Cloud, setting: Setting, part: Literal["forward", "both"]) -> Callable[[], float]:
+    """A function that renders a cloud with the threads of a setting and returns the seconds of a part."""
+    run = time_pass(cloud, part, setting.backend, setting.blending)
 
-    def now() -> float:
-        if device == "cuda":
-            torch.cuda.synchronize()
-        return time.perf_counter()
-
-    def run() -> float:
+    def with_threads() -> float:
         before = pool.chosen_threads()
         pool.set_threads(setting.threads if setting.threads is not None else before)
         try:
-            start = now()
-            view = oracle.view_of(cloud, leaves, setting.backend, setting.blending)
-            if part == "both":
-                torch.autograd.backward([view.image, view.requested_depth], upstream)
-            return now() - start
+            return run()
         finally:
             pool.set_threads(before)
 
-    return run
+    return with_threads

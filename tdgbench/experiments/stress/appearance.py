@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import torch
 
-from tdgbench.experiments.measure.clouds import Cloud
+from tdgbench.experiments.error_time.clouds import Cloud
 from tdgbench.experiments.stress.case import Case, Close
 from tdgbench.experiments.stress.compare import cloud, compared
 from tdgbench.experiments.stress.outcome import Observed

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import torch
 
-from tdgbench.experiments.measure.clouds import Cloud, random_cloud
-from tdgbench.experiments.measure.oracle import on_backend
-from tdgbench.experiments.measure.oracle import render as render_tiled
+from tdgbench.experiments.error_time.clouds import Cloud, on_backend, random_cloud
+from tdgbench.experiments.error_time.clouds import render as render_tiled
 from tdgbench.experiments.stress.case import Case, Close, Expected, Holds, Raises
 from tdgbench.experiments.stress.compare import cloud, compared, render
 from tdgbench.experiments.stress.outcome import Observed, require

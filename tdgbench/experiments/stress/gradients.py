@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from tdgbench.experiments.measure.clouds import Cloud
+from tdgbench.experiments.error_time.clouds import Cloud
 from tdgbench.experiments.stress.case import Case, Close
 from tdgbench.experiments.stress.compare import NAMES, cloud, compared, render
 from tdgbench.experiments.stress.outcome import Observed

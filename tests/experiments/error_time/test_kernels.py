@@ -1,8 +1,8 @@
 import pandas as pd
 import pytest
 
+from tdgbench.experiments.error_time.clouds import random_cloud
 from tdgbench.experiments.error_time.kernels import BASELINE, measure, non_dominated, settings
-from tdgbench.experiments.measure.clouds import random_cloud
 
 
 @pytest.fixture(scope="module")

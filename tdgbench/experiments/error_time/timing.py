@@ -1,0 +1,69 @@
+"""Interleaved timing: candidates take turns, so that a slow moment of the machine affects all of them."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from typing import Literal, TypeVar
+
+import torch
+
+from tdgbench.bench.backend_check.compare import Cloud
+from tdgbench.experiments.error_time.clouds import device_of, leaves_of, view_of
+from tdgbench.splats.blending import AS_3DGS, Blending
+
+Key = TypeVar("Key")
+Part = Literal["forward", "backward", "both"]
+
+
+def interleave(candidates: Mapping[Key, Callable[[], float]], repetitions: int) -> dict[Key, list[float]]:
+    """Seconds of each candidate: call all once to warm up, then in turns; a candidate returns its seconds.
+
+    >>> interleave({"a": lambda: 1.0, "b": lambda: 2.0}, repetitions=2)
+    {'a': [1.0, 1.0], 'b': [2.0, 2.0]}
+    """
+    for run in candidates.values():
+        run()
+    seconds: dict[Key, list[float]] = {name: [] for name in candidates}
+    for _ in range(repetitions):
+        for name, run in candidates.items():
+            seconds[name].append(run())
+    return seconds
+
+
+def median_ms(seconds: list[float]) -> float:
+    """Median of some seconds, in milliseconds.
+
+    >>> median_ms([0.5, 0.25, 3.0])
+    500.0
+    """
+    return 1e3 * statistics.median(seconds)
+
+
+def time_pass(
+    cloud: Cloud, part: Part, backend: str, blending: Blending = AS_3DGS, depth: bool = True
+) -> Callable[[], float]:
+    """A function that renders a cloud through autograd, as training does, and returns the seconds of a part."""
+    device = device_of(backend)
+    leaves = leaves_of(cloud, torch.float32, device)
+    size = (cloud.height, cloud.width)
+    grads = [torch.ones(*size, cloud.colors.shape[1], device=device), *([torch.ones(size, device=device)] * depth)]
+
+    def now() -> float:
+        if device == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
+    def run() -> float:
+        start = now()
+        view = view_of(cloud, leaves, backend, blending, depth)
+        middle = now()
+        if part != "forward":
+            torch.autograd.backward([view.image, *([view.requested_depth] if depth else [])], grads)
+        end = now()
+        for leaf in leaves:
+            leaf.grad = None
+        return {"forward": middle - start, "backward": end - middle, "both": end - start}[part]
+
+    return run

@@ -1,1 +1,0 @@
-"""Shared measuring tools: sets of Gaussians, the float64 oracle in tiles, interleaved timing."""
