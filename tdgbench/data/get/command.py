@@ -5,18 +5,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.data.get.errors import GetError
-from tdgbench.data.get.fetch import Job, Options, fetch, listing, states
-from tdgbench.data.get.packages import found_scenes
-from tdgbench.data.get.progress import amount
-from tdgbench.data.get.sources import SOURCES
-from tdgbench.data.get.zenodo import ADDRESS
+from tdgbench.data.get.fetch import Job, fetch
+from tdgbench.data.get.listing import ZENODO
+from tdgbench.data.get.scenes import found_scenes
+from tdgbench.data.get.sources import SOURCES, GetError
+from tdgbench.data.progress import amount
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 EPILOG = (
     "Scenes are put into DIR/<data set>/<scene>, where data.root=DIR finds them. After an interruption the same "
-    "command goes on; a scene that is there is compared with what was fetched, and not fetched again."
+    "command goes on; a scene that is there is not fetched again."
 )
 
 
@@ -29,38 +28,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="show what would be fetched; fetch nothing")
     parser.add_argument("--force", action="store_true", help="fetch again, and replace scenes that are there")
     parser.add_argument("--keep", action="store_true", help="keep archives after they are unpacked")
-    parser.add_argument("--zenodo", default=ADDRESS, metavar="URL", help="a mirror of Zenodo (default: %(default)s)")
+    parser.add_argument("--zenodo", default=ZENODO, metavar="URL", help="a mirror of Zenodo (default: %(default)s)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fetch or list a data set; return the exit status: 1 if something is missing, damaged or refused.
+    """Fetch or list a data set; return the exit status: 1 if something is damaged or refused.
 
-    Raises GetError and OSError for what stops the whole download.
+    Raises GetError, with the address for a browser and the folder, and OSError for what stops the whole download.
     """
     source = SOURCES[arguments.dataset]
-    options = Options(tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
-    job = Job(source, arguments.root / source.folder, options)
+    folder = arguments.root / source.folder
+    job = Job(source, folder, tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
     say(f"{source.folder} ({source.paper}): {source.page}")
     try:
         if not arguments.list:
             return 0 if fetch(job) else 1
         show_listing(job)
     except GetError as error:
-        if source.page in str(error):
-            raise
-        by_hand = f"or open {source.page} in a browser and unpack its files to {job.folder}/<Scene>"
-        raise GetError(f"{error}; {by_hand}") from error
+        raise GetError(f"{error}; or {source.by_hand(folder)}") from error
     return 0
 
 
 def show_listing(job: Job) -> None:
     """Show each download of a data set: its size, and whether it is there."""
-    found = listing(job.source, job.options)
-    for package, one in states(job, found.packages, found_scenes(job.source, job.folder)).items():
+    packages, others = job.listing()
+    there = found_scenes(job.source, job.folder)
+    for package in packages:
         files = "" if len(package.files) == 1 else f", {len(package.files)} files"
         scene = f", scene {package.scene}" if package.scene else ""
-        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {one.value}"))
-    for path in (*found.unreadable, *found.others):
+        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {job.state(package, there).value}"))
+    for path in others:
         say(one_line(f"{path}: not fetched"))
-    total = [package.size for package in found.packages]
-    say(f"in all {amount(None if None in total else sum(size or 0 for size in total))}")
+    sizes = [package.size for package in packages]
+    say(f"in all {amount(None if None in sizes else sum(size or 0 for size in sizes))}")

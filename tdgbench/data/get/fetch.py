@@ -1,50 +1,50 @@
-"""Fetch a data set: list, compare with what is there, download, unpack."""
+"""Fetch a data set: list, compare with what is there, download, unpack; each scene is put in place whole."""
 
 from __future__ import annotations
 
+import errno
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path, PurePosixPath
 
 from tdgbench.bench.lock import file_lock
-from tdgbench.data.get import drive, resume, zenodo
-from tdgbench.data.get.errors import BadFileError, GetError, is_full
-from tdgbench.data.get.http import PATIENT, Patience
-from tdgbench.data.get.packages import Found, Listing, Package, State, chosen, found_scenes, sort_out, state
-from tdgbench.data.get.place import Place, check_space, place_archive, place_files
-from tdgbench.data.get.progress import amount, meter
-from tdgbench.data.get.remote import RemoteFile
-from tdgbench.data.get.sources import Source
+from tdgbench.data.get.archives import File, files_of, readable, stem
+from tdgbench.data.get.download import download, partial_files
+from tdgbench.data.get.listing import ZENODO, Listing, Package, chosen, list_files, sort_out
+from tdgbench.data.get.scenes import Found, SceneRecord, by_scene, found_scenes
+from tdgbench.data.get.sources import BadFileError, GetError, Source
+from tdgbench.data.progress import amount, step
+from tdgbench.files import whole_folder
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 DOWNLOADS = ".get"  # folder of downloads in the folder of the data set; hidden, so that it is no scene
-LEFT = "{} is left as it is: it was not fetched by this command (--force replaces it)"
-_LEFTOVERS = "tmp????????"  # temporary files of pooch that a killed process leaves
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-@dataclass(frozen=True)
-class Options:
-    """What is fetched, and how.
+class State(Enum):
+    """Whether a package is there."""
 
-    scenes: names; empty: all. force: fetch and replace what is there. keep: keep archives. zenodo: address of Zenodo.
-    """
-
-    scenes: tuple[str, ...] = ()
-    force: bool = False
-    keep: bool = False
-    zenodo: str = zenodo.ADDRESS
-    patience: Patience = PATIENT
+    MISSING = "to be fetched"
+    THERE = "there"
+    LEFT = "there, but not fetched by this command, or in another version"
 
 
 @dataclass(frozen=True)
 class Job:
-    """The download of one data set into `folder`."""
+    """The download of one data set into `folder`.
+
+    scenes: names; empty: all. force: fetch and replace what is there. keep: keep archives. zenodo: address of Zenodo.
+    """
 
     source: Source
     folder: Path
-    options: Options
+    scenes: tuple[str, ...] = ()
+    force: bool = False
+    keep: bool = False
+    zenodo: str = ZENODO
 
     @property
     def downloads(self) -> Path:
@@ -52,26 +52,25 @@ class Job:
 
     def target(self, path: PurePosixPath) -> Path:
         """Where a published file is downloaded to."""
-        return self.downloads.joinpath(path)
+        return self.downloads / path
 
+    def listing(self) -> Listing:
+        """What is published, without scenes that were not asked for. Raises GetError."""
+        packages, others = sort_out(self.source, list_files(self.source, self.zenodo))
+        return Listing(chosen(self.source, packages, self.scenes), others)
 
-def listing(source: Source, options: Options) -> Listing:
-    """What is published, without scenes that were not asked for. Raises GetError."""
-    if source.host == "Zenodo":
-        files = zenodo.list_record(source, options.zenodo, options.patience)
-    else:
-        files = drive.list_folder(source, options.patience)
-    found = sort_out(source, files)
-    return Listing(tuple(chosen(source, found.packages, options.scenes)), found.unreadable, found.others)
-
-
-def states(job: Job, packages: Iterable[Package], there: Mapping[str, Found]) -> dict[Package, State]:
-    """Which packages are among the scenes that are there; none with `force`."""
-    return {package: State.MISSING if job.options.force else state(package, there) for package in packages}
+    def state(self, package: Package, there: Mapping[str, Found]) -> State:
+        """Whether a package is among the scenes that are there; with `force`, it never is."""
+        made = [one.record for one in there.values() if one.is_made_of(package.identities) and one.record]
+        if self.force or (made and not all(scene in there for scene in made[0].scenes)):
+            return State.MISSING
+        if made:
+            return State.THERE
+        return State.LEFT if package.scene in there else State.MISSING
 
 
 def fetch(job: Job) -> bool:
-    """Fetch a data set and say what was done; whether all of it is there, whole, at the end.
+    """Fetch a data set and say what was done; whether all that is published is there at the end.
 
     Raises GetError and OSError for what stops the whole download; a file that cannot be used does not. What was
     downloaded is kept then, and the same call goes on from it. An interruption has a note that says so.
@@ -80,20 +79,18 @@ def fetch(job: Job) -> bool:
     with file_lock(job.downloads / ".lock") as acquired:
         if not acquired:
             raise GetError(f"another process is fetching into {job.folder}; wait for its end")
-        for leftover in job.downloads.glob(_LEFTOVERS):
-            leftover.unlink()
         try:
-            return _fetch(job, listing(job.source, job.options))
+            return _fetch(job, job.listing())
         except OSError as error:
-            if not is_full(error):
+            if error.errno not in FULL:
                 raise
-            raise GetError(f"the disk of {job.folder} is full: {kept(job)}; free some space first") from error
+            raise GetError(f"the disk of {job.folder} is full: {_kept(job)}; free some space first") from error
         except KeyboardInterrupt as interruption:
-            interruption.add_note(kept(job))
+            interruption.add_note(_kept(job))
             raise
 
 
-def kept(job: Job) -> str:
+def _kept(job: Job) -> str:
     """What an unfinished download leaves on disk."""
     size = sum(path.stat().st_size for path in job.downloads.rglob("*") if path.is_file())
     return f"{job.downloads} keeps {amount(size)} of downloads; the same command goes on from there"
@@ -101,133 +98,114 @@ def kept(job: Job) -> str:
 
 def _fetch(job: Job, found: Listing) -> bool:
     there = found_scenes(job.source, job.folder)
-    before = states(job, found.packages, there)
-    missing = [package for package, one in before.items() if one is State.MISSING]
-    _check_space(job, missing)
-    problems = [
-        *_problems_of_listing(job, found),
-        *(problem for package, one in before.items() if (problem := _problem_of_scene(package, one, there))),
-    ]
-    for problem in problems:
-        _say_problem(problem)
-    fetched, refused = 0, 0
+    states = {package: job.state(package, there) for package in found.packages}
+    missing = [package for package, state in states.items() if state is State.MISSING]
+    if found.others:
+        _say(f"not fetched: {', '.join(map(str, found.others))} ({job.source.page}; scenes belong into {job.folder})")
+    for package, state in states.items():
+        if state is State.LEFT and package.scene:
+            _say_left(there[package.scene].folder)
+    fetched, problems = 0, 0
     for package in missing:
         try:
             fetched += _fetch_package(job, package)
         except BadFileError as error:
-            _say_problem(str(error))
-            refused += 1
-    whole = sum(one.is_of(package) for package in before for one in there.values() if before[package] is State.THERE)
-    bad = len(problems) + refused
-    end = _count(bad, "problem") if bad else f"{_count(whole, 'scene')} already there and whole"
+            say(one_line(str(error)), "problem:", stderr=True)
+            problems += 1
+    before = [package.identities for package, state in states.items() if state is State.THERE]
+    whole = sum(any(map(one.is_made_of, before)) for one in there.values())
+    end = _count(problems, "problem") if problems else f"{_count(whole, 'scene')} already there"
     _say(f"{job.folder}: {_count(fetched, 'scene')} fetched, {end}")
-    return not bad
-
-
-def _problems_of_listing(job: Job, found: Listing) -> list[str]:
-    """Published archives that cannot be unpacked; what is no part of a scene is named, but no problem."""
-    if found.others:
-        _say(f"not fetched, being no part of a scene: {', '.join(map(str, found.others))} ({job.source.page})")
-    return [
-        f"{path} cannot be unpacked by this program: open {job.source.page} in a browser and unpack it to "
-        f"{job.folder}/<Scene>"
-        for path in found.unreadable
-    ]
-
-
-def _problem_of_scene(package: Package, one: State, there: Mapping[str, Found]) -> str | None:
-    """What is wrong with a package that is there; None if nothing is. A scene of other origin is no problem."""
-    if one is State.THERE:
-        made = [found for found in there.values() if found.is_of(package)]
-        return next((damage for found in made if (damage := _damage(found))), None)
-    if package.scene is None or one is State.MISSING:
-        return None
-    folder = there[package.scene].folder
-    if one is State.FOREIGN:
-        _say(LEFT.format(folder))
-        return None
-    return (
-        f"{folder} is another version than {package.name}, which is published now; --force --scene {package.scene} "
-        "fetches that"
-    )
-
-
-def _damage(found: Found) -> str | None:
-    """What of a scene is no longer as it was fetched; all its files are read."""
-    assert found.record is not None
-    with meter(f"{found.folder}: checking", sum(content.size for content in found.record.files.values())) as show:
-        damage = found.record.damage(found.folder, show.add)
-    if not damage:
-        return None
-    more = f" and {_count(len(damage) - 1, 'other file')}" if damage[1:] else ""
-    return (
-        f"{found.folder} is not as it was fetched: {damage[0]}{more} missing or changed; move the folder away and run "
-        "the same command again"
-    )
-
-
-def _check_space(job: Job, packages: list[Package]) -> None:
-    """Raise GetError unless the disk has space for the downloads and for what the largest of them unpacks to.
-
-    This takes archives to be as large as their content, since images are compressed already; `place_archive` reads the
-    real sizes.
-    """
-    missing = [file for package in packages for file in package.files if not job.target(file.path).exists()]
-    parts = [job.target(file.path).with_name(file.path.name + resume.PART) for file in missing]
-    there = sum(part.stat().st_size for part in parts if part.exists())
-    largest = max((package.size or 0 for package in packages), default=0)
-    check_space(job.folder, sum(file.size or 0 for file in missing) - there + largest, "the downloads")
+    return not problems
 
 
 def _fetch_package(job: Job, package: Package) -> int:
     """Download a package and put its scenes into their places; the number of scenes."""
-    if job.options.force:
-        for file in package.files:
-            job.target(file.path).unlink(missing_ok=True)
-    place = Place(job.source, job.folder, found_scenes(job.source, job.folder), job.options.force)
-    if package.root is None:
-        (file,) = package.files
-        with meter(package.name, file.size) as show:
-            _download(job, file, show)
-        placed = place_archive(place, package, job.target(file.path))
-    else:
-        with meter(package.name, len(package.files), "files") as show:
-            for file in package.files:
-                _download(job, file, lambda _: None)
-                show.add(1)
-        placed = place_files(place, package, {file.path: job.target(file.path) for file in package.files})
-    for scene, count in placed.files.items():
-        _say(f"{place.target(scene)}: {_count(count, 'file')} of {package.name}")
-    for scene in placed.left:
-        _say(LEFT.format(place.target(scene)))
-    if not job.options.keep and not placed.left:
+    if job.force:
         _remove(job, package)
-    return len(placed.files)
+    is_archive = package.root is None
+    with step(package.name, package.size if is_archive else len(package.files), is_archive) as report:
+        for number, file in enumerate(package.files, 1):
+            download(file, job.target(file.path), report if is_archive else lambda _: None)
+            if not is_archive:
+                report(number)
+    placed, left = _put_in_place(job, package)
+    for folder in left:
+        _say_left(folder)
+    if not job.keep and not left:
+        _remove(job, package)
+    return placed
 
 
-def _download(job: Job, file: RemoteFile, report: Callable[[int], None]) -> None:
-    target = job.target(file.path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if job.source.host == "Zenodo":
-        resume.download(file, target, job.options.patience, report)
-    else:
-        drive.download(job.source, file, target, job.options.patience, report)
+def _put_in_place(job: Job, package: Package) -> tuple[int, list[Path]]:
+    """Unpack a package and put scenes that are not there yet into their places, or all with `force`.
+
+    Returns their number, and folders of scenes of other origin that were left as they are. Raises BadFileError if an
+    archive is refused or damaged: nothing of it is in place then. Raises OSError.
+    """
+    there = found_scenes(job.source, job.folder)
+    unpacked = job.downloads / ".unpacked"
+    shutil.rmtree(unpacked, ignore_errors=True)
+    try:
+        paths = _unpack(job, package, unpacked)
+        scenes = by_scene(job.source, paths, stem(PurePosixPath(package.name).name) or package.name, package.name)
+        if not scenes:
+            raise BadFileError(
+                f"{package.name} holds no scene: no folder with sparse/, rgb/, thermal/ or transforms.json"
+            )
+        free = {name: root for name, root in scenes.items() if job.force or name not in there}
+        for name, root in free.items():
+            folder = there[name].folder if name in there else job.folder / name
+            with whole_folder(folder) as part:
+                for path in (unpacked / root).iterdir():
+                    path.replace(part / path.name)
+                SceneRecord(job.source.page, package.identities, list(scenes)).write(part)
+            _say(f"{folder}: {_count(sum(root in path.parents for path in paths), 'file')} of {package.name}")
+    finally:
+        shutil.rmtree(unpacked, ignore_errors=True)
+    others = [there[name] for name in scenes if name not in free]
+    return len(free), [found.folder for found in others if not found.is_made_of(package.identities)]
+
+
+def _unpack(job: Job, package: Package, folder: Path) -> list[PurePosixPath]:
+    """Copy the files of a package into a folder; their paths in it."""
+    paths = []
+    with readable(job.target(package.files[0].path)):
+        for file in _files(job, package):
+            target = folder / file.path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("xb") as out:
+                shutil.copyfileobj(file.content, out)
+            if target.stat().st_size != file.size:
+                raise EOFError(f"{file.path} has not the {file.size} bytes that it declares")
+            paths.append(file.path)
+    return paths
+
+
+def _files(job: Job, package: Package) -> Iterator[File]:
+    """Files of a package that is downloaded."""
+    if package.root is None:
+        yield from files_of(job.target(package.files[0].path))
+        return
+    for file in package.files:
+        path = job.target(file.path)
+        with path.open("rb") as content:
+            yield File(file.path, path.stat().st_size, content)
 
 
 def _remove(job: Job, package: Package) -> None:
-    """Remove the downloads of a package that is in its place."""
-    if package.root is not None and package.root.parts:
-        shutil.rmtree(job.target(package.root), ignore_errors=True)
+    """Remove what was downloaded of a package."""
     for file in package.files:
-        job.target(file.path).unlink(missing_ok=True)
+        for path in (job.target(file.path), *partial_files(job.target(file.path))):
+            path.unlink(missing_ok=True)
 
 
 def _say(text: str) -> None:
     say(one_line(text))
 
 
-def _say_problem(text: str) -> None:
-    say(one_line(text), "problem:", stderr=True)
+def _say_left(folder: Path) -> None:
+    _say(f"{folder} is left as it is: this command did not fetch it, or another version (--force replaces it)")
 
 
 def _count(number: int, noun: str) -> str:

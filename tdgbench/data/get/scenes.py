@@ -1,19 +1,81 @@
-"""Find the scenes among the files of an archive or of a published folder."""
+"""Scenes among published files, and in a folder with `.download.json`, by which a second run fetches nothing."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable
-from pathlib import PurePosixPath
+from dataclasses import asdict
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
-from tdgbench.data.get.errors import BadFileError
-from tdgbench.data.get.sources import Source
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from tdgbench.data.get.sources import BadFileError, GetError, Source
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.names import check_scene_name
+from tdgbench.scenes.inputs import is_folder, is_there, listed, read_bytes
+from tdgbench.scenes.names import check_scene_name, is_hidden
+
+FILE = ".download.json"
 
 # What the top of a scene holds, in the layouts of the authors' loaders (docs/data.md).
 _FOLDERS = re.compile("sparse|colmap|colmap_sparse|rgb|thermal|warped_thermal|raw_images|images(_[0-9]+)?")
 _FILES = re.compile("transforms(_thermal)?[.]json|temperature_bounds[.]json")
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """What a scene was made of.
+
+    page: where it is published. downloads: identity of each published file, by path. scenes: all that these files hold.
+    """
+
+    page: str
+    downloads: dict[str, str]
+    scenes: list[str]
+
+    def write(self, scene: Path) -> None:
+        """Write the record into a scene's folder, which is not in its place yet."""
+        text = json.dumps(asdict(self), indent=1, ensure_ascii=False)
+        (scene / FILE).write_text(text + "\n", encoding="utf-8")
+
+
+class Found(NamedTuple):
+    """A scene that is there; its record is None if it was not fetched by this program."""
+
+    folder: Path
+    record: SceneRecord | None
+
+    def is_made_of(self, identities: dict[str, str]) -> bool:
+        """Whether it was made of published files, in the versions that are published. identities: by path."""
+        return self.record is not None and identities.items() <= self.record.downloads.items()
+
+
+def read_record(scene: Path) -> SceneRecord | None:
+    """The record of a scene; None for a scene that was not downloaded by this program. Raises SceneError."""
+    path = scene / FILE
+    if not is_there(path):
+        return None
+    try:
+        return TypeAdapter(SceneRecord).validate_json(read_bytes(path))
+    except ValidationError as error:
+        raise SceneError(
+            f"{path} is damaged; remove it: the scene counts as not fetched by this command then"
+        ) from error
+
+
+def found_scenes(source: Source, folder: Path) -> dict[str, Found]:
+    """Scenes in the folder of a data set by name. Raises SceneError if two folders are the same scene."""
+    found: dict[str, Found] = {}
+    for path in listed(folder) if is_folder(folder) else []:
+        if is_hidden(path.name) or not is_folder(path):
+            continue
+        scene = source.scene(path.name)
+        if scene in found:
+            raise GetError(f"{found[scene].folder} and {path} are both the scene {scene}; keep one of them")
+        found[scene] = Found(path, read_record(path))
+    return found
 
 
 def scene_folders(paths: Iterable[PurePosixPath]) -> list[PurePosixPath]:

@@ -1,11 +1,21 @@
-"""Where the authors publish their data sets."""
+"""Where the authors publish their data sets, and what is said where they cannot be fetched."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.registry import DATASETS, SCENES
+
+
+class GetError(SceneError):
+    """A data set cannot be fetched. The message names the file or the address, and the remedy."""
+
+
+class BadFileError(GetError):
+    """One file cannot be used; the others can still be fetched."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +39,13 @@ class Source:
         if self.host == "Zenodo":
             return f"https://zenodo.org/records/{self.identifier}"
         return f"https://drive.google.com/drive/folders/{self.identifier}"
+
+    def by_hand(self, folder: Path) -> str:
+        """How to get the scenes into `folder` without this program."""
+        return (
+            f"open {self.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is gone, ask its "
+            f"authors ({self.authors})"
+        )
 
     def scene(self, folder: str) -> str:
         """Name of a scene: that of the paper's table for a name or alias of one of its scenes, else the folder's.

@@ -11,9 +11,9 @@ from PIL import Image
 
 from tdgbench.data.prepare.extract import CountScale, Extracted, count_scale, extract, read_rgb
 from tdgbench.data.prepare.mapping import Size
-from tdgbench.data.prepare.progress import step
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.sources import ViewFiles, find_sources
+from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping

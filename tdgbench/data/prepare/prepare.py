@@ -15,10 +15,10 @@ from tdgbench.data.prepare.captured import Captured, capture, too_few
 from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.mapping import Mapping, from_file, inside_photo, same_view
 from tdgbench.data.prepare.output import SceneWriter
-from tdgbench.data.prepare.progress import step
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, make_grid, no_distortion
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
+from tdgbench.data.progress import step
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.inputs import is_there

@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 from pydantic import Field
 
-from tdgbench.data.prepare.progress import step
+from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]

@@ -2,9 +2,9 @@ from pathlib import PurePosixPath
 
 import pytest
 
-from tdgbench.data.get.errors import BadFileError
-from tdgbench.data.get.scenes import by_scene, scene_folders
-from tdgbench.data.get.sources import SOURCES
+from tdgbench.data.get.scenes import FILE, SceneRecord, by_scene, read_record, scene_folders
+from tdgbench.data.get.sources import SOURCES, BadFileError
+from tdgbench.scenes.errors import SceneError
 
 
 def paths(*names: str) -> list[PurePosixPath]:
@@ -42,3 +42,24 @@ def test_scenes_have_the_names_of_the_table():
 def test_two_scenes_of_one_name():
     with pytest.raises(BadFileError, match=r"a\.zip holds two scenes Lion: a/lion and b/Lion"):
         by_scene(SOURCES["thermalmix"], paths("a/lion/rgb/1.jpg", "b/Lion/rgb/1.jpg"), "x", "a.zip")
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    assert read_record(tmp_path) is None
+    record = SceneRecord("https://zenodo.org", {"lion.zip": "md5:0"}, ["Lion"])
+    record.write(tmp_path)
+    assert read_record(tmp_path) == record
+
+
+def test_a_record_with_sums_of_files_is_read(tmp_path):
+    """Earlier versions wrote them."""
+    text = '{"page": "p", "downloads": {"a.zip": "md5:0"}, "scenes": ["A"], "files": {"1.jpg": {"size": 1}}}'
+    (tmp_path / FILE).write_text(text, encoding="utf-8")
+    assert read_record(tmp_path) == SceneRecord("p", {"a.zip": "md5:0"}, ["A"])
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"page": 1, "downloads": {}, "scenes": []}'])
+def test_a_damaged_record(tmp_path, text):
+    (tmp_path / FILE).write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=r"\.download\.json is damaged; remove it"):
+        read_record(tmp_path)

@@ -1,0 +1,188 @@
+"""Archives are read; what is damaged, or would write elsewhere or too much, is refused."""
+
+from __future__ import annotations
+
+import io
+import stat
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tdgbench.data.get import archives
+from tdgbench.data.get.archives import files_of, readable
+from tdgbench.data.get.sources import BadFileError
+from tests.helpers.archives import scene_files, tarred, zipped
+
+NAMES = {
+    "../evil": "leads out of its folder",
+    "lion/../../evil": "leads out of its folder",
+    "/etc/evil": "is an absolute path",
+    "C:/evil": "is an absolute path",
+    "lion\\..\\..\\evil": "has a backslash",
+    "lion/a\x1b[2Jb": "has characters that cannot be printed",
+    "lion/a\nb": "has characters that cannot be printed",
+}
+FILES = scene_files("lion")
+
+
+def unpacked(path: Path, content: bytes) -> dict[str, bytes]:
+    """Contents of the files of an archive by their paths."""
+    path.write_bytes(content)
+    with readable(path):
+        return {str(file.path): file.content.read() for file in files_of(path)}
+
+
+@pytest.mark.parametrize(
+    "compression", ["", "gz", "bz2", "xz", None], ids=["tar", "tar.gz", "tar.bz2", "tar.xz", "zip"]
+)
+def test_archives_of_all_kinds(tmp_path, compression):
+    assert unpacked(tmp_path / "a", zipped(FILES) if compression is None else tarred(FILES, compression)) == FILES
+
+
+def test_folders(tmp_path):
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w") as archive:
+        info = tarfile.TarInfo("lion")
+        info.type = tarfile.DIRTYPE
+        archive.addfile(info)
+    assert unpacked(tmp_path / "a.tar", out.getvalue()) == unpacked(tmp_path / "a.zip", zipped({"lion/": b""})) == {}
+
+
+@pytest.mark.parametrize("where", [0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize(
+    "pack", [zipped, tarred, lambda files: tarred(files, "xz"), lambda files: tarred(files, "bz2")]
+)
+def test_archives_that_end_early(tmp_path, pack, where):
+    content = pack(FILES)
+    with pytest.raises(BadFileError, match=r"a cannot be unpacked: .*; --force downloads it again"):
+        unpacked(tmp_path / "a", content[: int(where * len(content))])
+
+
+@pytest.mark.parametrize(
+    "pack",
+    [zipped, *(lambda files, c=c: tarred(files, c) for c in ("gz", "bz2", "xz"))],
+    ids=["zip", "tar.gz", "tar.bz2", "tar.xz"],
+)
+def test_a_changed_byte_is_found(tmp_path, pack):
+    """By the sums inside the archives, where nobody publishes one."""
+    content = bytearray(pack(FILES))
+    content[len(content) // 2] ^= 1
+    with pytest.raises(BadFileError, match="a cannot be unpacked"):
+        unpacked(tmp_path / "a", bytes(content))
+
+
+def test_a_member_before_the_beginning(tmp_path):
+    content = bytearray(zipped({"a": b"1", "b": b"2"}))
+    end = content.index(b"PK\x05\x06") + 16  # where the directory says that it lies; members are counted from there
+    content[end : end + 4] = (int.from_bytes(content[end : end + 4], "little") + 2**20).to_bytes(4, "little")
+    with pytest.raises(BadFileError, match="a cannot be unpacked"):
+        unpacked(tmp_path / "a", bytes(content))
+
+
+@pytest.mark.parametrize("content", [b"", b"<html>", b"PK\x03\x04", b"\x1f\x8b\x08\x00", b"BZh91AY"])
+def test_what_is_no_archive(tmp_path, content):
+    with pytest.raises(BadFileError, match=r"a\.zip cannot be unpacked"):
+        unpacked(tmp_path / "a.zip", content)
+
+
+def test_a_full_disk_is_no_damaged_archive(tmp_path):
+    with pytest.raises(OSError, match="No space left"), readable(tmp_path):
+        raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred], ids=["zip", "tar"])
+@pytest.mark.parametrize("name", NAMES)
+def test_names(tmp_path, pack, name):
+    with pytest.raises(BadFileError, match=NAMES[name]) as refused:
+        unpacked(tmp_path / "a.bin", pack({"lion/1.jpg": b"1", name: b"2"}))
+    assert "a.bin is refused" in str(refused.value) and "nothing of it is in place" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (tarfile.SYMTYPE, "a link"),
+        (tarfile.LNKTYPE, "a link"),
+        (tarfile.CHRTYPE, "a special file"),
+        (tarfile.BLKTYPE, "a special file"),
+        (tarfile.FIFOTYPE, "a special file"),
+        (tarfile.CONTTYPE, None),  # by POSIX a file like any other
+        (b"Z", "a special file"),
+    ],
+)
+def test_members_of_tar_files_that_are_no_files(tmp_path, kind, said):
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w") as archive:
+        info = tarfile.TarInfo("lion/link")
+        info.type, info.linkname = kind, "/etc/passwd"
+        archive.addfile(info)
+    if said is None:
+        assert unpacked(tmp_path / "a.tar", out.getvalue()) == {"lion/link": b""}
+    else:
+        with pytest.raises(BadFileError, match=f"'lion/link' is {said}"):
+            unpacked(tmp_path / "a.tar", out.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"), [(stat.S_IFLNK, "a link"), (stat.S_IFIFO, "a special file"), (stat.S_IFCHR, "a special")]
+)
+def test_members_of_zip_files_that_are_no_files(tmp_path, mode, said):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        info = zipfile.ZipInfo("lion/link")
+        info.create_system, info.external_attr = 3, (mode | 0o777) << 16
+        archive.writestr(info, "/etc/passwd")
+    with pytest.raises(BadFileError, match=f"'lion/link' is {said}"):
+        unpacked(tmp_path / "a.zip", out.getvalue())
+
+
+def test_encrypted_members(tmp_path):
+    content = bytearray(zipped({"lion/1.jpg": b"1"}))
+    content[6] |= 1  # flags of the local header
+    content[content.index(b"PK\x01\x02") + 8] |= 1  # and of the central directory
+    with pytest.raises(BadFileError, match=r"'lion/1\.jpg' is encrypted"):
+        unpacked(tmp_path / "a.zip", bytes(content))
+
+
+def test_names_in_other_encodings(tmp_path):
+    """A zip name without the flag of UTF-8 is UTF-8 all the same, or refused; so is one of a tar file."""
+
+    def renamed(content: bytes, name: bytes) -> bytes:
+        return content.replace(b"lion/123456.jpg", name)
+
+    plain = zipped({"lion/123456.jpg": b"1"})
+    assert unpacked(tmp_path / "a.zip", renamed(plain, "lion/é1234.jpg".encode())) == {"lion/é1234.jpg": b"1"}
+    with pytest.raises(BadFileError, match="cannot be unpacked: 'utf-8' codec"):
+        unpacked(tmp_path / "b.zip", renamed(plain, "lion/é12345.jpg".encode("latin-1")))
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w", encoding="latin-1", format=tarfile.GNU_FORMAT) as archive:
+        archive.addfile(tarfile.TarInfo("lion/é.jpg"))
+    with pytest.raises(BadFileError, match="cannot be printed"):
+        unpacked(tmp_path / "a.tar", out.getvalue())
+
+
+@pytest.mark.parametrize("compression", ["gz", "bz2", "xz", None], ids=["tar.gz", "tar.bz2", "tar.xz", "zip"])
+def test_bombs(tmp_path, monkeypatch, compression):
+    """70 MB of zeros in some kB. The refusal comes at the declared size, before the zeros are unpacked."""
+    zeros = {"lion/rgb/1.npy": bytes(2**20), "lion/rgb/2.npy": bytes(2**20)}
+    content = tarred(zeros, compression) if compression else zipped(zeros, zipfile.ZIP_DEFLATED)
+    assert len(unpacked(tmp_path / "a.bin", content)) == 2  # harmless: small, whatever the ratio
+    monkeypatch.setattr(archives, "HARMLESS", 10**6)
+    with pytest.raises(BadFileError, match=r"of \d+\.?\d* ?(kB|bytes), it would unpack to more than 1.0 MB"):
+        unpacked(tmp_path / "a.bin", content)
+
+
+def test_a_member_that_points_to_the_bytes_of_another(tmp_path):
+    """As in zip bombs of high density, whose members share their bytes."""
+    content = zipped({"lion/1": b"1" * 100, "lion/2": b"2" * 100})
+    second = content.rindex(b"PK\x01\x02")
+    overlapping = content[: second + 42] + content[content.index(b"PK\x01\x02") + 42 :][:4] + content[second + 46 :]
+    with pytest.raises(BadFileError, match="cannot be unpacked"):
+        unpacked(tmp_path / "a.zip", overlapping)
+
+
+def test_what_file_managers_leave_is_left_out(tmp_path):
+    names = ("__MACOSX/lion/._1.jpg", "lion/.DS_Store", "lion/Thumbs.db", "lion/.download.json", "./lion/1.jpg")
+    assert unpacked(tmp_path / "a.tar", tarred(dict.fromkeys(names, b"1"))) == {"lion/1.jpg": b"1"}
