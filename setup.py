@@ -11,7 +11,6 @@ setup(
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
         "tdgbench.report": ["*.j2"],
-        "tdgbench.experiments.thermal_camera": ["*.j2"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
     },

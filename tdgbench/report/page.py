@@ -9,13 +9,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tdgbench.bench.record import READ_STAGE, Record
 from tdgbench.files import write_text
-from tdgbench.report.published import published_section
 from tdgbench.report.scene import scene_section
-from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores
+from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
 from tdgbench.report.strip import place_name
-from tdgbench.tables.build import Tables
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.readings import changes_as_text
+from tdgbench.tables.tables import Tables
 from tdgbench.terminal import printable
 
 FILE = "report.html"

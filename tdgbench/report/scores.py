@@ -1,4 +1,4 @@
-"""The report's tables of scores: the main table beside published numbers, further scores, and what each one means."""
+"""The report's tables: scores beside published numbers, what they mean, verdicts, and the spread between papers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.record import Record
-from tdgbench.report.published import beside
 from tdgbench.tables import methods
-from tdgbench.tables.build import ABLATION_KEYS, Tables
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, as_text, measure
-from tdgbench.tables.names import OVERALL
+from tdgbench.tables.build import ABLATION_KEYS
+from tdgbench.tables.latex import LABELS
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.results import first_points, split_notes
+from tdgbench.tables.tables import Tables
+from tdgbench.tables.verdicts import UNDECIDED, comparable, in_words, load_margins
 
 SOURCES = {  # of depth priors, in words
     "points": "the sparse points, which come from RGB images: no evidence for a method of thermal images alone",
@@ -75,6 +76,35 @@ def legend(tables: Tables) -> list[dict[str, str]]:
     ]
 
 
+def published_section(tables: Tables) -> dict[str, Any] | None:
+    """Verdicts by metric, and the table of papers; None where nothing is published for these scenes."""
+    if tables.difference is None or tables.papers is None:
+        return None
+    margins = load_margins()
+    judged = comparable(tables.difference)
+    known = judged[judged["difference"].notna()]
+    verdicts = [
+        {"metric": measure(str(metric)).title, "margin": f"{margins[str(metric)]:g}", "counts": in_words(group)}
+        for metric, group in known.groupby("metric", sort=False)
+    ]
+    return {"verdicts": verdicts, **_papers(tables.papers)}
+
+
+def _papers(papers: pd.DataFrame) -> dict[str, Any]:
+    """Heads, rows of text and notes of the table of papers: per scene, each score as printed, and the spread."""
+    metrics = [metric for metric in PUBLISHED if metric in set(papers["metric"])]
+    rows = []
+    for (method, dataset, scene), group in papers.groupby(["method", "dataset", "scene"], sort=False):
+        by_metric, cells = group.set_index("metric"), []
+        for metric in metrics:
+            row = by_metric.loc[metric] if metric in by_metric.index else None
+            spread = "n/a" if row is None else f"{row['spread']:.{digits(metric)}f}"
+            cells.append({"text": "n/a" if row is None else row["values"], "spread": spread})
+        rows.append({"head": [dataset, LABELS.get(str(scene), scene), methods.label(str(method))], "cells": cells})
+    notes = [note for note in dict.fromkeys(papers["note"]) if note]
+    return {"metrics": [measure(metric).title for metric in metrics], "rows": rows, "notes": notes}
+
+
 def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
     """Rows of the main table in its order, methods of a scene together."""
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in tables.main.itertuples()}
@@ -119,3 +149,23 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
     title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
     return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}
+
+
+def beside(published: Any, scene: str) -> tuple[str, str]:
+    """A number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
+
+    published: a row of difference.csv, or None where nothing is published.
+    """
+    if published is None or np.isnan(published.difference):
+        return "", ""
+    metric = published.metric
+    details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
+    if published.verdict == UNDECIDED:
+        details[0] += f", {published.why}; seeds needed: {published.seeds_needed}"
+    if not np.isnan(published.low):
+        interval = f"{published.low:.4g} to {published.high:.4g}"
+        details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")
+    if published.papers > 1:
+        ends = dict.fromkeys(as_text(metric, end, scene) for end in (published.others_low, published.others_high))
+        details.append(f"other papers: {' to '.join(ends)}")
+    return as_text(metric, published.difference, scene, f"+.{digits(metric, scene)}f"), "; ".join(details)

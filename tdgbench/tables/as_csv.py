@@ -9,6 +9,9 @@ import pandas as pd
 
 from tdgbench.text import csv_text
 
+NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p", "margin", "others_low", "others_high",
+           "spread", "printed", "mean", "tolerance", "change")  # fmt: skip
+
 
 def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -> str:
     """CSV text. as_is: columns of text that begins with a number of ours. na_rep: for missing values.
@@ -23,6 +26,23 @@ def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -
     rows = _Rows()
     table.assign(**safe).to_csv(rows, index=False, lineterminator=_Rows.END, na_rep=na_rep)
     return rows.getvalue()
+
+
+def to_csv(table: pd.DataFrame) -> str:
+    """CSV text, with n/a for missing numbers.
+
+    >>> print(to_csv(pd.DataFrame({"scene": ["a", "b"], "value": [1.25, float("nan")]})), end="")
+    scene,value
+    a,1.25
+    b,n/a
+    """
+    table = table.copy()
+    for column in NUMBERS:
+        if column in table:
+            table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
+    if "bold" in table:
+        table["bold"] = table["bold"].map({True: "true", False: "false"})
+    return as_csv(table, as_is=NUMBERS)
 
 
 class _Rows(StringIO):

@@ -2,7 +2,7 @@
 
 Papers differ in splits, training lengths, seeds and code. A gain inside one paper must exceed their spread before it
 can be told from the choice of setup. Averages are compared over the scenes that the papers share, never as printed:
-papers average over different scenes.
+papers average over different scenes. Whether printed averages follow from the rows above them is checked here, too.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.averages import check_averages
-from tdgbench.tables.measures import HOURS, digits, gain, half_unit, measure
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, half_unit, measure
 from tdgbench.tables.methods import paper_pair
-from tdgbench.tables.names import AVERAGE, OVERALL
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
+from tdgbench.tables.results import with_averages
 
 PLACE = ["method", "dataset", "scene", "metric"]
 SHARED = "Average (shared scenes)"
+FOLLOWS, OFF, UNKNOWN = "follows", "does not follow", "cannot be recomputed"
 
 
 @cache
@@ -86,6 +86,28 @@ def all_averages() -> pd.DataFrame:
         parts.append(check_averages(table.assign(method=table["printed_as"])).assign(source=source))
     found = pd.concat(parts, ignore_index=True)
     return found[["source", "method", "dataset", "scene", "metric", "printed", "mean", "tolerance", "verdict"]]
+
+
+def check_averages(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per average: KEYS, printed, mean (of its rows), tolerance, verdict.
+
+    table: KEYS, value and half_unit (half a unit of the last printed digit; 0 for numbers that were not rounded).
+    tolerance: the largest difference between the printed average and the mean of the printed rows due to rounding.
+    """
+    is_average = table["scene"].isin((AVERAGE, OVERALL))
+    scenes = table[~is_average].assign(reason="")
+    parts = []
+    for name, column in (("mean", "value"), ("of_rows", "half_unit")):
+        made = with_averages(scenes.assign(value=scenes[column]))
+        parts.append(made.rename(columns={"value": name})[[*KEYS, name]])
+    found = table[is_average].rename(columns={"value": "printed"})
+    for part in parts:
+        found = found.merge(part, on=KEYS, how="left")
+    found["tolerance"] = found["half_unit"] + found["of_rows"]
+    off = (found["mean"] - found["printed"]).abs() > found["tolerance"] + 1e-12
+    found["verdict"] = off.map({True: OFF, False: FOLLOWS})
+    found.loc[found["mean"].isna() | found["printed"].isna(), "verdict"] = UNKNOWN
+    return found[[*KEYS, "printed", "mean", "tolerance", "verdict"]]
 
 
 def _numbers() -> pd.DataFrame:

@@ -6,7 +6,6 @@ findings.txt says in sentences what they hold.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
@@ -16,43 +15,21 @@ from tdgbench.bench.record import Record
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.between_papers import all_averages, between_papers, with_others
-from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
-from tdgbench.tables.difference import difference
-from tdgbench.tables.findings import findings
+from tdgbench.tables.as_csv import to_csv
+from tdgbench.tables.between_papers import between_papers, with_others
+from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table, papers_table, readings_table
-from tdgbench.tables.measures import ABLATION
-from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
-from tdgbench.tables.records import read_results
+from tdgbench.tables.records import Results, read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
-from tdgbench.tables.statistics import Comparison, compare, intervals, over_seeds
+from tdgbench.tables.statistics import compare, intervals, over_seeds
+from tdgbench.tables.tables import Tables
 from tdgbench.tables.verdicts import Verdict, verdict
 
 INITS = ("random", "colmap")  # of the paper's Table 2
 ABLATION_KEYS = ["method", "init", "metric"]
-NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p", "margin", "others_low", "others_high",
-           "spread", "printed", "mean", "tolerance", "change")  # fmt: skip
-
-
-@dataclass
-class Tables:
-    """The tables of an experiment. difference and papers are None where nothing is published for these scenes."""
-
-    kind: str  # main, ablation or readings
-    main: pd.DataFrame
-    latex: str
-    difference: pd.DataFrame | None
-    folder: Path
-    records: list[Record]  # the cells behind the tables
-    comparisons: list[Comparison] = field(default_factory=list)  # of methods with their baselines
-    papers: pd.DataFrame | None = None  # spread between papers
-    readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
-    effects: pd.DataFrame | None = None
-    findings: list[str] = field(default_factory=list)  # in sentences
-    problems: list[str] = field(default_factory=list)  # what could not be read
 
 
 def build_tables(experiment: Path) -> Tables:
@@ -61,38 +38,44 @@ def build_tables(experiment: Path) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the tables' `problems`.
     """
     results = read_results(experiment)
-    records, plan = results.records, results.plan
-    if not records and not plan.scenes:
+    if not results.records and not results.plan.scenes:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
-    tables = (_ablation if plan.table == "ablation" else _main)(records, plan, experiment)
-    if plan.table == "readings":
-        cells = reading_cells(records)
-        tables.readings, tables.effects = readings(cells), effects(cells)
-    if tables.difference is not None:
-        tables.papers = between_papers()
-    tables.problems = results.problems
-    tables.findings = findings(tables)
+    tables = (_ablation if results.plan.table == "ablation" else _main)(results, experiment)
     _write(tables)
     return tables
 
 
-def _main(records: list[Record], plan: Plan, experiment: Path) -> Tables:
+def _main(results: Results, experiment: Path) -> Tables:
+    """The main table and what goes with it; with table=readings, those of the readings as well."""
+    records, plan = results.records, results.plan
     bold = with_bold(with_averages(scene_rows(records, plan)))
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
     main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
     comparisons = [compare(main, pair) for pair in methods.pairs()]
-    return Tables(plan.table, main, main_table(main), against, experiment / "tables", records, comparisons)
+    cells = reading_cells(records) if plan.table == "readings" else None
+    changes = None if cells is None else effects(cells)
+    return Tables(
+        kind=plan.table, main=main, latex=main_table(main), difference=against, folder=experiment / "tables",
+        records=records, findings=findings_of_methods(main, against, comparisons, changes), problems=results.problems,
+        comparisons=comparisons, papers=None if against is None else between_papers(),
+        readings=None if cells is None else readings(cells), effects=changes,
+    )  # fmt: skip
 
 
-def _ablation(records: list[Record], plan: Plan, experiment: Path) -> Tables:
+def _ablation(results: Results, experiment: Path) -> Tables:
+    records, plan = results.records, results.plan
     main = ablation_rows(records, plan)
     datasets = {s.dataset for s in plan.scenes} | {r.dataset for r in records}
     of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
     differences = difference(main, ablation_as_published(main["init"].unique()), ABLATION_KEYS)
     against = with_verdicts(differences, main, ABLATION_KEYS) if of_paper else None
-    return Tables("ablation", main, ablation_table(main), against, experiment / "tables", records)
+    return Tables(
+        kind="ablation", main=main, latex=ablation_table(main), difference=against, folder=experiment / "tables",
+        records=records, findings=findings_of_ablation(main, against), problems=results.problems,
+        papers=None if against is None else between_papers(),
+    )  # fmt: skip
 
 
 def _write(tables: Tables) -> None:
@@ -115,6 +98,22 @@ def _write(tables: Tables) -> None:
         write_text(tables.folder / name, text)
 
 
+def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """One row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
+
+    >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
+    >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
+    [[26.5, 26.25, 0.25]]
+    """
+    mine = ours[[*keys, "value", *(["reason"] if "reason" in ours else [])]].rename(columns={"value": "ours"})
+    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(mine, on=keys, how="left")
+    merged["difference"] = merged["ours"] - merged["published"]
+    if "reason" not in merged:
+        merged["reason"] = ""
+    merged["reason"] = merged["reason"].fillna("no such cell in our results")
+    return merged[[*keys, "ours", "published", "difference", "reason"]]
+
+
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """The differences with our std and number of seeds, the fields of each Verdict, and other papers' numbers."""
     merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
@@ -126,21 +125,6 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
     found = pd.DataFrame(judged, columns=list(Verdict._fields), index=merged.index).rename(columns={"word": "verdict"})
     found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
     return with_others(pd.concat([merged, found], axis=1))
-
-
-def write_claims(experiments: list[Path]) -> pd.DataFrame:
-    """Check the paper's claims against the published tables and against all cells of the experiments together.
-
-    Write them to each experiment, with the check of every paper's averages. Raises ValueError for an empty experiment.
-    """
-    ours = evidence_of(experiments) if experiments else None
-    found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
-    for experiment in experiments:
-        folder = experiment / "tables"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
-        write_text(folder / "averages.csv", to_csv(all_averages()))
-    return found
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
@@ -172,20 +156,3 @@ def ablation_as_published(inits: Iterable[str]) -> pd.DataFrame:
     kinds = [init for init in inits if init.startswith("random")]
     random = published[published["init"] == "random"]
     return pd.concat([published[published["init"] != "random"], *(random.assign(init=kind) for kind in kinds)])
-
-
-def to_csv(table: pd.DataFrame) -> str:
-    """CSV text, with n/a for missing numbers.
-
-    >>> print(to_csv(pd.DataFrame({"scene": ["a", "b"], "value": [1.25, float("nan")]})), end="")
-    scene,value
-    a,1.25
-    b,n/a
-    """
-    table = table.copy()
-    for column in NUMBERS:
-        if column in table:
-            table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
-    if "bold" in table:
-        table["bold"] = table["bold"].map({True: "true", False: "false"})
-    return as_csv(table, as_is=NUMBERS)

@@ -9,9 +9,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import pandas as pd
+
+from tdgbench.files import write_text
+from tdgbench.tables.as_csv import as_csv, to_csv
 from tdgbench.tables.between_papers import all_averages, between_papers
-from tdgbench.tables.build import build_tables, write_claims
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
 from tdgbench.tables.findings import claims_in_words
+from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.show import show, show_averages, show_claims, show_findings, show_papers, show_problems
 from tdgbench.terminal import console, say
@@ -50,6 +56,21 @@ def _claims(experiments: list[Path]) -> int:
     show_problems(problems, console())
     show_findings(claims_in_words(claims))
     return int(bool(problems))
+
+
+def write_claims(experiments: list[Path]) -> pd.DataFrame:
+    """Check the paper's claims against the published tables and against all cells of the experiments together.
+
+    Write them to each experiment, with the check of every paper's averages. Raises ValueError for an empty experiment.
+    """
+    ours = evidence_of(experiments) if experiments else None
+    found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
+    for experiment in experiments:
+        folder = experiment / "tables"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
+        write_text(folder / "averages.csv", to_csv(all_averages()))
+    return found
 
 
 def _refused(error: Exception) -> int:

@@ -6,46 +6,44 @@ They count what the tables hold. Nothing is computed or judged here.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from tdgbench.tables import methods
 from tdgbench.tables.claims import FAILS, HOLDS
 from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
-from tdgbench.tables.measures import ABLATION, PUBLISHED, PUBLISHED_SCORES, as_text, measure
-from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.results import NO_RECORD
 from tdgbench.tables.statistics import Comparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
-if TYPE_CHECKING:
-    from tdgbench.tables.build import Tables
-
 BUILT_IN = "synthetic"  # data set of the built-in scenes
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
-def findings(tables: Tables) -> list[str]:
-    """The findings of an experiment, one sentence each, in one line each; none where nothing is compared."""
-    if tables.kind == "ablation":
-        found = list(_ablation(tables.main))
-    else:
-        found = [sentence for one in tables.comparisons for sentence in _comparison(one, tables.main)]
-        found += [] if tables.effects is None else _effects(tables.effects)
-    if tables.difference is not None:
-        found.append(published(tables.difference))
-    if found:
-        found += _caveats(tables.main)
+def findings_of_methods(
+    main: pd.DataFrame,
+    difference: pd.DataFrame | None,
+    comparisons: Iterable[Comparison],
+    effects: pd.DataFrame | None,
+) -> list[str]:
+    """The findings of a main table, one sentence each, in one line each; none where nothing is compared."""
+    found = [sentence for one in comparisons for sentence in _comparison(one, main)]
+    found += [] if effects is None else _effects(effects)
+    found += [] if difference is None else [published(difference)]
+    return [one_line(sentence) for sentence in (*found, *(_caveats(main) if found else ()))]
+
+
+def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) -> list[str]:
+    """The findings of an ablation, in the same form."""
+    found = [*_ablation(main), *([] if difference is None else [published(difference)])]
     return [one_line(sentence) for sentence in found]
 
 
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
-    """What the findings are no evidence of. main: any main table; that of an ablation has no scenes."""
-    if "scene" not in main:
-        return
+    """What the findings of a main table are no evidence of."""
     scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
     if set(scenes["dataset"]) == {BUILT_IN}:
         once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""

@@ -7,8 +7,7 @@ import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import GAUSSIANS, PUBLISHED, PUBLISHED_SCORES, digits, measure
-from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.measures import AVERAGE, GAUSSIANS, OVERALL, PUBLISHED, PUBLISHED_SCORES, digits, measure
 from tdgbench.tables.readings import COMPARED, widest_average, with_setup
 from tdgbench.tables.results import first_points, split_notes
 from tdgbench.text import one_line

@@ -1,4 +1,7 @@
-"""Every number that tables print: the metrics, the scores of training views, training time, Gaussians."""
+"""Every number that tables print: the metrics, the scores of training views, training time, Gaussians.
+
+And the names that all tables share: their key columns, and the rows of averages.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,10 @@ from typing import Any
 from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.measure import Measure
-from tdgbench.tables.names import OVERALL
 from tdgbench.text import duration
+
+KEYS = ["method", "dataset", "group", "scene", "metric"]
+AVERAGE, OVERALL = "Average", "Average (Overall)"
 
 
 @dataclass(frozen=True, kw_only=True)

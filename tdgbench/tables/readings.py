@@ -15,8 +15,16 @@ import pandas as pd
 from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
-from tdgbench.tables.measures import GAUSSIANS, OF_RECORDS, PUBLISHED, PUBLISHED_SCORES, digits, measure
-from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.measures import (
+    AVERAGE,
+    GAUSSIANS,
+    OF_RECORDS,
+    OVERALL,
+    PUBLISHED,
+    PUBLISHED_SCORES,
+    digits,
+    measure,
+)
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import metric_value, planned_iterations
 from tdgbench.tables.statistics import half_width

@@ -13,8 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import COLUMNS, EXTRA, TRAINING, RecordMeasure, digits, measure
-from tdgbench.tables.names import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL, TRAINING, RecordMeasure, digits, measure
 
 SPLITS = {
     "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",

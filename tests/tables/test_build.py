@@ -8,7 +8,7 @@ from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import read_all
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
-from tdgbench.tables.names import KEYS
+from tdgbench.tables.measures import KEYS
 from tdgbench.tables.published import published_main
 from tests.helpers.records import published_as_records, write, write_ablation
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes.registry import DATASETS, registered
-from tdgbench.tables.difference import difference
-from tdgbench.tables.measures import PUBLISHED, digits
-from tdgbench.tables.names import KEYS, OVERALL
+from tdgbench.tables.build import difference
+from tdgbench.tables.measures import KEYS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import (
     PAPER,
     half_unit,

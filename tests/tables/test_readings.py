@@ -3,7 +3,7 @@ import pytest
 
 from tdgbench.bench.record import Failure, Record
 from tdgbench.tables.latex import readings_table
-from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.readings import effects, reading_cells, readings
 
 

@@ -7,8 +7,8 @@ from scipy import stats
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import read_all
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.measures import KEYS
 from tdgbench.tables.methods import paper_pair
-from tdgbench.tables.names import KEYS
 from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED

@@ -19,9 +19,9 @@ from tdgbench.bench.signature import Problem
 from tdgbench.experiments.error_time import growth, kernels, training
 from tdgbench.experiments.error_time.clouds import Cloud, random_cloud, trained_cloud
 from tdgbench.experiments.error_time.draw import draw_curves, draw_growth, draw_pareto
-from tdgbench.experiments.error_time.show import show
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.preparation import prepare_prior
+from tdgbench.experiments.show import show
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv

@@ -13,8 +13,8 @@ from tdgbench.experiments.stamp import Stamp, Told
 from tdgbench.experiments.sweep.cells import PlannedCell, counted
 from tdgbench.experiments.sweep.job import inputs_of_jobs
 from tdgbench.filestate import States, merged, states_of
-from tdgbench.tables.build import Tables
 from tdgbench.tables.show import show
+from tdgbench.tables.tables import Tables
 from tdgbench.terminal import as_printed
 
 

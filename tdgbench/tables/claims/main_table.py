@@ -10,10 +10,9 @@ from typing import Any
 import pandas as pd
 
 from tdgbench.tables import measures, methods
-from tdgbench.tables.averages import OFF, UNKNOWN, check_averages
+from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, Evidence, Finding, MissingError
-from tdgbench.tables.measures import HOURS, PUBLISHED, digits
-from tdgbench.tables.names import AVERAGE, OVERALL
+from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import half_unit
 from tdgbench.tables.results import with_bold
 

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.thermal_camera.run import ThermalCameraExperiment
+from tdgbench.experiments.show import as_text
+from tdgbench.experiments.thermal_camera import SHOWN, ThermalCameraExperiment, summary
 from tdgbench.priors import PriorUnavailableError
 from tests.helpers.configs import config
 from tests.helpers.scenes import small_dataset
@@ -50,11 +51,9 @@ def test_a_clean_capture_has_the_same_result_with_every_camera(finished):
     assert clean["psnr_true"].nunique() == 1
 
 
-def test_pictures_and_page(finished):
+def test_pictures(finished):
     for name in ("scores.png", "cameras.png"):
         assert (finished / name).stat().st_size > 10_000
-    html = (finished / "thermal_camera.html").read_text()
-    assert html.count("data:image/png") == 2 and "<td>drift</td><td>splat</td><td>estimated</td>" in html
 
 
 def test_a_second_run_changes_nothing(finished, capsys):
@@ -128,3 +127,55 @@ def test_records_of_other_runs_have_no_part(finished):
     assert 0.3 < drift["offset_degC_worst"].item() < 1.1
     for name, content in before.items():
         (finished / name).write_bytes(content)
+
+
+SCORES = {
+    ("clean", "ideal"): 40.0,
+    ("clean", "estimated"): 39.0,
+    ("drift", "ideal"): 30.0,
+    ("drift", "estimated"): 38.0,
+}
+
+
+def cells(scores=SCORES, seeds=(0, 1)) -> pd.DataFrame:
+    rows = [
+        {"scene": "a", "capture": capture, "method": "splat", "camera": camera, "seed": seed, "psnr": 20.0,
+         "psnr_affine": 21.0, "psnr_right_half": np.nan, "psnr_true": score + seed, "ssim": 0.5, "mae_degC": 1.0,
+         "mae_degC_without_offset": 0.5, "offset_degC_worst": 0.1, "gain_worst": 0.01, "vignette_degC_worst": 0.2,
+         "train_seconds": 2.0, "camera_seconds": 0.5, "notes": ""}
+        for (capture, camera), score in scores.items() for seed in seeds
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_recovered_is_the_share_of_what_the_errors_cost():
+    table = summary(cells(), "clean", "ideal").set_index(["capture", "camera"])
+    assert table.loc[("drift", "estimated"), "recovered"] == pytest.approx(0.8)
+    assert table["recovered"].isna().sum() == 3
+    assert table.loc[("drift", "estimated"), "psnr_true"] == 38.5 and (table["seeds"] == 2).all()
+    assert table["psnr_true_error"].to_numpy() == pytest.approx(0.5)
+
+
+def test_little_lost_has_no_share():
+    scores = {**SCORES, ("drift", "ideal"): 39.7}
+    assert summary(cells(scores), "clean", "ideal")["recovered"].isna().all()
+
+
+def test_rows_stand_in_the_order_of_the_cells():
+    table = summary(cells(dict(reversed(SCORES.items()))), "clean", "ideal")
+    assert list(zip(table["capture"], table["camera"], strict=True)) == list(reversed(SCORES))
+
+
+def test_numbers_that_are_missing_are_shown_as_such():
+    shown = as_text(summary(cells(seeds=(0,)), "clean", "ideal"), SHOWN)
+    assert shown["right half"].tolist() == ["n/a"] * 4 and shown["±"].tolist() == ["n/a"] * 4
+    assert shown["recovered"].tolist() == ["n/a"] * 3 + ["80%"]
+
+
+def test_a_seed_without_its_baseline_has_no_part():
+    some = cells()
+    without = some[~((some["capture"] == "clean") & (some["camera"] == "ideal") & (some["seed"] == 1))].copy()
+    without.loc[(without["capture"] == "drift") & (without["seed"] == 1), "psnr_true"] = 90.0
+    table = summary(without, "clean", "ideal").set_index(["capture", "camera"])
+    assert table.loc[("drift", "estimated"), "recovered"] == pytest.approx(0.8)
+    assert summary(some, None, "ideal")["recovered"].isna().all()

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.bench.record import read_all
-from tdgbench.experiments.priors.run import Priors
+from tdgbench.experiments.priors import Priors
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL, config
 

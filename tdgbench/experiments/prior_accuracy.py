@@ -1,0 +1,164 @@
+"""Error of a depth prior against known depth, after the alignment that its kind needs.
+
+AbsRel and δ are those of Eigen et al. 2014 (NIPS, "Depth Map Prediction from a Single Image using a Multi-Scale Deep
+Network"). Scale and shift are fitted by least squares per view: of disparities to 1/z as for MiDaS (Ranftl et al. 2020,
+section 5), of affine-invariant depths to z as for Marigold (Ke et al. 2024, section 4). Metric depths are scaled by the
+ratio of medians (Zhou et al. 2017), since the unit of a COLMAP model is arbitrary.
+
+Known is the true depth of built-in scenes, else that of every second sparse point of structure from motion. A prior
+that is made from points gets the others: none is judged by what it was made from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from scipy.stats import spearmanr
+
+from tdgbench.priors import DepthPrior, PriorError, estimate_all, prepare
+from tdgbench.priors.prior import Kind
+from tdgbench.priors.visible import visible_points
+from tdgbench.scenes import PointCloud, Scene, View
+
+DELTA = 1.25
+GRID_WIDTH = 160  # columns of the grid on which points hide others, as in conf/prior/sfm_points.yaml
+OCCLUSION = 0.1  # as there
+MIN_POINTS = 20  # of a view that is judged
+
+
+class Accuracy(NamedTuple):
+    """Error of one map, or means over maps."""
+
+    abs_rel: float  # mean of |z − z_true| / z_true
+    delta: float  # share of pixels with max(z / z_true, z_true / z) < 1.25
+    rank: float  # Spearman's rank correlation with depth, in [−1, 1]; needs no alignment
+
+
+class Judged(NamedTuple):
+    """A prior on a scene. views: its error by training view; those that show too little known depth are left out."""
+
+    kind: str = ""
+    views: dict[str, Accuracy] = {}  # noqa: RUF012 (never changed)
+    reason: str = ""  # why there is no prior; then the rest is empty
+
+    @property
+    def mean(self) -> Accuracy | None:
+        """Means over the views; None without any."""
+        return Accuracy(*map(float, np.mean(list(self.views.values()), axis=0))) if self.views else None
+
+
+class KnownDepth(NamedTuple):
+    """True z at pixels; all arrays have shape (N,)."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    z: np.ndarray  # world units
+
+
+def judge(prior: DictConfig, scene: Scene, cache: Path | None) -> Judged:
+    """Judge a prior, configured as in `conf/prior/`, on a scene. cache: see `estimate_all`."""
+    given, points = halves(scene)
+    try:
+        estimator = instantiate(prior.estimator)
+        prepare(estimator)
+        maps, _ = estimate_all(estimator, given if prior.get("made_from") == "points" else scene, cache)
+    except PriorError as error:
+        return Judged(reason=str(error).splitlines()[0])
+    kind = next(iter(maps.values())).kind
+    if not source(scene):
+        return Judged(kind)
+    found = {view.name: _of_view(maps[view.name], known_depth(view, points)) for view in scene.train}
+    return Judged(kind, {name: one for name, one in found.items() if one is not None})
+
+
+def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:
+    """Error of a map where depth is known and the prior is finite; None where that is too little."""
+    if known is None:
+        return None
+    values = prior.values[known.rows, known.columns]
+    finite = np.isfinite(values)
+    return accuracy(values[finite], prior.kind, known.z[finite]) if finite.sum() >= MIN_POINTS else None
+
+
+def source(scene: Scene) -> str:
+    """What is known of a scene's depth; empty if nothing is."""
+    if all(view.true_depth_path is not None for view in scene.train):
+        return "true depth"
+    return "" if scene.points is None else "SfM points"
+
+
+def halves(scene: Scene) -> tuple[Scene, np.ndarray]:
+    """The scene with every second sparse point, and the other points (N, 3)."""
+    if scene.points is None:
+        return scene, np.zeros((0, 3))
+    given = PointCloud(scene.points.points[::2], scene.points.colors[::2])
+    return replace(scene, points=given, fingerprint=f"{scene.fingerprint}-half"), scene.points.points[1::2]
+
+
+def known_depth(view: View, points: np.ndarray) -> KnownDepth | None:
+    """Known depth in a view's measured pixels; None where that is less than MIN_POINTS. points: (N, 3), the truth."""
+    known = _of_points(view, points) if view.true_depth is None else _of_map(view.true_depth)
+    valid = view.valid
+    if valid is not None:
+        known = KnownDepth(*(one[valid[known.rows, known.columns]] for one in known))
+    return known if len(known.z) >= MIN_POINTS else None
+
+
+def _of_map(depth: np.ndarray) -> KnownDepth:
+    rows, columns = np.nonzero(depth > 0)
+    return KnownDepth(rows, columns, depth[rows, columns].astype(np.float64))
+
+
+def _of_points(view: View, points: np.ndarray) -> KnownDepth:
+    camera = view.camera
+    width = min(GRID_WIDTH, camera.width)
+    grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    seen = visible_points(grid, points, OCCLUSION)
+    columns, rows = camera.project(points[seen.number])[0].astype(int).T
+    inside = (columns < camera.width) & (rows < camera.height)
+    return KnownDepth(rows[inside], columns[inside], seen.z[inside])
+
+
+def accuracy(values: np.ndarray, kind: Kind, truth: np.ndarray) -> Accuracy:
+    """Accuracy of prior values (N,) against true z (N,), both finite, z > 0.
+
+    >>> z = np.array([1.0, 2.0, 4.0])
+    >>> [round(number, 6) for number in accuracy(3 / z - 7, "disparity", z)]
+    [0.0, 1.0, 1.0]
+    """
+    depth = aligned(values.astype(np.float64), kind, truth)
+    ratio = np.maximum(depth / truth, truth / depth)
+    sign = -1.0 if kind == "disparity" else 1.0
+    return Accuracy(
+        float((np.abs(depth - truth) / truth).mean()),
+        float((ratio < DELTA).mean()),
+        sign * float(spearmanr(values, truth).statistic) if np.ptp(values) > 0 and np.ptp(truth) > 0 else np.nan,
+    )
+
+
+def aligned(values: np.ndarray, kind: Kind, truth: np.ndarray) -> np.ndarray:
+    """Depths z (N,) that fit the truth (N,) best, within the truth's range (MiDaS clips to the data set's).
+
+    >>> aligned(np.array([1.0, 2.0, 4.0]), "metric", np.array([2.0, 4.0, 6.0])).tolist()
+    [2.0, 4.0, 6.0]
+    """
+    if kind == "metric":
+        depth = values * (np.median(truth) / np.median(values))
+    elif kind == "depth":
+        depth = _fitted(values, truth)
+    else:
+        inverse = np.clip(_fitted(values, 1 / truth), 1 / truth.max(), 1 / truth.min())
+        depth = 1 / inverse
+    return np.clip(depth, truth.min(), truth.max())
+
+
+def _fitted(values: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """s · values + t with the s and t that minimise the squared distance to the target; a negative s is allowed."""
+    terms = np.column_stack([values, np.ones_like(values)])
+    scale, shift = np.linalg.lstsq(terms, target, rcond=None)[0]
+    return scale * values + shift

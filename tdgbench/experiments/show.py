@@ -1,0 +1,44 @@
+"""Tables of experiments on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+
+def show(table: pd.DataFrame, console: Console, title: str = "") -> None:
+    """Print a table."""
+    view = Table(*map(str, table.columns), title=title or None)
+    for row in table.itertuples(index=False):
+        view.add_row(*(_text(value) for value in row))
+    console.print(view)
+
+
+def as_text(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
+    """Some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
+
+    >>> as_text(pd.DataFrame({"psnr": [24.061, np.nan]}), {"psnr": ("PSNR", "{:.2f} dB")})["PSNR"].tolist()
+    ['24.06 dB', 'n/a']
+    """
+    return pd.DataFrame(
+        {
+            title: ["n/a" if pd.isna(value) else form.format(value) for value in table[name]]
+            for name, (title, form) in columns.items()
+        }
+    )
+
+
+def _text(value: object) -> str:
+    """Three digits of a number; yes or nothing for a Boolean."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else ""
+    if not isinstance(value, float):
+        return str(value)
+    if np.isnan(value):
+        return "n/a"
+    size = abs(value)
+    return f"{value:.1e}" if 0 < size < 1e-2 else f"{value:,.0f}" if size >= 1000 else f"{value:.3g}"

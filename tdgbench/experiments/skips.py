@@ -1,0 +1,190 @@
+"""`+experiment=skips`: what each skip saves and costs, alone and together; its cells have the skip on and off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from omegaconf import DictConfig
+
+from tdgbench.bench.record import Record
+from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.matrix import Axes, Choice, MatrixOptions, check_all_ran, run_cells, table_of, values_of
+from tdgbench.experiments.preparation import prepare_prior
+from tdgbench.experiments.show import as_text, show
+from tdgbench.files import write_text
+from tdgbench.report.figures import save_figure
+from tdgbench.tables.as_csv import as_csv
+from tdgbench.terminal import console, say
+from tdgbench.training.skips.registry import find_skips
+
+NAMES = tuple(find_skips())
+NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
+TOGETHER = "all together"  # the row of the variant ALL
+MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
+QUALITY = ("psnr", "ssim", "lpips")
+SHOWN = {  # on the terminal: title, format
+    "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
+    "slower_without": ("slower without", "{:.2f} ×"), "psnr_worst": ("worst PSNR, dB", "{:+.3f}"),
+    "psnr_error": ("±", "{:.3f}"), "ssim_worst": ("worst SSIM", "{:+.4f}"), "ssim_error": (" ±", "{:.4f}"),
+    "default": ("default may be", "{}"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SkipAblationOptions(MatrixOptions):
+    """Options in `cfg.job`: what to run; skips outside of `skips` are off in all cells."""
+
+    skips: list[str]
+
+
+class SkipAblation(Experiment):
+    """Cells with each skip alone, with all but one, with all and with none."""
+
+    options = SkipAblationOptions
+    sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]"}
+
+    def start(self, cfg: DictConfig) -> None:
+        """Raises PriorUnavailableError if the cells' prior is not available."""
+        prepare_prior(cfg)
+
+    def run(self, cfg: DictConfig) -> None:
+        """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
+        self.check(cfg)
+        cells = run_cells(cfg, axes(cfg))
+        rows = with_changes(table_of(cells, numbers))
+        if not rows.empty:
+            folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.job.skips))
+            write_text(folder / "skips_cells.csv", as_csv(rows))
+            write_text(folder / "skips.csv", as_csv(table))
+            draw(table, folder / "skips.png")
+            show(as_text(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
+            say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
+        check_all_ran(cells)
+
+
+def axes(cfg: DictConfig) -> Axes:
+    """Scenes, seeds, and the variants, each of which switches every skip on or off."""
+    usual = {name: bool(cfg.skip.get(name, True)) for name in NAMES}
+    switched = [
+        Choice(label, {f"skip.{name}": on for name, on in skips.items()}, label)
+        for label, skips in variants(list(cfg.job.skips), usual).items()
+    ]
+    return {"scene": values_of("scene", cfg.job.scenes), "seed": values_of("seed", cfg.job.seeds), "variant": switched}
+
+
+def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
+    """Skips that each variant allows, by label; skips outside of `names` are off in all variants.
+
+    usual: whether each skip is on by default. The variant `all` has those of `names` that are on by default, and only
+    these have a variant without them. Raises ValueError for an unknown name.
+
+    >>> list(variants(["gray"], dict.fromkeys(NAMES, True)))
+    ['none', 'all', 'only gray', 'without gray']
+    """
+    unknown = set(names) - set(NAMES)
+    if unknown:
+        raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+    together = {name: name in names and usual[name] for name in NAMES}
+    found = {NONE: dict.fromkeys(NAMES, False), ALL: together}
+    for name in names:
+        found[ALONE.format(name)] = {**found[NONE], name: True}
+        if usual[name]:
+            found[WITHOUT.format(name)] = {**together, name: False}
+    return found
+
+
+def numbers(record: Record) -> dict[str, Any]:
+    """Numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
+    taken = [skip for skip in record.skips if skip["taken"]]
+    return {
+        "train_seconds": record.seconds["train"],
+        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in ("load", "images", "prior", "init")),
+        "iterations": record.iterations,
+        "gaussians": sum(record.gaussians.values()),
+        "peak_rss_mb": record.peak_rss_mb,
+        **{metric: record.scores.get(metric) for metric in QUALITY},
+        "left_out": "; ".join(f"{skip['name']}: {skip['saved']} ({skip['reason']})" for skip in taken),
+    }
+
+
+def with_changes(table: pd.DataFrame) -> pd.DataFrame:
+    """The cells with `change of …`: against the cell of the same scene and seed that has every skip off."""
+    if table.empty:
+        return table
+    base = table[table["variant"] == NONE].set_index(["scene", "seed"])
+    places = list(zip(table["scene"], table["seed"], strict=True))
+    against = base.reindex(places)[list(QUALITY)].apply(pd.to_numeric)
+    changes = {f"change of {m}": pd.to_numeric(table[m]) - against[m].to_numpy() for m in QUALITY}
+    return table.assign(**changes)
+
+
+def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
+    """One row per skip, and one for all together.
+
+    faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
+    one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
+    is worst (mean over seeds). psnr_error, ssim_error: standard error of that mean (NaN for one seed). keep: whether
+    the skip may be on by default, because no scene loses more than MAX_LOSS by more than two standard errors.
+    """
+    rows = []
+    for name, variant in (*((name, ALONE.format(name)) for name in names), (TOGETHER, ALL)):
+        psnr, psnr_error, psnr_ok = _worst(table, variant, "psnr")
+        ssim, ssim_error, ssim_ok = _worst(table, variant, "ssim")
+        rows.append(
+            {
+                "skip": name, "taken_on": "" if variant == ALL else _taken(table, variant, name),
+                "faster_alone": _ratio(table, NONE, variant),
+                "slower_without": _ratio(table, WITHOUT.format(name), ALL),
+                "memory_alone": _ratio(table, NONE, variant, "peak_rss_mb"),
+                "psnr_worst": psnr, "psnr_error": psnr_error, "ssim_worst": ssim, "ssim_error": ssim_error,
+                "keep": psnr_ok and ssim_ok,
+            }
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float, bool]:
+    """Change of a metric on the worst scene, its standard error, and whether every scene is within MAX_LOSS."""
+    by_scene = table[table["variant"] == variant].groupby("scene")[f"change of {metric}"]
+    mean, error = by_scene.mean(), by_scene.sem()
+    if mean.dropna().empty:
+        return float("nan"), float("nan"), False
+    acceptable = bool((mean + 2 * error.fillna(0.0) >= -MAX_LOSS[metric]).all())
+    return float(mean.min()), float(error[mean.idxmin()]), acceptable
+
+
+def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
+    """Geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
+    both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column)
+    if slow not in both or fast not in both:
+        return float("nan")
+    return float(np.exp(np.log(both[slow] / both[fast]).mean()))
+
+
+def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
+    """Scenes on which the skip was taken."""
+    cells = table[table["variant"] == variant]
+    taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
+    return ", ".join(dict.fromkeys(taken["scene"])) or "none"
+
+
+def draw(table: pd.DataFrame, target: Path) -> None:
+    """Draw how much faster training is with each skip alone, and how much slower without it."""
+    figure = Figure(figsize=(8, 0.5 * len(table) + 1.2), layout="constrained")
+    panel = figure.subplots()
+    rows = range(len(table))
+    panel.barh([r - 0.2 for r in rows], table["faster_alone"], height=0.38, label="none → this one: times faster")
+    panel.barh([r + 0.2 for r in rows], table["slower_without"], height=0.38, label="all → without it: times slower")
+    labels = [f"{r.skip} (worst PSNR {r.psnr_worst:+.2f} dB)" for r in table.itertuples()]
+    panel.set_yticks(list(rows), labels)
+    panel.invert_yaxis()
+    panel.axvline(1.0, color="black", linewidth=0.8)
+    panel.set_xlabel("ratio of training times (geometric mean over scenes)")
+    panel.legend(fontsize=8)
+    save_figure(figure, target)

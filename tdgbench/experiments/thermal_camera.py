@@ -1,0 +1,220 @@
+"""`+experiment=thermal_camera`: each method on captures with known errors of the thermal camera, with each `camera`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from hydra.utils import instantiate
+from matplotlib.figure import Figure
+from omegaconf import DictConfig, OmegaConf
+from pydantic import Field
+
+from tdgbench.bench.key import as_json
+from tdgbench.bench.record import Record
+from tdgbench.experiments.camera_response import ERRORS, Comparison, compare, draw_cameras
+from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.matrix import (
+    Axes,
+    Choice,
+    MatrixCell,
+    MatrixOptions,
+    check_all_ran,
+    groups_of,
+    run_cells,
+    table_of,
+    values_of,
+)
+from tdgbench.experiments.preparation import prepare_prior
+from tdgbench.experiments.show import as_text, show
+from tdgbench.files import write_text
+from tdgbench.report.figures import plain, save_figure
+from tdgbench.scenes.synthetic.drifting import DriftingDataset
+from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.tables.as_csv import as_csv
+from tdgbench.terminal import console, say
+
+SCORES = (
+    "psnr", "ssim", "lpips", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC", "mae_degC_without_offset",
+)  # fmt: skip
+PLACE = ["scene", "capture", "method", "camera"]
+JUDGED = "psnr_true"  # by which what is lost and recovered is measured
+FALLBACK = "psnr_affine"  # drawn where there are no true temperatures
+LOST = 0.5  # dB; of a smaller loss no share is told
+SHOWN = {  # on the terminal: title, format
+    "capture": ("capture", "{}"), "method": ("method", "{}"), "camera": ("camera", "{}"), "psnr": ("PSNR", "{:.2f}"),
+    "psnr_affine": ("affine", "{:.2f}"), "psnr_right_half": ("right half", "{:.2f}"), "psnr_true": ("true", "{:.2f}"),
+    "psnr_true_error": ("±", "{:.2f}"), "recovered": ("recovered", "{:.0%}"), "ssim": ("SSIM", "{:.3f}"),
+    "mae_degC": ("°C", "{:.3f}"), "mae_degC_without_offset": ("°C, no offset", "{:.3f}"),
+    "offset_degC_worst": ("offset °C", "{:.3f}"), "gain_worst": ("gain", "{:.4f}"),
+    "vignette_degC_worst": ("vignette °C", "{:.3f}"), "train_seconds": ("train s", "{:.1f}"),
+    "camera_seconds": ("camera s", "{:.1f}"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ThermalCameraOptions(MatrixOptions):
+    """Options in `cfg.job`: what is combined.
+
+    captures: errors by name, as `dataset.loader.errors.camera`, and noise_degC. cameras: as in `conf/camera/`.
+    """
+
+    methods: Annotated[dict[str, Any], Field(min_length=1)]
+    captures: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+    cameras: Annotated[dict[str, Any], Field(min_length=1)]
+
+
+class ThermalCameraExperiment(Experiment):
+    """Cells of all combinations, their tables and pictures."""
+
+    options = ThermalCameraOptions
+    sets: ClassVar[Mapping[str, str]] = {
+        "scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]", "method": "job.methods", "camera": "job.cameras",
+    }  # fmt: skip
+
+    def start(self, cfg: DictConfig) -> None:
+        """Raises PriorUnavailableError if a method needs a prior that is not available."""
+        for method in cfg.job.methods.values():
+            cell = cfg.copy()
+            cell.method = method
+            prepare_prior(cell)
+
+    def run(self, cfg: DictConfig) -> None:
+        """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
+        self.check(cfg)
+        folder, cells = Path(cfg.results) / cfg.name, run_cells(cfg, axes(cfg))
+        compared = comparisons(cells)
+        rows = table_of(cells, lambda record: numbers(record, compared.get(record.title)))
+        if not rows.empty:
+            table = summary(rows, *baseline(cfg))
+            write_text(folder / "thermal_camera_cells.csv", as_csv(rows, na_rep="n/a"))
+            write_text(folder / "thermal_camera.csv", as_csv(table, na_rep="n/a"))
+            draw_scores(table, folder / "scores.png")
+            draw_cameras(list(compared.values()), folder / "cameras.png")
+            for scene, of_scene in table.groupby("scene", sort=False):
+                title = f"{scene}: what the thermal camera costs, and what comes back"
+                show(as_text(of_scene, SHOWN), console(), title)
+            say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}")
+        check_all_ran(cells)
+
+
+def axes(cfg: DictConfig) -> Axes:
+    """Scenes, captures with errors of the camera, methods, the choices of `camera`, and seeds."""
+    job = cfg.job
+    captures = [Choice(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
+    return {
+        "scene": values_of("scene", job.scenes),
+        "capture": captures,
+        "method": groups_of("method", job.methods),
+        "camera": groups_of("camera", job.cameras, variant="camera"),
+        "seed": values_of("seed", job.seeds),
+    }
+
+
+def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
+    """The configured data set, seen by a camera with the errors of a capture, which a cell's seed draws."""
+    of_camera = {name: value for name, value in errors.items() if name != "noise_degC"}
+    return {
+        "_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset",
+        "inner": OmegaConf.to_container(cfg.dataset.loader, resolve=True),
+        "errors": {"_target_": "tdgbench.scenes.synthetic.ThermalErrors", **of_camera},
+        "noise_degC": errors.get("noise_degC", 0.0),
+        "seed": "${seed}",
+    }
+
+
+def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
+    """The capture without errors and the camera that does nothing, by their options; None where there is none."""
+    clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
+    ideal = (str(name) for name, camera in cfg.job.cameras.items() if not camera.estimate)
+    return next(clean, None), next(ideal, None)
+
+
+def comparisons(cells: Sequence[MatrixCell]) -> dict[str, Comparison]:
+    """True and found cameras of the finished cells that have temperatures, by the title of the cell."""
+    truths: dict[tuple[Any, ...], tuple[CameraTruth, list[str]]] = {}
+    found = {}
+    for cell in cells:
+        if cell.record is None or not _has_errors(cell.record, cell.cfg.dataset.loader):
+            continue  # a result of other options, which overwrite=never has kept
+        key = (cell.record.scene, cell.labels["capture"], cell.labels["seed"])
+        if key not in truths:
+            dataset: DriftingDataset = instantiate(cell.cfg.dataset.loader)
+            train = [view.name for view in dataset.outline(cell.record.scene).scene.train]
+            truths[key] = dataset.truth(cell.record.scene), train
+        comparison = compare(cell.record, cell.labels, *truths[key])
+        if comparison is not None:
+            found[cell.record.title] = comparison
+    return found
+
+
+def _has_errors(record: Record, loader: DictConfig) -> bool:
+    """Whether a cell was trained on captures with the errors of this loader."""
+    options = as_json(OmegaConf.to_container(loader, resolve=True))
+    return all(record.setting(f"dataset.{name}") == options[name] for name in ("errors", "noise_degC", "seed"))
+
+
+def numbers(record: Record, compared: Comparison | None) -> dict[str, Any]:
+    """Numbers of a cell: scores, seconds, errors of the camera's parameters; NaN where there is none."""
+    errors = {} if compared is None else compared.errors
+    scores = {name: record.scores.get(name) for name in SCORES}
+    return {
+        **{name: np.nan if score is None else score for name, score in scores.items()},
+        "train_seconds": record.seconds["train"],
+        "camera_seconds": record.seconds.get("camera", 0.0),
+        "iterations": record.iterations,
+        "gaussians": sum(record.gaussians.values()),
+        **{name: errors.get(name, np.nan) for name in ERRORS},
+        "notes": "; ".join(note for note in record.notes if note.startswith("camera: ")),
+    }
+
+
+def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.DataFrame:
+    """Means over the seeds.
+
+    clean, ideal: the capture without errors and the camera that does nothing. recovered: share of what a capture's
+    errors cost the ideal camera in PSNR to the true temperatures that another camera brings back, a mean over the seeds
+    that have all it needs. psnr_true_error: standard error of the mean; NaN for one seed.
+    """
+    cells = cells.assign(recovered=_recovered(cells, clean, ideal))
+    groups = cells.groupby(PLACE, sort=False)
+    means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes")]].mean()
+    means.insert(0, "seeds", groups["seed"].nunique())
+    return means.assign(**{f"{JUDGED}_error": groups[JUDGED].sem()}).reset_index()
+
+
+def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
+    """Share of the lost PSNR that comes back in each cell; NaN where little was lost, or its seed lacks a cell."""
+    score = cells.set_index([*PLACE, "seed"])[JUDGED].to_dict()
+    found = []
+    for row in cells.itertuples():
+        best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)
+        without = score.get((row.scene, row.capture, row.method, ideal, row.seed), np.nan)
+        is_told = best - without >= LOST and row.capture != clean and row.camera != ideal
+        found.append((getattr(row, JUDGED) - without) / (best - without) if is_told else np.nan)
+    return found
+
+
+def draw_scores(table: pd.DataFrame, target: Path) -> None:
+    """Draw bars: a group per capture, a bar per camera, a panel per scene and method."""
+    score = JUDGED if table[JUDGED].notna().any() else FALLBACK
+    panels = list(table.groupby(["scene", "method"], sort=False))
+    cameras = list(dict.fromkeys(table["camera"]))
+    figure = Figure(figsize=(9, 2.6 * len(panels) + 0.4), layout="constrained")
+    axes = figure.subplots(len(panels), squeeze=False)[:, 0]
+    for panel, ((scene, method), rows) in zip(axes, panels, strict=True):
+        captures = list(dict.fromkeys(rows["capture"]))
+        for index, camera in enumerate(cameras):
+            values = rows[rows["camera"] == camera].set_index("capture")[score].reindex(captures)
+            places = np.arange(len(captures)) + (index - (len(cameras) - 1) / 2) * 0.8 / len(cameras)
+            panel.bar(places, values, width=0.8 / len(cameras), label=plain(camera))
+        panel.set_xticks(range(len(captures)), [plain(name) for name in captures])
+        panel.set_title(plain(f"{scene}, {method}"), fontsize=9)
+        panel.set_ylabel("PSNR to true T, dB" if score == JUDGED else "PSNR after gain and offset, dB", fontsize=8)
+        panel.set_ylim(bottom=max(0.0, float(np.nan_to_num(rows[score].min())) - 3))
+    axes[0].legend(fontsize=8, ncols=len(cameras))
+    save_figure(figure, target)

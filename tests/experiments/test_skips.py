@@ -1,0 +1,122 @@
+import pandas as pd
+import pytest
+
+from tdgbench.bench.record import Record, read_all
+from tdgbench.experiments.matrix import MatrixCell, run_cells, table_of
+from tdgbench.experiments.skips import NAMES, SkipAblation, axes, numbers, summary, variants, with_changes
+from tests.helpers.configs import SMALL, config
+
+
+def test_variants():
+    usual = {**dict.fromkeys(NAMES, True), "prior": False}
+    made = variants(["gray", "depth", "prior"], usual)
+    assert list(made) == ["none", "all", "only gray", "without gray", "only depth", "without depth", "only prior"]
+    on = {label: [name for name, is_on in options.items() if is_on] for label, options in made.items()}
+    assert on["none"] == [] and on["all"] == ["gray", "depth"] and on["only prior"] == ["prior"]
+    assert on["only gray"] == ["gray"] and on["without depth"] == ["gray"]
+    with pytest.raises(ValueError, match="there is no skip grey"):
+        variants(["grey"], usual)
+
+
+def test_cells_of_every_variant(tmp_path, data_root, capsys):
+    cfg = config(
+        "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
+        "job.scenes=[turntable]", "job.skips=[gray]",
+    )  # fmt: skip
+    cells = run_cells(cfg, axes(cfg))
+    assert [cell.outcome.status for cell in cells] == ["ok"] * 4
+    assert [cell.labels["variant"] for cell in cells] == ["none", "all", "only gray", "without gray"]
+    assert capsys.readouterr().err.count("done") == 4
+    records = {r.variant: r for r in read_all(tmp_path / "skips")}
+    assert {cell.labels["variant"]: cell.record for cell in cells} == records
+    assert {name: r.channels for name, r in records.items()} == {
+        "none": 3, "all": 1, "only gray": 1, "without gray": 3,
+    }  # fmt: skip
+    skips = {s["name"]: s for s in records["all"].skips}
+    assert skips["gray"]["taken"] and skips["gray"]["saved"] == "2 of 3 channels"
+    assert not skips["rgb"]["taken"] and skips["rgb"]["reason"] == "switched off"
+    assert all(s["reason"] == "switched off" for s in records["none"].skips)
+    assert [cell.outcome.status for cell in run_cells(cfg, axes(cfg))] == ["kept"] * 4
+
+
+def rows_of(records):
+    cells = [MatrixCell({"scene": r.scene, "seed": r.seed, "variant": r.variant}, None, None, r) for r in records]
+    return with_changes(table_of(cells, numbers))
+
+
+def record(scene, variant, seconds, psnr, ssim=0.9, taken=()):
+    skips = [{"name": n, "allowed": True, "taken": True, "reason": "so", "saved": "much"} for n in taken]
+    return Record(
+        method="tdg", dataset="synthetic", scene=scene, init="colmap", seed=0, experiment="skips", variant=variant,
+        seconds={"train": seconds, "load": 1.0}, scores={"psnr": psnr, "ssim": ssim, "lpips": None}, skips=skips,
+        gaussians={"thermal": 5}, peak_rss_mb=100.0, iterations=10,
+    )  # fmt: skip
+
+
+RECORDS = [
+    record("a", "none", 8.0, 30.0), record("a", "all", 2.0, 29.99, taken=["gray"]),
+    record("a", "only gray", 4.0, 30.0, taken=["gray"]), record("a", "without gray", 4.0, 30.0),
+    record("b", "none", 8.0, 30.0), record("b", "all", 8.0, 29.9), record("b", "only gray", 8.0, 30.02),
+    record("b", "without gray", 8.0, 30.0),
+]  # fmt: skip
+
+
+def test_rows_compare_with_the_same_scene_without_skips():
+    table = rows_of(RECORDS).set_index(["scene", "variant"])
+    assert table.loc[("a", "all"), "change of psnr"] == pytest.approx(-0.01)
+    assert table.loc[("b", "all"), "change of psnr"] == pytest.approx(-0.1)
+    assert table.loc[("a", "all"), "left_out"] == "gray: much (so)" and table.loc[("a", "none"), "left_out"] == ""
+
+
+def test_summary():
+    table = summary(rows_of(RECORDS), ["gray"]).set_index("skip")
+    assert table.loc["gray", "faster_alone"] == pytest.approx(2**0.5)
+    assert table.loc["gray", "slower_without"] == pytest.approx(2**0.5)
+    assert table.loc["gray", "taken_on"] == "a" and bool(table.loc["gray", "keep"])
+    assert table.loc["all together", "faster_alone"] == pytest.approx(2.0)
+    assert table.loc["all together", "psnr_worst"] == pytest.approx(-0.1) and not table.loc["all together", "keep"]
+
+
+def test_a_loss_within_the_noise_of_the_seeds_is_none():
+    changes = {"a": [-0.3, 0.2, 0.1], "b": [-0.11, -0.10, -0.12]}
+
+    def cells(scene):
+        for seed, change in enumerate(changes[scene]):
+            for variant, psnr in (("none", 30.0), ("only gray", 30.0 + change)):
+                one = record(scene, variant, 1.0, psnr)
+                one.seed = seed
+                yield one
+
+    noisy = summary(rows_of(list(cells("a"))), ["gray"]).iloc[0]
+    assert noisy["keep"] and noisy["psnr_worst"] == pytest.approx(0.0) and noisy["psnr_error"] > 0.1
+    steady = summary(rows_of([*cells("a"), *cells("b")]), ["gray"]).iloc[0]
+    assert not steady["keep"] and steady["psnr_worst"] == pytest.approx(-0.11)
+
+
+def overrides(tmp_path, data_root):
+    return (
+        "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
+        "job.skips=[depth]",
+    )  # fmt: skip
+
+
+def test_tables_and_picture(tmp_path, data_root, capsys):
+    SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable]"))
+    table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
+    assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "turntable"
+    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
+    assert (tmp_path / "skips" / "skips.png").stat().st_size > 5000
+    assert "faster" in capsys.readouterr().out
+
+
+def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, capsys):
+    with pytest.raises(SystemExit):
+        SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable, nowhere]"))
+    assert "nowhere" in capsys.readouterr().out
+    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
+
+
+def test_cells_of_another_method_in_the_folder_have_no_part(tmp_path, data_root):
+    for method in ("splat", "tdg"):
+        SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "job.scenes=[turntable]"))
+    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
