@@ -95,7 +95,7 @@ def time_steps(model: SplatModel, views: list[Camera], channels: int, depth: boo
             render = model.render(views[turn % len(views)], depth=depth)
             loss = thermal(render.image, target, 0.2, 0.6, "reference")
             (loss if render.depth is None else loss + 1e-3 * render.depth.mean()).backward()
-            model.finish(ITERATION)
+            model.step(ITERATION)
             whole = time.process_time() - start
             if turn >= WARM_UP:
                 for part, seconds in {**spent, REMAINDER: whole - sum(spent.values()), "whole step": whole}.items():

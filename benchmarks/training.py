@@ -23,12 +23,11 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.setup import set_up
 from tdgbench.resources import conf_folder
-from tdgbench.scenes import Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
 from tdgbench.training.loop import train
-from tdgbench.training.method import Method
+from tdgbench.training.trainer import Trainer
 
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
@@ -108,49 +107,49 @@ def part_of_kernel(kernel, _arguments) -> str:
 def measure_step(cfg: DictConfig, steps: int) -> StepCost:
     """Train the configured method: `steps` steps to warm up, as many to measure, then as many in turns with renders."""
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    method = set_up(cfg, scene).method
-    train(method, steps)
+    cfg.budget.iterations = steps
+    trainer = set_up(cfg, scene).trainer
+    train(trainer)
     profile = StepProfile()
     with profile.watch():
         start = time.perf_counter()
-        train(method, steps)
+        train(trainer)
         total = time.perf_counter() - start
     seconds = {**profile.seconds, REMAINDER: total - sum(profile.seconds.values())}
     parts = pd.DataFrame([{"part": part, "ms": 1e3 * s / steps} for part, s in seconds.items()])
     parts = parts.sort_values("ms", ascending=False)
     parts["share"] = parts["ms"] / (1e3 * total / steps)
-    return StepCost(parts, *_steps_and_renders(method, scene, steps), sum(len(m) for m in method.models().values()))
+    return StepCost(parts, *_steps_and_renders(trainer, steps), sum(len(m) for m in trainer.gaussians.values()))
 
 
-def _steps_and_renders(method: Method, scene: Scene, steps: int) -> tuple[float, float]:
+def _steps_and_renders(trainer: Trainer, steps: int) -> tuple[float, float]:
     """Milliseconds of a training step, and of rendering every model forward and backward, in turns."""
     seconds = {"step": 0.0, "render": 0.0}
-    with_depth = method.step(1).thermal.depth is not None
-    for turn in range(max(1, steps // len(scene.train))):
-        for view in scene.train:  # a round of steps uses every view once, as do the renders
+    views, with_depth = trainer.whole.scene.train, trainer.method.step(1).render.depth is not None
+    for turn in range(max(1, steps // len(views))):
+        for view in views:  # a round of steps uses every view once, as do the renders
             start = time.perf_counter()
-            _step(method)
+            _step(trainer)
             middle = time.perf_counter()
-            for model in method.models().values():
+            for model in trainer.gaussians.values():
                 render = model.render(view.camera, depth=with_depth)
                 outputs = [render.image, *([render.depth] if render.depth is not None else [])]
                 torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
                 model.take_gradients()
             end = time.perf_counter()
-            if turn > 0 or steps < 2 * len(scene.train):
+            if turn > 0 or steps < 2 * len(views):
                 seconds["step"] += middle - start
                 seconds["render"] += end - middle
-    count = len(scene.train) * max(1, steps // len(scene.train) - 1)
+    count = len(views) * max(1, steps // len(views) - 1)
     return 1e3 * seconds["step"] / count, 1e3 * seconds["render"] / count
 
 
-def _step(method: Method) -> None:
-    models = method.models().values()
-    for model in models:
-        model.begin(1)
-    method.step(1).loss.backward()
-    for model in models:
-        model.finish(1)
+def _step(trainer: Trainer) -> None:
+    for part in trainer.parts.values():
+        part.begin(1)
+    trainer.method.step(1).loss.backward()
+    for part in trainer.parts.values():
+        part.step(1)
 
 
 def main() -> None:

@@ -21,9 +21,9 @@ from tdgbench.files import write_text
 from tdgbench.report.figures import save_figure
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
-from tdgbench.training.skips.registry import find_skips
+from tdgbench.training.skips import RULES, SWITCHES
 
-NAMES = tuple(find_skips())
+NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
@@ -69,12 +69,14 @@ class SkipAblation(Experiment):
 
 
 def axes(cfg: DictConfig) -> Axes:
-    """Scenes, seeds, and the variants, each of which switches every skip on or off."""
-    usual = {name: bool(cfg.skip.get(name, True)) for name in NAMES}
-    switched = [
-        Choice(label, {f"skip.{name}": on for name, on in skips.items()}, label)
-        for label, skips in variants(list(cfg.job.skips), usual).items()
-    ]
+    """Scenes, seeds, and the variants, each of which switches every skip on or off; a rule that is off is null."""
+    usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
+    usual |= {name: cfg.budget.get(name) is not None for name in RULES}
+    switched = []
+    for label, skips in variants(list(cfg.job.skips), usual).items():
+        changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
+        changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
+        switched.append(Choice(label, changes, label))
     return {"scene": values_of("scene", cfg.job.scenes), "seed": values_of("seed", cfg.job.seeds), "variant": switched}
 
 

@@ -18,7 +18,7 @@ from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.training.budget import Budget
-from tdgbench.training.loop import TrainingLog, stopping_of, train
+from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 
@@ -69,16 +69,16 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, dict(run.options)))
-    method, context, scene, response = set_up(cfg, scene, method=unready, skips=skips)
+    trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips)
     scorer: Scorer = instantiate(cfg.metrics)
-    sampled = _sampled_iterations(context.budget, samples)
+    sampled = _sampled_iterations(trainer.whole.budget, samples)
     rows: list[dict[str, Any]] = []
 
     def sample(log: TrainingLog) -> None:
         if log.iterations not in sampled and not log.ended:
             return
-        scores = mean_scores(score_views(method, scene, scorer, response))
-        gaussians = sum(len(model) for model in method.models().values())
+        scores = mean_scores(score_views(trainer, scene, scorer, response))
+        gaussians = sum(len(model) for model in trainer.gaussians.values())
         rows.append(
             {
                 "scene": scene.name, "label": run.label, "iteration": log.iterations,
@@ -87,7 +87,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )  # fmt: skip
 
-    train(method, context.budget.iterations, stopping=stopping_of(method, context), on_model=sample)
+    train(trainer, on_model=sample)
     return pd.DataFrame(rows)
 
 
