@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from tdgbench.priors import DepthPrior
-from tdgbench.scenes import PointCloud, Scene, View
+from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
@@ -26,6 +26,22 @@ from tdgbench.training.settling import hold_out
 from tdgbench.training.skips import Skips
 
 P = TypeVar("P", bound=Part)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What is rendered: a camera, and the view that was taken there, if one was."""
+
+    camera: Camera
+    index: int | None = None  # of the view among all of the scene, in the order of their names
+    time: float = 0.0  # of the view, 0 (the first) to 1 (the last)
+
+
+def frames_of(scene: Scene) -> dict[str, Frame]:
+    """Return the frame of each view of a scene, by name; they are numbered, and timed from 0 to 1, in this order."""
+    views = sorted(scene.views, key=lambda view: view.name)
+    last = max(len(views) - 1, 1)
+    return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
 
 
 class ViewOrder(RandomStream):
@@ -86,6 +102,14 @@ class Context:
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         _ = stage.curriculum  # the first part, which the others follow
         return stage
+
+    @cached_property
+    def _frames(self) -> dict[str, Frame]:
+        return frames_of(self.scene)
+
+    def frame(self, view: View) -> Frame:
+        """Return the frame of a view of the scene, at the view's resolution."""
+        return replace(self._frames[view.name], camera=view.camera)
 
     @property
     def device(self) -> torch.device:

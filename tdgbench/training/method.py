@@ -9,21 +9,13 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field
 from torch import Tensor
 
-from tdgbench.scenes import Camera
 from tdgbench.splats.view import Render
-from tdgbench.training.context import Context
+from tdgbench.training.context import Context, Frame
+
+__all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What is rendered: a camera, and the view that was taken there, if one was."""
-
-    camera: Camera
-    index: int | None = None  # of the view among all of the scene, in the order of their names
-    time: float = 0.0  # of the view, 0 (the first) to 1 (the last)
 
 
 @dataclass
@@ -54,6 +46,7 @@ class Method:
 
     name: str
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
+    plain: bool = True  # whether `render` gives the Gaussians of the modality's name, without hooks or other parts
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view
 
     def setup(self, context: Context) -> None:

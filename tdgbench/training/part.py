@@ -13,6 +13,8 @@ class Part:
     Every method has a default that does nothing; a part overrides those that concern it.
     """
 
+    renders: bool = False  # whether rendering needs its state, which is then stored with the cell
+
     def begin(self, iteration: int) -> None:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
 
@@ -72,6 +74,8 @@ class RandomStream(Part):
 
 class Network(Part):
     """A torch module with its optimiser, by default Adam."""
+
+    renders = True
 
     def __init__(
         self, module: torch.nn.Module, rate: float, optimizer: type[torch.optim.Optimizer] = torch.optim.Adam

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import torch
 
-from tdgbench.scenes import Scene, View
-from tdgbench.training.context import Context
-from tdgbench.training.method import Frame, Method, Stage
+from tdgbench.scenes import View
+from tdgbench.training.context import Context, Frame
+from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
 from tdgbench.training.plateau import Plateau
@@ -22,7 +21,6 @@ class Trainer:
     def __init__(self, method: Method, whole: Context) -> None:
         """whole: the context of the whole training, of which each stage gets its own."""
         self.method, self.whole = method, whole
-        self.frames = frames_of(whole.scene)
         self.restart()
 
     def restart(self) -> None:
@@ -93,7 +91,7 @@ class Trainer:
 
     def frame(self, view: View) -> Frame:
         """Return the frame of a view of the scene."""
-        return replace(self.frames[view.name], camera=view.camera)
+        return self.context.frame(view)
 
     def _stopping(self) -> Stopping | None:
         """Return what ends the stage early, by the rules of its budget; None: nothing."""
@@ -107,10 +105,3 @@ class Trainer:
     @torch.no_grad()
     def _thermal_image(self, view: View) -> Any:
         return self.method.render(self.frame(view)).image.cpu().numpy()
-
-
-def frames_of(scene: Scene) -> dict[str, Frame]:
-    """Return the frame of each view of a scene, by name; they are numbered, and timed from 0 to 1, in this order."""
-    views = sorted(scene.views, key=lambda view: view.name)
-    last = max(len(views) - 1, 1)
-    return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
