@@ -32,7 +32,8 @@ class Observed:
     def __str__(self) -> str:
         if self.error is not None:
             return f"{self.error}: {self.text}"
-        return "; ".join([self.text] * bool(self.text) + [f"{name} {v:.1e}" for name, v in self.numbers.items()])
+        numbers = [f"{name} {value:.1e}" for name, value in self.numbers.items()]
+        return "; ".join([self.text, *numbers] if self.text else numbers)
 
 
 @dataclass(frozen=True)

@@ -103,11 +103,12 @@ def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
-    """A scene with points, moved by an offset along each axis, world units."""
+    """A scene moved by an offset along each axis, world units. Raises ValueError if it has no points."""
+    if scene.points is None:
+        raise ValueError(f"scene {scene.name} has no points to shift")
     views = []
     for view in scene.train:
         pose = view.camera.world_to_camera.copy()
         pose[:3, 3] -= pose[:3, :3] @ np.full(3, offset)
         views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
-    assert scene.points is not None
     return replace(scene, train=views, points=PointCloud(scene.points.points + offset, scene.points.colors))

@@ -1,5 +1,7 @@
 """Small trainings: their options, their faults, their degenerate scenes, and the spread of repeated ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -54,6 +56,8 @@ def test_a_shifted_scene_projects_to_the_same_pixels(small_gray_scene):
         pixels, z = before.camera.project(small_gray_scene.points.points)
         moved_pixels, moved_z = after.camera.project(scene.points.points)
         assert np.allclose(pixels, moved_pixels, atol=1e-6) and np.allclose(z, moved_z)
+    with pytest.raises(ValueError, match="no points to shift"):
+        shifted(replace(small_gray_scene, points=None), 1.0)
 
 
 def test_the_spread_is_measured_where_sums_have_no_order(small):
