@@ -48,7 +48,9 @@ def time_pass(
     device = device_of(backend)
     leaves = leaves_of(cloud, torch.float32, device)
     size = (cloud.height, cloud.width)
-    grads = [torch.ones(*size, cloud.colors.shape[1], device=device), *([torch.ones(size, device=device)] * depth)]
+    grads = [torch.ones(*size, cloud.colors.shape[1], device=device)]
+    if depth:
+        grads.append(torch.ones(size, device=device))
 
     def now() -> float:
         if device == "cuda":
@@ -60,7 +62,7 @@ def time_pass(
         view = view_of(cloud, leaves, backend, blending, depth)
         middle = now()
         if part != "forward":
-            torch.autograd.backward([view.image, *([view.requested_depth] if depth else [])], grads)
+            torch.autograd.backward([view.image, view.requested_depth] if depth else [view.image], grads)
         end = now()
         for leaf in leaves:
             leaf.grad = None

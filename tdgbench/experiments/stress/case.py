@@ -1,4 +1,4 @@
-"""A stress case: what it does, on which backends, and what it expects."""
+"""A stress case: what it does, on which backends, what it expects, and what it observed."""
 
 from __future__ import annotations
 
@@ -6,18 +6,34 @@ import math
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
 
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE
-from tdgbench.experiments.stress.outcome import Observed
 
 
-class Expected(Protocol):
-    """An expectation."""
+class UnexpectedError(Exception):
+    """A statement of a case does not hold; the message says what was observed instead."""
 
-    def judge(self, observed: Observed) -> bool:
-        """Whether the observation fulfils it."""
+
+def require(condition: bool, observed: str) -> None:
+    """Raise UnexpectedError unless a condition holds."""
+    if not condition:
+        raise UnexpectedError(observed)
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Numbers or a sentence; or the type of an error and its message."""
+
+    text: str = ""
+    numbers: dict[str, float] = field(default_factory=dict)
+    error: str | None = None
+
+    def __str__(self) -> str:
+        if self.error is not None:
+            return f"{self.error}: {self.text}"
+        numbers = [f"{name} {value:.1e}" for name, value in self.numbers.items()]
+        return "; ".join([self.text, *numbers] if self.text else numbers)
 
 
 @dataclass(frozen=True)
@@ -26,11 +42,6 @@ class Close:
 
     image: float = IMAGE_TOLERANCE
     gradients: float = GRADIENT_TOLERANCE
-
-    def judge(self, observed: Observed) -> bool:
-        if observed.error is not None:
-            return False
-        return self.share(observed) <= 1  # false for NaN
 
     def share(self, observed: Observed) -> float:
         """The larger error, relative to its limit; NaN if either error is NaN."""
@@ -48,24 +59,11 @@ class Raises:
     kind: str
     pattern: str
 
-    def judge(self, observed: Observed) -> bool:
-        return observed.error == self.kind and re.search(self.pattern, observed.text) is not None
-
     def __str__(self) -> str:
         return f"{self.kind}: {self.pattern.replace(chr(92), '')}"
 
 
-@dataclass(frozen=True)
-class Holds:
-    """A statement that the case itself checks; it raises UnexpectedError with what it observed instead."""
-
-    statement: str
-
-    def judge(self, observed: Observed) -> bool:
-        return observed.error is None
-
-    def __str__(self) -> str:
-        return self.statement
+Expected = Close | Raises | str  # a sentence is checked by the case itself, which raises UnexpectedError
 
 
 @dataclass(frozen=True)
@@ -95,12 +93,17 @@ class Verdict:
 
 def judge(case: Case, backend: str) -> Verdict:
     """Run a case on a backend. An exception is an observation."""
-    start = time.perf_counter()
+    start, share = time.perf_counter(), None
     try:
         observed = case.run(backend)
     except Exception as error:
-        observed = Observed(text=str(error).splitlines()[0] if str(error) else "", error=type(error).__name__)
-    passed = case.expected.judge(observed)
-    seconds = time.perf_counter() - start
-    share = case.expected.share(observed) if isinstance(case.expected, Close) and observed.error is None else None
-    return Verdict(case.family, case.name, backend, str(case.expected), str(observed), passed, share, round(seconds, 3))
+        observed = Observed(text=str(error).partition("\n")[0], error=type(error).__name__)
+    if isinstance(case.expected, Raises):
+        passed = observed.error == case.expected.kind and re.search(case.expected.pattern, observed.text) is not None
+    else:
+        passed = observed.error is None
+        if passed and isinstance(case.expected, Close):
+            share = case.expected.share(observed)
+            passed = share <= 1  # false for NaN
+    seconds = round(time.perf_counter() - start, 3)
+    return Verdict(case.family, case.name, backend, str(case.expected), str(observed), passed, share, seconds)

@@ -1,11 +1,46 @@
+"""The suite, case by case, on every available backend: the observation meets the expectation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.stress import appearance
-from tdgbench.experiments.stress.case import Case, Holds
-from tdgbench.experiments.stress.outcome import UnexpectedError
-from tdgbench.experiments.stress.run import Stress
+from tdgbench.experiments.stress import clouds
+from tdgbench.experiments.stress.case import Case, UnexpectedError, judge
+from tdgbench.experiments.stress.run import Stress, all_cases, backends_of, run_suite
+from tdgbench.splats.backends import fast_backends
 from tests.helpers.configs import config
+
+CASES = all_cases(config("+experiment=stress", "data.root=unused"), Path("unused"))
+RUNS = [(index, backend) for index, case in enumerate(CASES) for backend in backends_of(case)]
+
+
+@pytest.fixture(scope="module")
+def cases(data_root, tmp_path_factory):
+    cfg = config("+experiment=stress", f"data.root={data_root}")
+    return all_cases(cfg, tmp_path_factory.mktemp("stress"))
+
+
+@pytest.mark.parametrize(("index", "backend"), RUNS, ids=[f"{CASES[i].family}: {CASES[i].name}-{b}" for i, b in RUNS])
+def test_case(cases, index, backend):
+    verdict = judge(cases[index], backend)
+    assert verdict.passed, f"expected {verdict.expected}, observed {verdict.seen}"
+
+
+def test_there_are_119_cases_with_different_names():
+    assert len(CASES) == len({(case.family, case.name) for case in CASES}) == 119
+    families = {"geometry", "appearance", "losses", "gradients", "training", "determinism"}
+    assert {case.family for case in CASES} == families
+
+
+def test_a_choice_of_cases(data_root):
+    reported = []
+    table = run_suite(config("+experiment=stress", f"data.root={data_root}"), "opacity 0", reported.append)
+    assert list(table["case"]) == ["opacity 0"] * len(table) and len(reported) == len(table) == len(fast_backends())
+    with pytest.raises(ValueError, match="no stress case has 'nonsense'"):
+        run_suite(config("+experiment=stress", f"data.root={data_root}"), "nonsense", reported.append)
 
 
 def surprise(_backend):
@@ -18,7 +53,7 @@ def test_table_picture_and_status(tmp_path, data_root, capsys, monkeypatch):
     table = pd.read_csv(tmp_path / "stress" / "stress.csv")
     assert len(table) >= 5 and table["passed"].all() and (tmp_path / "stress" / "stress.png").exists()
     assert "0 surprises" in capsys.readouterr().out
-    monkeypatch.setattr(appearance, "cases", lambda: [Case("appearance", "opacity", Holds("so"), surprise)])
+    monkeypatch.setattr(clouds, "cases", lambda: [Case("appearance", "opacity", "so", surprise)])
     with pytest.raises(SystemExit):
         Stress().run(cfg)
     printed = capsys.readouterr().out

@@ -1,0 +1,79 @@
+"""Small trainings: their options, their faults, their degenerate scenes, and the spread of repeated ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tdgbench.experiments.stress.case import UnexpectedError
+from tdgbench.experiments.stress.small import SmallTraining, shifted, with_cameras_on_a_line, with_points
+from tdgbench.experiments.stress.training import repeated, spread
+from tdgbench.training.errors import NonFiniteError
+from tests.helpers.configs import config
+
+
+@pytest.fixture
+def small(data_root, tmp_path):
+    return SmallTraining(config("+experiment=stress", f"data.root={data_root}", "budget.iterations=9"), tmp_path)
+
+
+def test_options_of_the_budget(small):
+    _, log = small.train("cpu", budget={"iterations": 3, "density.every": 1000})
+    assert log.iterations == 3 and log.lines[-1].gaussians == 300
+    assert small.cfg.budget.iterations == 9
+
+
+@pytest.mark.parametrize("fault", ["sh", "target", "gradient"])
+def test_a_fault_strikes_at_its_step(small, fault):
+    with pytest.raises(NonFiniteError) as error:
+        small.train("cpu", fault=fault)
+    assert error.value.iteration == 7
+
+
+def test_a_faulty_method_is_the_method_otherwise(small):
+    method, faulty = small.train("cpu", budget={"iterations": 6}, fault="means")
+    _, sound = small.train("cpu", budget={"iterations": 6})
+    assert [line.loss for line in faulty.lines] == [line.loss for line in sound.lines]
+    camera = small.scene().train[0].camera
+    assert method.render(camera).image.shape == (camera.height, camera.width, 1) and method.name == "tdg"
+
+
+def test_points(small_gray_scene):
+    scene = with_points(small_gray_scene, np.zeros((3, 3)))
+    assert scene.points.points.shape == (3, 3) and (scene.points.colors == 0.5).all()
+
+
+def test_cameras_on_a_line(small_gray_scene):
+    scene = with_cameras_on_a_line(small_gray_scene, 0.2)
+    steps = np.diff([view.camera.center for view in scene.train], axis=0)
+    assert np.allclose(np.linalg.norm(steps, axis=1), 0.2) and np.allclose(steps, steps[0])
+
+
+def test_a_shifted_scene_projects_to_the_same_pixels(small_gray_scene):
+    scene = shifted(small_gray_scene, 100.0)
+    for before, after in zip(small_gray_scene.train, scene.train, strict=True):
+        pixels, z = before.camera.project(small_gray_scene.points.points)
+        moved_pixels, moved_z = after.camera.project(scene.points.points)
+        assert np.allclose(pixels, moved_pixels, atol=1e-6) and np.allclose(z, moved_z)
+    with pytest.raises(ValueError, match="no points to shift"):
+        shifted(replace(small_gray_scene, points=None), 1.0)
+
+
+def test_the_spread_is_measured_where_sums_have_no_order(small):
+    observed = repeated(lambda: small.train("cpu")[0], small.scene().train[0].camera, "another backend")
+    assert observed.numbers == {"spread of a training view": 0.0} and observed.text == "300 to 300 Gaussians"
+    images = torch.zeros(5, 3, 4, 1)
+    images[2, 1, 1] = 1.0
+    assert spread(images) == pytest.approx(0.2**0.5)
+
+
+def test_other_bytes_on_the_cpu_are_a_surprise(small):
+    seeds = iter(range(5))
+
+    def train():
+        small.cfg.seed = next(seeds) % 2
+        return small.train("cpu")[0]
+
+    with pytest.raises(UnexpectedError, match="different results"):
+        repeated(train, None, "cpu")
