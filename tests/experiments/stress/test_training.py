@@ -10,6 +10,7 @@ from tdgbench.experiments.stress.case import UnexpectedError
 from tdgbench.experiments.stress.small import SmallTraining, shifted, with_cameras_on_a_line, with_points
 from tdgbench.experiments.stress.training import repeated, spread
 from tdgbench.training.errors import NonFiniteError
+from tdgbench.training.method import Frame
 from tests.helpers.configs import config
 
 
@@ -32,11 +33,12 @@ def test_a_fault_strikes_at_its_step(small, fault):
 
 
 def test_a_faulty_method_is_the_method_otherwise(small):
-    method, faulty = small.train("cpu", budget={"iterations": 6}, fault="means")
+    trainer, faulty = small.train("cpu", budget={"iterations": 6}, fault="means")
     _, sound = small.train("cpu", budget={"iterations": 6})
     assert [line.loss for line in faulty.lines] == [line.loss for line in sound.lines]
     camera = small.scene().train[0].camera
-    assert method.render(camera).image.shape == (camera.height, camera.width, 1) and method.name == "tdg"
+    image = trainer.method.render(Frame(camera)).image
+    assert image.shape == (camera.height, camera.width, 1) and trainer.method.name == "tdg"
 
 
 def test_points(small_gray_scene):
