@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 from tdgbench.bench.record import Record
+from tdgbench.scoring.modality import THERMAL
 
 LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 
@@ -38,6 +40,26 @@ def folder_name(name: str) -> str:
     visible = "_" + safe[1:] if safe.startswith(".") else safe or "unknown"
     shortened = visible.encode()[: LONGEST - len(digest) - 1].decode(errors="ignore")
     return f"{shortened}~{digest}"
+
+
+class ModalityFiles(NamedTuple):
+    """Names in a cell's folder: the model of a modality, the folders of its test views' renders and ground truth."""
+
+    model: str
+    renders: str
+    targets: str
+
+
+def files_of(modality: str) -> ModalityFiles:
+    """Names of the files of a modality; those of thermal are plain.
+
+    >>> files_of("thermal")
+    ModalityFiles(model='model.ply', renders='renders', targets='targets')
+    >>> files_of("rgb")
+    ModalityFiles(model='model_rgb.ply', renders='renders_rgb', targets='targets_rgb')
+    """
+    suffix = "" if modality == THERMAL else f"_{modality}"
+    return ModalityFiles(f"model{suffix}.ply", f"renders{suffix}", f"targets{suffix}")
 
 
 def hidden_folder(folder: Path, key: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ from PIL import Image
 from torch import Tensor
 
 from tdgbench.bench.masks import write_mask
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import Record
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages, to_8bit
+from tdgbench.scoring.modality import OTHERS, THERMAL, image_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
@@ -24,41 +27,47 @@ from tdgbench.training.trainer import Trainer
 
 def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
     """Render each view, by name, in all of the method's modalities. response: of the thermal camera."""
-    return {view.name: render_images(trainer, view, with_rgb=True, response=response) for view in views}
+    return {view.name: render_images(trainer, view, response) for view in views}
 
 
 @torch.no_grad()
 def render_images(
-    trainer: Trainer, view: View, *, with_rgb: bool, response: ImageResponse = IDEAL
+    trainer: Trainer, view: View, response: ImageResponse = IDEAL, others: Iterable[str] = OTHERS
 ) -> RenderedImages:  # fmt: skip
-    """Thermal image (H, W, C) and expected depth (H, W, world units) of a view; RGB image (H, W, 3) if asked for."""
-    method, frame = trainer.method, trainer.frame(view)
+    """Render the thermal image (H, W, C) and the expected depth (H, W, world units) of a view.
+
+    others: modalities whose images are rendered as well, if the method has them.
+    """
+    method, frame = trainer.method, trainer.context.frame(view)
     render = method.render(frame).cpu()
     if render.depth is None:
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
     depth = render.depth / render.alpha.clamp_min(1e-6)
-    rgb = method.render(frame, "rgb").cpu().image.numpy() if with_rgb and "rgb" in method.modalities else None
     image = render.image.numpy()
-    return RenderedImages(response.of(image, view.name), depth.numpy(), rgb, response.temperatures(image))
+    rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
+    return RenderedImages(response.of(image, view.name), depth.numpy(), rendered, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
-    """Write each view to `folder` as PNG: renders/ and targets/; renders_rgb/ and targets_rgb/ of an RGB model.
+    """Write each view to `folder` as PNG, in the folders of `files_of` each modality that it was rendered in.
 
     A view with masked pixels has its mask in masks/; its render is whole.
     """
     for view in views:
         images = renders[view.name]
-        _write_pair(folder, "", view.name, images.image, view.thermal)
+        _write_pair(folder, THERMAL, view.name, images.image, view.thermal)
         if view.valid is not None:
             write_mask(folder, view.name, view.valid)
-        if images.rgb is not None and view.load_rgb is not None:
-            _write_pair(folder, "_rgb", view.name, images.rgb, view.rgb)
+        for modality, image in images.others.items():
+            target = image_of(view, modality)
+            if target is not None:
+                _write_pair(folder, modality, view.name, image, target)
 
 
-def _write_pair(folder: Path, suffix: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
-    for sub, values in (("renders", image), ("targets", target)):
-        path = folder / f"{sub}{suffix}" / f"{name}.png"
+def _write_pair(folder: Path, modality: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
+    files = files_of(modality)
+    for sub, values in ((files.renders, image), (files.targets, target)):
+        path = folder / sub / f"{name}.png"
         path.parent.mkdir(exist_ok=True)
         pixels = to_8bit(values)
         Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)
@@ -74,9 +83,9 @@ def render_model(
     return render_view(active, Pinhole.of(camera), depth=depth, background=background, blending=blending)
 
 
-def background_of(record: Record, model: str) -> Tensor | None:
-    """(C,) behind a cell's model, `thermal` or `rgb`; None: black."""
-    behind = record.parts.get(model, {}).get("background")
+def background_of(record: Record, modality: str) -> Tensor | None:
+    """Return the colour (C,) behind a cell's model of a modality; None: black."""
+    behind = record.parts.get(modality, {}).get("background")
     return None if behind is None else torch.tensor(behind)
 
 

@@ -29,7 +29,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
     first: dict[str, Cell] = {}
     for cell in cells:
         first.setdefault(method_label(cell.record, with_init=True), cell)
-    names = sorted({p.stem for cell in first.values() for p in (cell.folder / "renders").glob("*.png")})
+    names = sorted({p.stem for cell in first.values() for p in (cell.folder / views.FILES.renders).glob("*.png")})
     view = names[len(names) // 2] if names else ""
     strips = [_Strip(cell, view) for cell in first.values()]
     curves = _Curves(cells)
@@ -71,8 +71,8 @@ class _Strip:
         return found
 
     def _pictures(self) -> dict[str, Any]:
-        truth_picture, truth = views.thermal(self.cell.folder / "targets" / f"{self.view}.png")
-        picture, image = views.thermal(self.cell.folder / "renders" / f"{self.view}.png")
+        truth_picture, truth = views.thermal(self.cell.folder / views.FILES.targets / f"{self.view}.png")
+        picture, image = views.thermal(self.cell.folder / views.FILES.renders / f"{self.view}.png")
         valid = views.stored_mask(self.cell.folder, self.view, truth.shape)
         error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
         return {

@@ -14,7 +14,7 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, THERMAL, stored_mask
+from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, stored_mask
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
@@ -81,13 +81,13 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
 
 def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Ground truth, render and mask of the middle test view, in [0, 1]. Raises ValueError where there is none."""
-    names = sorted(p.name for p in (folder / "renders").glob("*.png"))
+    names = sorted(p.name for p in (folder / FILES.renders).glob("*.png"))
     if not names:
-        raise ValueError(f"{folder / 'renders'} holds no picture")
+        raise ValueError(f"{folder / FILES.renders} holds no picture")
     name = names[len(names) // 2]
     truth, image = (
-        read_picture(folder / sub / name).squeeze().astype(np.float32) / 255 for sub in ("targets", "renders")
+        read_picture(folder / sub / name).squeeze().astype(np.float32) / 255 for sub in (FILES.targets, FILES.renders)
     )
     if truth.shape != image.shape:
-        raise ValueError(f"{folder}: targets/{name} and renders/{name} differ in size")
+        raise ValueError(f"{folder}: {FILES.targets}/{name} and {FILES.renders}/{name} differ in size")
     return truth, image, stored_mask(folder, Path(name).stem, truth.shape)

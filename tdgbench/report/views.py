@@ -13,11 +13,13 @@ from PIL import Image
 
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.masks import has_mask, read_mask
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import MAX_PIXELS, read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
 
+FILES = files_of("thermal")  # the report shows thermal images
 THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
 ERROR_RANGE = 0.15  # upper end of the colour scale of errors
 MIN_ALPHA = 0.5  # below, a pixel shows no surface
@@ -70,7 +72,7 @@ def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     camera = read_cameras(folder / "cameras.json", "test")[view]
     if not 0 < camera.width * camera.height <= MAX_PIXELS:
         raise ValueError(f"the camera of {view} has {camera.width}×{camera.height} px")
-    gaussians = load_ply(folder / "model.ply")
+    gaussians = load_ply(folder / FILES.model)
     render = render_model(gaussians, camera, depth=True)
     alpha = 1 - render.transmittance
     return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan).numpy(), camera

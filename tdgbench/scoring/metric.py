@@ -7,7 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from tdgbench.scoring.measure import Measure
-from tdgbench.scoring.scored_view import ImagePair, Modality, ScoredView
+from tdgbench.scoring.modality import LABELS, THERMAL, metric_name
+from tdgbench.scoring.scored_view import ImagePair, ScoredView
+
+AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,18 +32,21 @@ class ImageMetric(Metric):
     """A metric of a render and its ground truth as 8-bit pictures; stored pictures give the same value."""
 
     of_images: Callable[[ImagePair], float]
-    modality: Modality = "thermal"
+    modality: str = THERMAL
+    of_every_modality: bool = False  # scores the images of the other modalities, too
     on_training_views: bool = False  # cheap enough to score every training view
     verified_to: float | None = 1e-6
 
     def score(self, shown: ScoredView) -> float:
         return self.of_images(shown.pair(self.modality))
 
-    def of_rgb_model(self, order: int) -> ImageMetric:
-        """The same metric of the method's RGB model."""
+    def of_modality(self, modality: str) -> ImageMetric:
+        """The same metric of the method's model of another modality."""
+        label = LABELS[modality]
         return replace(
-            self, name=f"rgb_{self.name}", part="RGB model", modality="rgb", order=order,
-            needs="a method with an RGB model, RGB test images", published=False, on_training_views=False,
+            self, name=metric_name(self.name, modality), part=f"{label} model", modality=modality,
+            order=self.order + AFTER_THERMAL, needs=f"{label} model of the method, {label} test images",
+            of_every_modality=False, published=False, on_training_views=False,
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from tdgbench.scenes import Scene, View
+from tdgbench.scoring.modality import LABELS, THERMAL, image_of
 
 Border = Literal["zero", "valid"]
 ConventionName = Literal["3dgs", "standard"]  # as a record names it
-Modality = Literal["thermal", "rgb"]
 
 
 class NotApplicableError(Exception):
@@ -25,13 +25,13 @@ class RenderedImages:
     """A method's renders of one view.
 
     image: (H, W, C) float32 as the thermal camera shows it, not clipped. depth: (H, W) expected z in scene units, 0
-    where nothing was rendered. rgb: (H, W, 3) float32 of the method's RGB model, None where it trains none.
+    where nothing was rendered. others: (H, W, C) float32 of the method's models of other modalities, by modality.
     temperatures: (H, W, C) float32, what an ideal camera would show; None: `image`.
     """
 
     image: np.ndarray
     depth: np.ndarray
-    rgb: np.ndarray | None = None
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
     temperatures: np.ndarray | None = None
 
     @property
@@ -81,9 +81,11 @@ class ScoredView:
     renders: Mapping[str, RenderedImages] = field(default_factory=dict)
     common: dict[str, Any] = field(default_factory=dict)
 
-    def pair(self, modality: Modality) -> ImagePair:
-        """The pictures that a metric compares. Raises NotApplicableError without an RGB model or RGB image."""
-        return self._thermal if modality == "thermal" else self._rgb
+    def pair(self, modality: str) -> ImagePair:
+        """The pictures that a metric compares. Raises NotApplicableError without a model or image of it."""
+        if modality not in self._pairs:
+            self._pairs[modality] = self._thermal() if modality == THERMAL else self._other(modality)
+        return self._pairs[modality]
 
     @property
     def valid(self) -> np.ndarray | None:
@@ -93,19 +95,23 @@ class ScoredView:
         return self.view.valid
 
     @cached_property
+    def _pairs(self) -> dict[str, ImagePair]:
+        """What `pair` has returned, for the next metric."""
+        return {}
+
     def _thermal(self) -> ImagePair:
         image, valid = as_saved(self.rendered.image), self.valid
         if valid is not None:
             image = np.where(valid[..., None], image, np.float32(0))
         return ImagePair(image, as_saved(self.view.thermal), self.convention, valid)
 
-    @cached_property
-    def _rgb(self) -> ImagePair:
-        if self.rendered.rgb is None:
-            raise NotApplicableError("the method trains no RGB model")
-        if self.view.load_rgb is None:
-            raise NotApplicableError("a test view has no RGB image")
-        return ImagePair(as_saved(self.rendered.rgb), as_saved(self.view.rgb), self.convention)
+    def _other(self, modality: str) -> ImagePair:
+        if modality not in self.rendered.others:
+            raise NotApplicableError(f"the method trains no {LABELS[modality]} model")
+        target = image_of(self.view, modality)
+        if target is None:
+            raise NotApplicableError(f"a test view has no {LABELS[modality]} image")
+        return ImagePair(as_saved(self.rendered.others[modality]), as_saved(target), self.convention)
 
     def true_depth(self) -> np.ndarray:
         """True z (H, W) float64. Raises NotApplicableError where it is unknown or of another size than the render."""

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import AVERAGE, GAUSSIANS, OVERALL, PUBLISHED, PUBLISHED_SCORES, digits, measure
+from tdgbench.tables.measures import (
+    ABLATION_PAIRS,
+    AVERAGE,
+    GAUSSIANS,
+    OVERALL,
+    PUBLISHED,
+    PUBLISHED_SCORES,
+    digits,
+    measure,
+)
 from tdgbench.tables.readings import COMPARED, widest_average, with_setup
 from tdgbench.tables.results import first_points, split_notes
 from tdgbench.text import one_line
@@ -118,7 +129,7 @@ def papers_table(rows: pd.DataFrame) -> str:
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
-    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, of test views, training views and RGB model.
+    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, of test views, training views, other models.
 
     Several kinds of random points are named.
 
@@ -127,9 +138,9 @@ def ablation_table(rows: pd.DataFrame) -> str:
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
     lines = [
         *(comment(how) for how in first_points(rows)),
-        r"\begin{tabular}{lccccc}",
+        rf"\begin{{tabular}}{{lcc{'c' * len(ABLATION_PAIRS)}}}",
         r"\toprule",
-        r" & Random & COLMAP & PSNR / SSIM & training views & RGB model \\",
+        rf" & Random & COLMAP & {' & '.join(measure(psnr).part or 'PSNR / SSIM' for psnr, _ in ABLATION_PAIRS)} \\",
     ]
     for method, group in rows.groupby("method", sort=False):
         lines.append(r"\midrule")
@@ -138,7 +149,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
             kind = str(init).removeprefix("random").strip("_") or "cameras"
             random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
-            pairs = " & ".join(_pair(values, part) for part in ("", "train_", "rgb_"))
+            pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
             lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
@@ -190,11 +201,10 @@ def _change(values: pd.DataFrame, metric: str) -> str:
     return text if np.isnan(row["low"]) else f"{text} [{row['low']:{form}}, {row['high']:{form}}]"
 
 
-def _pair(values: pd.DataFrame, part: str) -> str:
-    """PSNR / SSIM of test views, training views (part `train_`) or the RGB model (`rgb_`); bold if either is best."""
-    names = [f"{part}psnr", f"{part}ssim"]
+def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:
+    """PSNR / SSIM of a model and its views; bold if either is best."""
     text = " / ".join(_number(values.loc[name, "value"], digits(name, OVERALL), False) for name in names)
-    return rf"\textbf{{{text}}}" if bool(values.loc[names, "bold"].any()) else text
+    return rf"\textbf{{{text}}}" if bool(values.loc[list(names), "bold"].any()) else text
 
 
 def _method(column: str) -> str:

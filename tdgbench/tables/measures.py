@@ -12,6 +12,7 @@ from typing import Any
 from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.measure import Measure
+from tdgbench.scoring.modality import OTHERS, metric_name
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
@@ -42,7 +43,9 @@ PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.published))  #
 TRAINING = tuple(measure.name for measure in _TRAIN)  # of the training views, where overfitting shows
 COLUMNS = (PUBLISHED[0], "psnr_right_half", *PUBLISHED[1:])  # where tables are read, not compared with the paper's
 EXTRA = (*(name for name in METRICS if name not in COLUMNS), *TRAINING)
-ABLATION = tuple(f"{part}{name}" for part in ("", "train_", "rgb_") for name in ("psnr", "ssim"))  # of Table 2
+_OF_MODELS = tuple(tuple(metric_name(name, modality) for name in ("psnr", "ssim")) for modality in OTHERS)
+ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  # columns of Table 2
+ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
 
 
 def measure(name: str) -> Measure:

@@ -8,9 +8,9 @@ from tdgbench.bench.cameras import read_all_cameras
 from tdgbench.bench.hashes import cell_files, file_problems
 from tdgbench.bench.record import FILE
 from tdgbench.bench.scores import read_views
-from tdgbench.verify import facts, files
+from tdgbench.verify import facts
 from tdgbench.verify.findings import Findings
-from tdgbench.verify.pictures import Pictures
+from tdgbench.verify.pictures import Pictures, picture_problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 from tdgbench.verify.stored_cell import read_cell, read_log
 
@@ -40,7 +40,7 @@ def verify_cell(folder: Path) -> list[str]:
     if cameras is None:
         return found.problems
     found.check("the number of views", facts.view_problems, record, cameras)
-    found.check("its pictures", files.picture_problems, set(cell_files(folder)), list(cameras["test"]))
+    found.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
     if rows is not None:
         found.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
     pictures = Pictures(folder, record, cameras["test"], found)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, record_files
+from tdgbench.scoring.modality import THERMAL
 from tdgbench.verify.cell import verify_cell
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.stored_cell import read_cell
 
-OF_A_CELL = ("model.ply", "views.csv", "cameras.json", "renders")
+OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
 
 
 @dataclass(frozen=True)

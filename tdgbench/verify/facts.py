@@ -11,10 +11,12 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.key import cell_key
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.scoring.lpips import Net, Range
+from tdgbench.scoring.modality import THERMAL
 from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.splats.ply import count_rows
 
@@ -90,7 +92,7 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
 
 def model_problems(folder: Path, record: Record) -> Iterator[str]:
     """Models against the recorded number of Gaussians."""
-    expected = {_model_file(name): count for name, count in {"thermal": None, **record.gaussians}.items()}
+    expected = {files_of(name).model: count for name, count in {THERMAL: None, **record.gaussians}.items()}
     for name in sorted({*expected, *(path.name for path in folder.glob("model*.ply"))}):
         count = expected.get(name)
         if count is None:
@@ -102,10 +104,6 @@ def model_problems(folder: Path, record: Record) -> Iterator[str]:
                 yield f"{FILE}: gaussians has {count} for {name}, which holds {rows}"
         except (OSError, ValueError) as error:
             yield f"{name} cannot be read: {error}"
-
-
-def _model_file(name: str) -> str:
-    return "model.ply" if name == "thermal" else f"model_{name}.ply"
 
 
 def train_score_problems(record: Record) -> Iterator[str]:

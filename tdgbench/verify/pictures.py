@@ -2,23 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from tdgbench.bench import masks
 from tdgbench.bench.masks import has_mask, read_mask
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import background_of, blending_of, render_model, response_of
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import RenderedImages
+from tdgbench.scoring.modality import LABELS, OTHERS, THERMAL
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.verify.findings import Findings
 
 ROUNDING = 0.01  # levels; float32 renders of one model differ by 1e-4
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
+
+
+def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
+    """Pictures that a test view lacks, and pictures of no test view. names: of the cell's files.
+
+    Test views may lack images of other modalities, but not the render or the ground truth alone. Those without masked
+    pixels have no mask; the share of masked pixels in the record shows if one is missing.
+    """
+    there = set(names)
+    found = {
+        folder: {PurePosixPath(name).name for name in there if PurePosixPath(name).parent.as_posix() == folder}
+        for folder in (*(sub for modality in LABELS for sub in files_of(modality)[1:]), masks.FOLDER)
+    }
+    expected = {f"{view}.png" for view in views}
+    needed = dict.fromkeys(files_of(THERMAL)[1:], expected)
+    for modality in OTHERS:
+        _, renders, targets = files_of(modality)
+        needed |= {renders: found[targets], targets: found[renders]}
+    for folder, pictures in found.items():
+        yield from (f"{folder}/{name} is of no test view" for name in sorted(pictures - expected))
+        missing = (needed.get(folder, set()) & expected) - pictures
+        yield from (f"{folder}/{name} is missing" for name in sorted(missing))
 
 
 def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
@@ -47,39 +73,43 @@ class Pictures:
 
     def check_renders(self) -> None:
         """Compare the stored renders with those of the models, and keep the depth maps."""
-        for model, sub in (("model.ply", "renders"), ("model_rgb.ply", "renders_rgb")):
-            if sub == "renders_rgb" and not (self.folder / sub).exists():
+        for modality in LABELS:
+            model, folder, _ = files_of(modality)
+            if modality != THERMAL and not (self.folder / folder).exists():
                 continue
             gaussians = self.found.read(model, load_ply, self.folder / model)
             for name in self.cameras:
-                if sub == "renders" or (self.folder / sub / f"{name}.png").exists():
-                    path = f"{sub}/{name}.png"
-                    stored = self.found.read(path, self._stored, sub, name)
+                if modality == THERMAL or self._has(folder, name):
+                    path = f"{folder}/{name}.png"
+                    stored = self.found.read(path, self._stored, folder, name)
                     if stored is not None and gaussians is not None:
-                        self.found.check(path, self._differences, gaussians, name, path, stored)
+                        self.found.check(path, self._differences, gaussians, modality, name, stored)
 
     def view(self, name: str) -> View:
         """A test view with its stored ground truth and mask."""
         camera = self.cameras[name]
         mask = partial(read_mask, self.folder, name, (camera.width, camera.height))
+        rgb = files_of("rgb").targets
         return View(
-            name, camera, load_thermal=lambda: self._values("targets", name),
+            name, camera, load_thermal=lambda: self._values(files_of(THERMAL).targets, name),
             load_valid=mask if has_mask(self.folder, name) else None,
-            load_rgb=(lambda: self._values("targets_rgb", name)) if self._has("targets_rgb", name) else None,
+            load_rgb=(lambda: self._values(rgb, name)) if self._has(rgb, name) else None,
         )  # fmt: skip
 
     def rendered(self, name: str) -> RenderedImages:
         """A test view's stored renders, and its depth (zeros if it could not be rendered)."""
-        rgb = self._values("renders_rgb", name) if self._has("renders_rgb", name) else None
-        image = self._values("renders", name)
-        return RenderedImages(image, self.depths.get(name, np.zeros(image.shape[:2], np.float32)), rgb)
+        folders = {modality: files_of(modality).renders for modality in OTHERS}
+        others = {modality: self._values(sub, name) for modality, sub in folders.items() if self._has(sub, name)}
+        image = self._values(files_of(THERMAL).renders, name)
+        return RenderedImages(image, self.depths.get(name, np.zeros(image.shape[:2], np.float32)), others)
 
-    def _differences(self, gaussians: Gaussians, name: str, path: str, stored: np.ndarray) -> list[str]:
+    def _differences(self, gaussians: Gaussians, modality: str, name: str, stored: np.ndarray) -> list[str]:
         """How a stored render differs from the model's. Both must be (H, W, C)."""
-        is_thermal = path.startswith("renders/")
+        files, is_thermal = files_of(modality), modality == THERMAL
+        path = f"{files.renders}/{name}.png"
         render = render_model(
             gaussians, self.cameras[name], depth=is_thermal, blending=blending_of(self.record),
-            background=background_of(self.record, "thermal" if is_thermal else "rgb"),
+            background=background_of(self.record, modality),
         )  # fmt: skip
         again = render.image.numpy()
         if is_thermal:
@@ -91,8 +121,7 @@ class Pictures:
             if stored.shape[2] != self.record.channels:
                 return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
         problem = difference_of(stored, again)
-        model = "model.ply" if is_thermal else "model_rgb.ply"
-        return [f"{path} is not what {model} gives: {problem}"] if problem else []
+        return [f"{path} is not what {files.model} gives: {problem}"] if problem else []
 
     def _has(self, sub: str, name: str) -> bool:
         return (self.folder / sub / f"{name}.png").exists()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,17 +11,16 @@ import numpy as np
 
 from tdgbench.bench.cameras import read_all_cameras
 from tdgbench.bench.hashes import file_problems
+from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import to_8bit
+from tdgbench.scoring.modality import LABELS, THERMAL, image_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.thermal import ImageResponse
-
-MODELS = {"thermal": "model.ply", "rgb": "model_rgb.ply"}
-PICTURES = {"thermal": ("targets", "renders"), "RGB": ("targets_rgb", "renders_rgb")}  # the first that there is
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class ViewedCell:
 
     folder: Path
     record: Record
-    models: dict[str, Gaussians]  # by modality, `thermal` and, of a method that trains one, `rgb`
+    models: dict[str, Gaussians]  # by modality: `thermal`, and others that the method trains
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
     ground_truth: dict[str, View] = field(default_factory=dict)  # of training views, where it is known
@@ -59,8 +58,10 @@ class ViewedCell:
         if view not in self.test:
             return self._training_pictures(view)
         camera, found = self.test[view], {}
-        for modality, folders in PICTURES.items():
-            path = next((p for sub in folders if (p := self.folder / sub / f"{view}.png").exists()), None)
+        for modality in LABELS:
+            files = files_of(modality)
+            both = [self.folder / sub / f"{view}.png" for sub in (files.targets, files.renders)]
+            path = next((path for path in both if path.exists()), None)
             if path is not None:
                 try:
                     found[modality] = read_picture(path, (camera.width, camera.height))
@@ -71,9 +72,9 @@ class ViewedCell:
     def _training_pictures(self, view: str) -> dict[str, np.ndarray]:
         if view not in self.ground_truth:
             return {}
-        known = self.ground_truth[view]
-        rgb = {} if known.load_rgb is None else {"RGB": to_8bit(known.load_rgb())}
-        return {"thermal": to_8bit(known.load_thermal()), **rgb}
+        known = replace(self.ground_truth[view])  # a copy, so that no images stay in memory
+        images = {modality: image_of(known, modality) for modality in LABELS}
+        return {modality: to_8bit(image) for modality, image in images.items() if image is not None}
 
 
 def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
@@ -99,11 +100,13 @@ def open_cell(folder: Path) -> ViewedCell:
         raise ValueError(f"{folder} is damaged: {problem}; run the cell again, or see tdgbench verify")
     try:
         cameras = read_all_cameras(folder)
-        models = {name: load_ply(folder / file) for name, file in MODELS.items() if (folder / file).exists()}
+        paths = {modality: folder / files_of(modality).model for modality in LABELS}
+        models = {modality: load_ply(path) for modality, path in paths.items() if path.exists()}
     except (ValueError, OSError) as error:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
-    if "thermal" not in models or not cameras["test"]:
-        raise ValueError(f"{folder} cannot be shown: it lacks {'a test view' if 'thermal' in models else 'model.ply'}")
+    if THERMAL not in models or not cameras["test"]:
+        lacking = "a test view" if THERMAL in models else paths[THERMAL].name
+        raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
     return ViewedCell(folder, record, models, cameras["train"], cameras["test"])
 
 

@@ -11,18 +11,18 @@ import numpy as np
 from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.paint import lookup_table
-from tdgbench.view.renderer import Frame, Quantity
+from tdgbench.view.renderer import Frame
 
 STOPS = 12  # colours of a colour bar
 STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
 
 
-def value_text(values: np.ndarray, quantity: Quantity, degC: tuple[float, float] | None) -> str:
+def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | None) -> str:
     """One pixel's values (C,) in words. degC: temperatures of the image values 0 and 1, if they are known.
 
     >>> value_text(np.array([0.5]), "thermal", (20.0, 30.0)), value_text(np.array([0.5]), "thermal", None)
     ('25.0 °C', '0.500')
-    >>> value_text(np.array([np.nan]), "depth", None), value_text(np.array([0.1, 0.2, 1.0]), "RGB", None)
+    >>> value_text(np.array([np.nan]), "depth", None), value_text(np.array([0.1, 0.2, 1.0]), "rgb", None)
     ('no surface', '0.100 0.200 1.000')
     >>> value_text(np.array([2.5]), "depth", None)
     'z 2.500'
@@ -35,7 +35,7 @@ def value_text(values: np.ndarray, quantity: Quantity, degC: tuple[float, float]
     return f"z {text}" if quantity == "depth" else text
 
 
-def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: Quantity) -> str:
+def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: str) -> str:
     """The values under the cursor, of each cell."""
     texts = [value_text(values, quantity, cells[name].degC) for name, values in shown]
     if len(shown) == 1:

@@ -9,11 +9,12 @@ import numpy as np
 import viser
 from PIL import Image
 
+from tdgbench.scoring.modality import LABELS
 from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import VALUE_ID
 from tdgbench.view.paint import COLOR_MAPS, as_rgb
-from tdgbench.view.renderer import Frame, Look, Quantity
+from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Frame, Look
 
 ALONE = "–"  # choice of no second cell
 PREVIOUS, NEXT = "← previous", "next →"
@@ -77,9 +78,9 @@ class Panel:
 
     def _add_look(self, gui: viser.GuiApi) -> None:
         names = list(self.cells)
-        quantities: list[Quantity] = ["thermal", "depth", "alpha"]
-        if any("rgb" in cell.models for cell in self.cells.values()):
-            quantities.insert(2, "RGB")
+        models = {modality for cell in self.cells.values() for modality in cell.models}
+        shown = [quantity for quantity in QUANTITIES if quantity in GEOMETRY or quantity in models]
+        self._quantities = {LABELS.get(quantity, quantity): quantity for quantity in shown}
         several = len(names) > 1
         with gui.add_folder("Picture"):
             self._cell = gui.add_dropdown("Cell", names, visible=several)
@@ -87,7 +88,7 @@ class Panel:
                 "Beside", [ALONE, *names], initial_value=names[1] if several else ALONE, visible=several
             )
             self._divide = gui.add_slider("Divide", 0, 100, 1, 50, visible=several)
-            self._quantity = gui.add_dropdown("Show", quantities)
+            self._quantity = gui.add_dropdown("Show", list(self._quantities))
             self._colors = gui.add_dropdown("Colours", COLOR_MAPS)
             self._span = gui.add_multi_slider("Range, %", 0, 100, 1, (0, 100), min_range=1)
             self._bar = gui.add_html("")
@@ -99,7 +100,9 @@ class Panel:
             self.cameras = gui.add_checkbox("Cameras", True)
             self._view = gui.add_dropdown("View", list(self._labels.values()))
             buttons = gui.add_button_group("", [PREVIOUS, NEXT])
-            self._images = {name: gui.add_image(NOTHING, label=name, visible=False) for name in ("thermal", "RGB")}
+            self._images = {
+                modality: gui.add_image(NOTHING, label=label, visible=False) for modality, label in LABELS.items()
+            }
         names = {label: view for view, label in self._labels.items()}
 
         @self._view.on_update
@@ -111,8 +114,8 @@ class Panel:
         def _(_: viser.GuiEvent) -> None:
             self._on_step(1 if buttons.value == NEXT else -1)
 
-    def _quantity_value(self) -> Quantity:
-        return self._quantity.value
+    def _quantity_value(self) -> str:
+        return self._quantities[self._quantity.value]
 
 
 def _line(title: str, text: str = "") -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,12 +12,14 @@ import torch
 from tdgbench.bench.renders import background_of
 from tdgbench.scenes import Camera
 from tdgbench.scoring import to_8bit
+from tdgbench.scoring.modality import LABELS, OTHERS, THERMAL
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.paint import colored, labelled, wiped
 
-Quantity = Literal["thermal", "depth", "RGB", "alpha"]
+GEOMETRY = ("depth", "alpha")
+QUANTITIES = (THERMAL, "depth", *OTHERS, "alpha")  # what a look may show: the image of a modality, or geometry
 MIN_ALPHA = 0.5  # below, a pixel shows no surface
 DEPTH_VIEWS, DEPTH_WIDTH, DEPTH_TAILS = 5, 96, (2, 98)  # cameras, px, percentiles that the depth range is found from
 
@@ -26,7 +28,7 @@ class Look(NamedTuple):
     """What is shown."""
 
     cell: str
-    quantity: Quantity = "thermal"
+    quantity: str = THERMAL
     colors: str = "inferno"  # matplotlib's colour map of gray thermal images, depth and alpha
     span: tuple[float, float] = (0.0, 1.0)  # part of the quantity's range that the colour map covers
     beside: str = ""  # cell to the right of the divide
@@ -78,7 +80,7 @@ class Renderer:
         self.depth_range()
         for name, cell in self.cells.items():
             camera = _shrunk(next(iter(cell.cameras.values())))
-            for quantity in get_args(Quantity):
+            for quantity in QUANTITIES:
                 if self.has(name, quantity):
                     self.values(name, quantity, camera)
 
@@ -86,20 +88,20 @@ class Renderer:
         """Render a look from a camera. A cell that lacks the quantity is left out. Raises ValueError if both do."""
         names = [name for name in dict.fromkeys([look.cell, look.beside]) if self.has(name, look.quantity)]
         if not names:
-            raise ValueError(f"no cell has {look.quantity}")
+            raise ValueError(f"no cell has {LABELS.get(look.quantity, look.quantity)}")
         parts = tuple(self._part(name, look, camera) for name in names)
         return Frame(look, parts, self.range_of(names[0], look.quantity))
 
-    def has(self, name: str, quantity: Quantity) -> bool:
+    def has(self, name: str, quantity: str) -> bool:
         """Whether there is such a cell and it has a quantity."""
-        return name in self.cells and (quantity != "RGB" or "rgb" in self.cells[name].models)
+        return name in self.cells and (quantity in GEOMETRY or quantity in self.cells[name].models)
 
-    def range_of(self, name: str, quantity: Quantity) -> tuple[float, float] | None:
+    def range_of(self, name: str, quantity: str) -> tuple[float, float] | None:
         """Values at the ends of a quantity's whole range; None if its pictures are colours already."""
         if quantity == "depth":
             return self.depth_range()
-        is_gray = self.cells[name].models["thermal"].channels == 1
-        return (0.0, 1.0) if quantity == "alpha" or (quantity == "thermal" and is_gray) else None
+        is_gray = self.cells[name].models[THERMAL].channels == 1
+        return (0.0, 1.0) if quantity == "alpha" or (quantity == THERMAL and is_gray) else None
 
     def depth_range(self) -> tuple[float, float]:
         """z between which nearly all surfaces lie, in world units, as the first cell's training cameras see them."""
@@ -114,10 +116,10 @@ class Renderer:
         return self._depth_range
 
     @torch.no_grad()
-    def values(self, name: str, quantity: Quantity, camera: Camera) -> np.ndarray:
+    def values(self, name: str, quantity: str, camera: Camera) -> np.ndarray:
         """A cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
-        is_geometry = quantity in ("depth", "alpha")
-        modality = "rgb" if quantity == "RGB" else "thermal"
+        is_geometry = quantity in GEOMETRY
+        modality = THERMAL if is_geometry else quantity
         gaussians, background = self._model(name, modality), background_of(self.cells[name].record, modality)
         if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
             gaussians = gaussians._replace(sh_degree=0)
@@ -128,7 +130,7 @@ class Renderer:
             alpha = render.alpha
             return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan)[..., None].numpy()
         image: np.ndarray = render.image.numpy()
-        return self.cells[name].response.temperatures(image) if modality == "thermal" else image
+        return self.cells[name].response.temperatures(image) if modality == THERMAL else image
 
     def _part(self, name: str, look: Look, camera: Camera) -> Part:
         values = self.values(name, look.quantity, camera)

@@ -12,9 +12,9 @@ from tests.helpers.training import ready_to_train
 def test_renders_of_a_method_are_those_of_its_model(small_gray_scene):
     method, _ = ready_to_train(small_gray_scene, "splat", 3)
     view = small_gray_scene.test[0]
-    images = render_images(method, view, with_rgb=True)
+    images = render_images(method, view)
     stored = render_model(method.models()["thermal"].gaussians.detach(), view.camera)
-    assert images.image.shape == (36, 48, 1) and images.depth.shape == (36, 48) and images.rgb is None
+    assert images.image.shape == (36, 48, 1) and images.depth.shape == (36, 48) and not images.others
     assert torch.allclose(stored.image, torch.from_numpy(images.image), atol=1e-6)
 
 
@@ -56,4 +56,4 @@ def test_a_method_that_renders_no_depth_is_named(small_gray_scene, monkeypatch):
     method, _ = ready_to_train(small_gray_scene, "splat", 3)
     monkeypatch.setattr(method, "render", lambda camera: method.model.render(camera))
     with pytest.raises(TypeError, match=r"splat\.render gives no depth"), torch.no_grad():
-        render_images(method, small_gray_scene.test[0], with_rgb=False)
+        render_images(method, small_gray_scene.test[0])

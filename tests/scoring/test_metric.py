@@ -15,7 +15,7 @@ def test_the_rgb_model_is_described_like_the_thermal_one():
 
 def test_a_metric_reads_its_own_modality(small_scene):
     view = small_scene.test[0]
-    images = RenderedImages(view.thermal, view.true_depth, np.clip(view.rgb + 0.1, 0, 1))
+    images = RenderedImages(view.thermal, view.true_depth, {"rgb": np.clip(view.rgb + 0.1, 0, 1)})
     shown = ScoredView(view, images, Convention("zero", lambda a, b: 0.0))
     assert METRICS["psnr"].score(shown) > 99 and METRICS["rgb_psnr"].score(shown) < 30
     without = ScoredView(view, RenderedImages(view.thermal, view.true_depth), shown.convention)

@@ -1,6 +1,7 @@
 import pytest
 
-from tdgbench.scoring import METRICS, TRAIN_METRICS, metrics
+from tdgbench.scoring import METRICS, TRAIN_METRICS, metrics, registry
+from tdgbench.scoring.modality import LABELS
 from tdgbench.scoring.registry import find_metrics
 
 MADE_UP = """
@@ -21,3 +22,11 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
 
 def test_training_views_get_the_cheap_metrics():
     assert list(TRAIN_METRICS) == ["psnr", "ssim"]
+
+
+def test_a_new_modality_has_the_metrics_of_every_modality(monkeypatch):
+    monkeypatch.setitem(LABELS, "nir", "NIR")
+    monkeypatch.setattr(registry, "OTHERS", ("rgb", "nir"))
+    found = find_metrics()
+    assert set(found) - set(METRICS) == {"nir_psnr", "nir_ssim", "nir_lpips"}
+    assert found["nir_ssim"].title == "SSIM of the NIR model ↑" and found["nir_ssim"].modality == "nir"

@@ -9,7 +9,7 @@ CONVENTION = Convention("zero", lambda image, target: 0.0)
 
 
 def shown(scene, view, **fields):
-    images = RenderedImages(view.thermal, view.true_depth, view.rgb)
+    images = RenderedImages(view.thermal, view.true_depth, {"rgb": view.rgb})
     return ScoredView(view, replace(images, **fields), CONVENTION, scene, {view.name: images})
 
 
@@ -27,7 +27,7 @@ def test_pairs_are_what_files_hold(small_scene):
 def test_reasons_why_there_is_nothing_to_compare(small_scene):
     view = small_scene.test[0]
     with pytest.raises(NotApplicableError, match="trains no RGB model"):
-        shown(small_scene, view, rgb=None).pair("rgb")
+        shown(small_scene, view, others={}).pair("rgb")
     with pytest.raises(NotApplicableError, match="another size"):
         shown(small_scene, view, depth=np.ones((2, 2))).true_depth()
     with pytest.raises(NotApplicableError, match="one test view"):

@@ -18,8 +18,10 @@ def scorer(*overrides):
 def score(scoring, scene, pixels, depth, rgb=None):
     """Scores of the first test view; the other views are shown as they are."""
     view = scene.test[0]
-    renders = {v.name: RenderedImages(v.thermal, v.true_depth, v.rgb) for v in scene.test}
-    renders[view.name] = RenderedImages(pixels.astype(np.float32) / np.float32(255), depth, rgb)
+    renders = {v.name: RenderedImages(v.thermal, v.true_depth, {"rgb": v.rgb}) for v in scene.test}
+    renders[view.name] = RenderedImages(
+        pixels.astype(np.float32) / np.float32(255), depth, {} if rgb is None else {"rgb": rgb}
+    )
     return scoring.score(scene, renders)[view.name]
 
 

@@ -23,8 +23,8 @@ def test_a_cell_has_models_cameras_and_pictures(tdg_folder, msmg_folder):
     assert tdg.degC == tuple(tdg.record.temperature) and len(tdg.train) == 8 and len(tdg.test) == 2
     view = next(iter(msmg.test))
     pictures = msmg.pictures(view)
-    assert set(pictures) == {"thermal", "RGB"} and set(tdg.pictures(view)) == {"thermal"}
-    assert np.array_equal(pictures["RGB"], read_picture(msmg_folder / "targets_rgb" / f"{view}.png"))
+    assert set(pictures) == {"thermal", "rgb"} and set(tdg.pictures(view)) == {"thermal"}
+    assert np.array_equal(pictures["rgb"], read_picture(msmg_folder / "targets_rgb" / f"{view}.png"))
     assert tdg.pictures(next(iter(tdg.train))) == {}
 
 

@@ -28,7 +28,7 @@ def test_training_views_have_the_scene_s_images(msmg_folder, data_root, small_gr
     for view in small_gray_scene.train:
         pictures = cell.pictures(view.name)
         assert np.array_equal(pictures["thermal"], to_8bit(view.thermal))
-        assert np.array_equal(pictures["RGB"], to_8bit(view.rgb))
+        assert np.array_equal(pictures["rgb"], to_8bit(view.rgb))
 
 
 def test_data_that_are_not_there(msmg_folder, tmp_path):

@@ -34,7 +34,7 @@ def stored(renderer, name: str, folder: str) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "quantity", "folder"),
-    [("tdg", "thermal", "renders"), ("msmg", "thermal", "renders"), ("msmg", "RGB", "renders_rgb")],
+    [("tdg", "thermal", "renders"), ("msmg", "thermal", "renders"), ("msmg", "rgb", "renders_rgb")],
 )
 def test_a_test_view_is_the_stored_render(renderer, camera, name, quantity, folder):
     again = to_8bit(renderer.values(name, quantity, camera)).astype(int)
@@ -81,10 +81,10 @@ def test_two_cells_are_divided_where_the_look_says(renderer, camera):
 
 
 def test_a_cell_without_an_rgb_model_is_left_out_of_rgb(renderer, camera):
-    frame = renderer.render(Look("tdg", "RGB", beside="msmg"), camera)
+    frame = renderer.render(Look("tdg", "rgb", beside="msmg"), camera)
     assert [part.cell for part in frame.parts] == ["msmg"]
     with pytest.raises(ValueError, match="no cell has RGB"):
-        renderer.render(Look("tdg", "RGB"), camera)
+        renderer.render(Look("tdg", "rgb"), camera)
 
 
 def test_the_cursor_reads_the_pixel_under_it(renderer, camera):

@@ -10,6 +10,7 @@ METRIC = ImageMetric(
     meaning="learned perceptual distance",
     order=30,
     published=True,
+    of_every_modality=True,
     needs="a backbone's weights",
     of_images=lambda pair: pair.convention.lpips(pair.image, pair.target),
 )

@@ -31,6 +31,7 @@ METRIC = ImageMetric(
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
     published=True,
+    of_every_modality=True,
     on_training_views=True,
     of_images=lambda pair: psnr(*pair.pixels),
 )

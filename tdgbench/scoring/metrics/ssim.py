@@ -66,6 +66,7 @@ METRIC = ImageMetric(
     higher_is_better=True,
     limits=(-1.0, 1.0),
     published=True,
+    of_every_modality=True,
     on_training_views=True,
     of_images=lambda pair: ssim(pair.image, pair.target, pair.convention.ssim_border, pair.valid),
 )

@@ -28,7 +28,7 @@ def test_scores_lie_in_their_range(scene, request, squeeze_weights):
 
     def wrong(view):
         noise = rng.normal(0, 0.2, view.thermal.shape).astype(np.float32)
-        return RenderedImages(view.thermal + noise, view.true_depth * rng.uniform(0.5, 1.5), 1 - view.rgb)
+        return RenderedImages(view.thermal + noise, view.true_depth * rng.uniform(0.5, 1.5), {"rgb": 1 - view.rgb})
 
     views = scorer.score(scene, {view.name: wrong(view) for view in scene.test})
     scored = {name for scores in views.values() for name, value in scores.items() if value is not None}
