@@ -19,13 +19,14 @@ from tdgbench.bench.environment import code_version, same_bytes_on
 from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
-from tdgbench.bench.paths import cell_folder_of, short_name
+from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, loader_of, set_up
+from tdgbench.bench.stored_parts import write_parts
 from tdgbench.bench.tensorboard import TensorBoardLog
 from tdgbench.bench.training_log import write_log
 from tdgbench.files import whole_folder
@@ -159,7 +160,8 @@ class CellRun(SetupObserver):
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
             with self.stage("write"):
                 for name, model in trainer.gaussians.items():
-                    save_ply(model.gaussians, part / ("model.ply" if name == "thermal" else f"model_{name}.ply"))
+                    save_ply(model.gaussians, part / files_of(name).model)
+                write_parts(trainer, part)
                 cameras.write_cameras(part / cameras.FILE, scene)
                 write_views(part / "views.csv", scores)
                 write_log(part / "log.csv", self.log)

@@ -19,6 +19,7 @@ from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.thermal.correct import in_one_range
 from tdgbench.training.context import Context
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
@@ -98,7 +99,7 @@ def set_up(
         trainer = Trainer(method, context)
     if compiles:
         with observer.stage("compile"):
-            channels = {model.state.channels for model in trainer.gaussians.values()}
+            channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
     return Training(trainer, scene if is_changed else scored, response)

@@ -104,12 +104,13 @@ class Context:
         return stage
 
     @cached_property
-    def _frames(self) -> dict[str, Frame]:
+    def frames(self) -> dict[str, Frame]:
+        """The frame of each view of the scene, by name."""
         return frames_of(self.scene)
 
     def frame(self, view: View) -> Frame:
         """Return the frame of a view of the scene, at the view's resolution."""
-        return replace(self._frames[view.name], camera=view.camera)
+        return replace(self.frames[view.name], camera=view.camera)
 
     @property
     def device(self) -> torch.device:

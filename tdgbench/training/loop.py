@@ -81,7 +81,7 @@ def train(
         if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
             _check_parameters(trainer.parts, iteration)
             clock.stop()
-            line = _line(log, step, loss, trainer.parts)
+            line = _line(log, step, loss, trainer)
             log.lines.append(line)
             if on_line is not None:
                 on_line(line)
@@ -101,11 +101,11 @@ def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
     return iteration >= trainer.context.budget.iterations or (may_end and recovered)
 
 
-def _line(log: TrainingLog, step: Step, loss: float, parts: Mapping[str, Part]) -> LogLine:
+def _line(log: TrainingLog, step: Step, loss: float, trainer: Trainer) -> LogLine:
     """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
     psnr = _psnr(step)
     smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
-    gaussians = sum(part.report().get("gaussians", 0) for part in parts.values())
+    gaussians = sum(len(model) for model in trainer.gaussians.values())
     return LogLine(log.iterations, log.seconds, loss, smoothed, gaussians, step.terms)
 
 

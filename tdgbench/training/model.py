@@ -12,7 +12,7 @@ import torch
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
-from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.density import DensityControl, Verdict
 from tdgbench.splats.gradients import Gradients
@@ -68,13 +68,21 @@ class SplatModel(Part):
         self.skips = skips or Skips()
         self.work = Work()
         self.significance, self.background = options.significance, options.background
-        self._blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
+        self.blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
         self._views: list[_View] = []
 
+        self._own_rates = options.rates
+
     def __len__(self) -> int:
         return len(self.state)
+
+    def restore(self, gaussians: Gaussians, background: torch.Tensor | None, blending: Blending) -> None:
+        """Take stored Gaussians, to render them as they were after training, with all of their SH degrees."""
+        self.state = TrainingState(gaussians)
+        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self._own_rates)
+        self.degree, self.background, self.blending = gaussians.sh_degree, background, blending
 
     @property
     def gaussians(self) -> Gaussians:
@@ -103,7 +111,7 @@ class SplatModel(Part):
                 self.density.observe_visible(gradients)
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
-        options = StateOptions(self.degree, depth, self._blending, tolerance, self.background, hook)
+        options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from tdgbench.scenes import View
-from tdgbench.training.context import Context, Frame
+from tdgbench.training.context import Context
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
@@ -27,7 +27,7 @@ class Trainer:
         """Set the first stage up again, as if nothing had been trained."""
         self.stages = self.method.stages()
         self.number, self.before = 0, 0  # of the stage, and of iterations in those before it
-        self._finished: dict[str, Part] = {}
+        self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
         self._start()
 
     def _start(self) -> None:
@@ -46,14 +46,15 @@ class Trainer:
         return self.context.parts
 
     def all_parts(self) -> dict[str, Part]:
-        """Return the parts by name; those of finished stages that no later one trains come first, as stage/name."""
+        """Return the parts by name: first those of finished stages, as stage/name where another has the name now."""
+        finished = {name if name not in self.parts else f"{stage}/{name}": one for stage, name, one in self._finished}
         stopping = {} if self.stopping is None else {"stopping": self.stopping}
-        return {**self._finished, **self.parts, **stopping}
+        return {**finished, **self.parts, **stopping}
 
     @property
     def gaussians(self) -> dict[str, SplatModel]:
-        """The Gaussians in training, by name."""
-        return {name: part for name, part in self.parts.items() if isinstance(part, SplatModel)}
+        """The Gaussians by name, also of finished stages."""
+        return {name: part for name, part in self.all_parts().items() if isinstance(part, SplatModel)}
 
     def advance(self, iterations: int) -> bool:
         """Start the next stage after so many iterations in this one; False if it was the last."""
@@ -63,7 +64,7 @@ class Trainer:
         self.number, self.before = self.number + 1, self.before + iterations
         self._start()
         kept = [id(part) for part in self.parts.values()]
-        self._finished |= {f"{name}/{n}": part for n, part in done.items() if id(part) not in kept}
+        self._finished += [(name, n, part) for n, part in done.items() if id(part) not in kept]
         return True
 
     def state_dict(self) -> dict[str, Any]:
@@ -89,10 +90,6 @@ class Trainer:
         found = {name: part.report() for name, part in self.all_parts().items()}
         return {name: report for name, report in found.items() if report}
 
-    def frame(self, view: View) -> Frame:
-        """Return the frame of a view of the scene."""
-        return self.context.frame(view)
-
     def _stopping(self) -> Stopping | None:
         """Return what ends the stage early, by the rules of its budget; None: nothing."""
         budget, context = self.context.budget, self.context
@@ -104,4 +101,4 @@ class Trainer:
 
     @torch.no_grad()
     def _thermal_image(self, view: View) -> Any:
-        return self.method.render(self.frame(view)).image.cpu().numpy()
+        return self.method.render(self.context.frame(view)).image.cpu().numpy()

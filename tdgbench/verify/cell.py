@@ -43,7 +43,7 @@ def verify_cell(folder: Path) -> list[str]:
     found.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
     if rows is not None:
         found.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
-    pictures = Pictures(folder, record, cameras["test"], found)
+    pictures = Pictures(folder, record, cameras, found)
     pictures.check_renders()
     found.check("its masks", mask_problems, record, pictures)
     found.check("scores", score_problems, record, rows, pictures)

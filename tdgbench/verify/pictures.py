@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tdgbench.bench import masks
+from tdgbench.bench import masks, stored_parts
+from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import background_of, blending_of, render_model, response_of
-from tdgbench.scenes import Camera, View
+from tdgbench.bench.stored_parts import StoredMethod
+from tdgbench.scenes import View
 from tdgbench.scoring import RenderedImages
 from tdgbench.scoring.modality import LABELS, OTHERS, THERMAL
-from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
+from tdgbench.splats.view import Render
 from tdgbench.verify.findings import Findings
 
 ROUNDING = 0.01  # levels; float32 renders of one model differ by 1e-4
@@ -67,23 +69,43 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
 class Pictures:
     """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
 
-    def __init__(self, folder: Path, record: Record, cameras: dict[str, Camera], found: Findings) -> None:
-        self.folder, self.record, self.cameras, self.found = folder, record, cameras, found
+    def __init__(self, folder: Path, record: Record, cameras: Cameras, found: Findings) -> None:
+        """cameras: of all views."""
+        self.folder, self.record, self.all_cameras, self.found = folder, record, cameras, found
+        self.cameras = cameras["test"]
         self.depths: dict[str, np.ndarray] = {}  # (H, W) float32 by view, of views that could be rendered
 
     def check_renders(self) -> None:
         """Compare the stored renders with those of the models, and keep the depth maps."""
         for modality in LABELS:
-            model, folder, _ = files_of(modality)
+            folder = files_of(modality).renders
             if modality != THERMAL and not (self.folder / folder).exists():
                 continue
-            gaussians = self.found.read(model, load_ply, self.folder / model)
+            render = self._renderer(modality)
             for name in self.cameras:
                 if modality == THERMAL or self._has(folder, name):
                     path = f"{folder}/{name}.png"
                     stored = self.found.read(path, self._stored, folder, name)
-                    if stored is not None and gaussians is not None:
-                        self.found.check(path, self._differences, gaussians, modality, name, stored)
+                    if stored is not None and render is not None:
+                        self.found.check(path, self._differences, render, modality, name, stored)
+
+    @cached_property
+    def _method(self) -> StoredMethod | None:
+        return self.found.read(stored_parts.FILE, StoredMethod, self.folder, self.record, self.all_cameras)
+
+    def _renderer(self, modality: str) -> Callable[[str], Render] | None:
+        """Return what renders a view of the stored Gaussians, or of the method where it renders more than these."""
+        if (self.folder / stored_parts.FILE).exists():
+            method = self._method
+            return None if method is None else lambda name: method.render(modality, self.cameras[name], name)
+        model = files_of(modality).model
+        gaussians = self.found.read(model, load_ply, self.folder / model)
+        if gaussians is None:
+            return None
+        return lambda name: render_model(
+            gaussians, self.cameras[name], depth=modality == THERMAL, blending=blending_of(self.record),
+            background=background_of(self.record, modality),
+        )  # fmt: skip
 
     def view(self, name: str) -> View:
         """A test view with its stored ground truth and mask."""
@@ -103,14 +125,13 @@ class Pictures:
         image = self._values(files_of(THERMAL).renders, name)
         return RenderedImages(image, self.depths.get(name, np.zeros(image.shape[:2], np.float32)), others)
 
-    def _differences(self, gaussians: Gaussians, modality: str, name: str, stored: np.ndarray) -> list[str]:
+    def _differences(
+        self, render_view: Callable[[str], Render], modality: str, name: str, stored: np.ndarray
+    ) -> list[str]:  # fmt: skip
         """How a stored render differs from the model's. Both must be (H, W, C)."""
         files, is_thermal = files_of(modality), modality == THERMAL
         path = f"{files.renders}/{name}.png"
-        render = render_model(
-            gaussians, self.cameras[name], depth=is_thermal, blending=blending_of(self.record),
-            background=background_of(self.record, modality),
-        )  # fmt: skip
+        render = render_view(name)
         again = render.image.numpy()
         if is_thermal:
             again = response_of(self.record).of(again, name)

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import read_all_cameras
 from tdgbench.bench.hashes import file_problems
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
+from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import to_8bit
 from tdgbench.scoring.modality import LABELS, THERMAL, image_of
@@ -33,6 +35,12 @@ class ViewedCell:
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
     ground_truth: dict[str, View] = field(default_factory=dict)  # of training views, where it is known
+    method: StoredMethod | None = None  # that renders more than the Gaussians of the models; None: these are all
+
+    @property
+    def modalities(self) -> list[str]:
+        """The modalities that can be rendered."""
+        return list(self.models) if self.method is None else list(self.method.modalities)
 
     @property
     def cameras(self) -> dict[str, Camera]:
@@ -102,12 +110,13 @@ def open_cell(folder: Path) -> ViewedCell:
         cameras = read_all_cameras(folder)
         paths = {modality: folder / files_of(modality).model for modality in LABELS}
         models = {modality: load_ply(path) for modality, path in paths.items() if path.exists()}
+        method = StoredMethod(folder, record, cameras) if (folder / stored_parts.FILE).exists() else None
     except (ValueError, OSError) as error:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
     if THERMAL not in models or not cameras["test"]:
         lacking = "a test view" if THERMAL in models else paths[THERMAL].name
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
-    return ViewedCell(folder, record, models, cameras["train"], cameras["test"])
+    return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method=method)
 
 
 def _finished_record(folder: Path) -> Record:

@@ -94,7 +94,7 @@ class Renderer:
 
     def has(self, name: str, quantity: str) -> bool:
         """Whether there is such a cell and it has a quantity."""
-        return name in self.cells and (quantity in GEOMETRY or quantity in self.cells[name].models)
+        return name in self.cells and (quantity in GEOMETRY or quantity in self.cells[name].modalities)
 
     def range_of(self, name: str, quantity: str) -> tuple[float, float] | None:
         """Values at the ends of a quantity's whole range; None if its pictures are colours already."""
@@ -120,17 +120,21 @@ class Renderer:
         """A cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
         is_geometry = quantity in GEOMETRY
         modality = THERMAL if is_geometry else quantity
-        gaussians, background = self._model(name, modality), background_of(self.cells[name].record, modality)
-        if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
-            gaussians = gaussians._replace(sh_degree=0)
-        render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry, background=background)
+        cell = self.cells[name]
+        if cell.method is not None:
+            render = cell.method.render(modality, camera)
+        else:
+            gaussians, background = self._model(name, modality), background_of(cell.record, modality)
+            if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
+                gaussians = gaussians._replace(sh_degree=0)
+            render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry, background=background)
         if quantity == "alpha":
             return render.alpha[..., None].numpy()
         if quantity == "depth":
             alpha = render.alpha
             return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan)[..., None].numpy()
         image: np.ndarray = render.image.numpy()
-        return self.cells[name].response.temperatures(image) if modality == THERMAL else image
+        return cell.response.temperatures(image) if modality == THERMAL else image
 
     def _part(self, name: str, look: Look, camera: Camera) -> Part:
         values = self.values(name, look.quantity, camera)

@@ -1,0 +1,115 @@
+"""`parts.pt`: parts of a training that rendering needs beside the Gaussians, and a cell's method with all of them."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import TypeAdapter, ValidationError
+
+from tdgbench.bench.cameras import Cameras
+from tdgbench.bench.paths import files_of
+from tdgbench.bench.record import Record
+from tdgbench.bench.renders import background_of, blending_of
+from tdgbench.files import whole_file
+from tdgbench.scenes import Camera, PointCloud, Scene, View
+from tdgbench.splats.ply import load_ply
+from tdgbench.splats.view import Render
+from tdgbench.training.budget import Budget
+from tdgbench.training.method import Context, Frame, Method
+from tdgbench.training.trainer import Trainer
+
+FILE = "parts.pt"
+
+
+def write_parts(trainer: Trainer, folder: Path) -> None:
+    """Write the parts that rendering needs, unless the method renders its Gaussians and nothing else."""
+    if trainer.method.plain:
+        return
+    states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.renders}
+    with whole_file(folder / FILE) as path:
+        torch.save(states, path)
+
+
+class StoredMethod:
+    """The method of a finished cell with its parts as they were stored."""
+
+    def __init__(self, folder: Path, record: Record, cameras: Cameras) -> None:
+        """cameras: of all views. Raises ValueError, naming file or method, if they cannot be restored."""
+        method = _method_of(record)
+        trainer = Trainer(method, Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0))
+        trainer.at_stage(len(trainer.stages) - 1)
+        for name, model in trainer.gaussians.items():
+            model.restore(load_ply(folder / files_of(name).model), background_of(record, name), blending_of(record))
+        try:
+            states: dict[str, Any] = torch.load(folder / FILE, weights_only=True, map_location="cpu")
+            for name, part in trainer.all_parts().items():
+                if part.renders:
+                    part.load_state_dict(states[name])
+        except Exception as error:  # torch documents no exception types for foreign files
+            raise ValueError(f"{folder / FILE} does not hold the parts of {record.method}: {error}") from error
+        self._trainer = trainer
+
+    @property
+    def modalities(self) -> tuple[str, ...]:
+        """The modalities that the method renders."""
+        return self._trainer.method.modalities
+
+    @torch.no_grad()
+    def render(self, modality: str, camera: Camera, view: str | None = None) -> Render:
+        """Render a modality from a camera, at the time of a view, if one is named."""
+        frames, frame = self._trainer.context.frames, Frame(camera)
+        if view in frames:
+            frame = replace(frames[view], camera=camera)
+        return self._trainer.method.render(frame, modality)
+
+
+_POINTS = PointCloud(np.zeros((4, 3)), np.full((4, 3), 0.5, np.float32))  # in the place of the stored Gaussians
+
+
+def _method_of(record: Record) -> Method:
+    """Return the method with its options. Raises ValueError if it is not installed, or no method."""
+    options = dict((record.setting("method.method") or {}).items())
+    module, _, name = str(options.pop("_target_", "")).rpartition(".")
+    try:
+        kind = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"method {record.method} cannot be found ({error}); run this where its file is") from error
+    if not (isinstance(kind, type) and issubclass(kind, Method)):
+        raise ValueError(f"{module}.{name}, of which the record says that it is {record.method}, is no method")
+    try:
+        method: Method = kind(**options)
+    except TypeError as error:
+        raise ValueError(f"method {record.method} has other options here: {error}") from error
+    return method
+
+
+def _budget_of(record: Record) -> Budget:
+    """Return the budget without the rules that look at images."""
+    options = {**(record.setting("budget") or {}), "background": "black"}
+    options |= dict.fromkeys(("growth", "pixels", "settling", "plateau"))
+    try:
+        return TypeAdapter(Budget).validate_python(_without_targets(options))
+    except ValidationError as error:
+        raise ValueError(f"the record's budget cannot be read: {error.errors()[0]['msg']}") from error
+
+
+def _without_targets(options: Any) -> Any:
+    if not isinstance(options, dict):
+        return options
+    return {name: _without_targets(value) for name, value in options.items() if name != "_target_"}
+
+
+def _scene_of(record: Record, cameras: Cameras) -> Scene:
+    """Return the scene with its cameras and no images."""
+    train, test = ([View(name, one, _no_image) for name, one in cameras[part].items()] for part in ("train", "test"))
+    names = (record.scene, record.dataset, record.group)
+    return Scene(*names, train, test, _POINTS, None, record.split, record.data, record.channels)
+
+
+def _no_image() -> np.ndarray:
+    raise ValueError("a stored cell has no images of its training views")
