@@ -157,6 +157,7 @@ class _Backend(_Group):
 
 class _Camera(_PlugIn):
     estimate: bool
+    rig: bool
 
 
 class _Log(_PlugIn):

@@ -20,7 +20,8 @@ Facts = dict[str, Any]
 class CameraOptions:
     """What is done about the thermal camera's errors; see `conf/camera/`."""
 
-    estimate: bool  # before training, from sparse points; training views are then corrected
+    estimate: bool  # its response, before training, from sparse points; training views are then corrected
+    rig: bool = False  # learn where it is, and its lens, with the Gaussians: `tdgbench.training.rig`
 
 
 class Prepared(NamedTuple):

@@ -94,7 +94,7 @@ def set_up(
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera.rig)
         observer.note_points(init.describe(scene))
         trainer = Trainer(method, context)
     if compiles:

@@ -27,10 +27,10 @@ FILE = "parts.pt"
 
 
 def write_parts(trainer: Trainer, folder: Path) -> None:
-    """Write the parts that rendering needs, unless the method renders its Gaussians and nothing else."""
-    if trainer.method.plain:
-        return
+    """Write the parts that rendering needs, unless all that is rendered are Gaussians."""
     states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.renders}
+    if trainer.method.plain and not states:
+        return
     with whole_file(folder / FILE) as path:
         torch.save(states, path)
 
@@ -41,7 +41,9 @@ class StoredMethod:
     def __init__(self, folder: Path, record: Record, cameras: Cameras) -> None:
         """cameras: of all views. Raises ValueError, naming file or method, if they cannot be restored."""
         method = _method_of(record)
-        trainer = Trainer(method, Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0))
+        context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
+        context.learns_rig = bool(record.setting("camera.rig"))
+        trainer = Trainer(method, context)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():
             model.restore(load_ply(folder / files_of(name).model), background_of(record, name), blending_of(record))

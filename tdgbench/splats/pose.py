@@ -10,25 +10,24 @@ from tdgbench.splats.view import GaussianTensors, Pinhole
 
 
 def with_pose_gradient(gaussians: GaussianTensors, camera: Pinhole) -> tuple[GaussianTensors, Pinhole]:
-    """Return Gaussians and camera that render the same; where the pose asks for a gradient, they hand it on.
-
-    The Gaussians are then in the camera's coordinates, and harmonics are colours: their direction depends on the
-    camera's centre.
-    """
+    """Return Gaussians and camera that render the same; where the pose asks for a gradient, they hand it on."""
     if not camera.viewmat.requires_grad:
         return gaussians, camera
+    viewmat = camera.viewmat.to(gaussians.means)
+    return in_camera(gaussians, viewmat), camera._replace(viewmat=torch.eye(4).to(viewmat))
+
+
+def in_camera(gaussians: GaussianTensors, viewmat: Tensor) -> GaussianTensors:
+    """Return the Gaussians in the coordinates of a camera, viewmat (4, 4), with gradients by the Gaussians and by it.
+
+    Harmonics become colours: their direction depends on the camera's centre.
+    """
     means, quats, _, _, colors, degree = gaussians
-    viewmat = camera.viewmat.to(means)
     turn, shift = viewmat[:3, :3], viewmat[:3, 3]
     if degree is not None:
         colors = colors_from_sh(colors, torch.nn.functional.normalize(means + turn.T @ shift, dim=1), degree)
-    moved = gaussians._replace(
-        means=means @ turn.T + shift,
-        quats=product(quaternion(turn), quats),
-        colors=colors,
-        sh_degree=None,
-    )
-    return moved, camera._replace(viewmat=torch.eye(4, dtype=means.dtype, device=means.device))
+    quats = product(quaternion(turn), quats)
+    return gaussians._replace(means=means @ turn.T + shift, quats=quats, colors=colors, sh_degree=None)
 
 
 def product(a: Tensor, b: Tensor) -> Tensor:

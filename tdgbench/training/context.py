@@ -18,10 +18,11 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.growth import Significance
-from tdgbench.training.images import MODALITIES, Modality
+from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream
 from tdgbench.training.pixels import schedule
+from tdgbench.training.rig import Rig
 from tdgbench.training.settling import hold_out
 from tdgbench.training.skips import Skips
 
@@ -82,6 +83,8 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
+    learns_rig: bool = False  # of the thermal camera
+    rig: Rig | None = None  # of the training that runs
     parts: dict[str, Part] = field(default_factory=dict, init=False)
     _streams: int = field(default=0, init=False, repr=False)
 
@@ -96,11 +99,13 @@ class Context:
             held = hold_out(budget.settling, views)
         return self.keep("curriculum", Curriculum(steps, held))
 
-    def of_stage(self, number: int, share: float) -> Context:
-        """Return the context of a stage (0-based) with a share of the budget; it has no parts yet."""
-        stage = replace(self, budget=self.budget.part(share))
+    def of_stage(self, number: int, share: float, rig: Rig | None) -> Context:
+        """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
+        stage = replace(self, budget=self.budget.part(share), rig=rig)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         _ = stage.curriculum  # the first part, which the others follow
+        if rig is not None:
+            stage.keep("rig", rig)
         return stage
 
     @cached_property
@@ -144,8 +149,9 @@ class Context:
             channels = images.channels(self.scene)
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = replace(start, more={**start.more, **(more or {})})
-        background = self._background(images)
-        options = ModelOptions(name or modality, self._significance(images, background), background, dict(rates or {}))
+        background, rig = self._background(images), self.rig if images is THERMAL else None
+        significance = self._significance(images, background, rig)
+        options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}))
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(
             start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options
@@ -177,11 +183,14 @@ class Context:
             return None
         return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
 
-    def _significance(self, images: Modality, background: torch.Tensor | None) -> Significance | None:
+    def _significance(
+        self, images: Modality, background: torch.Tensor | None, rig: Rig | None
+    ) -> Significance | None:  # fmt: skip
         rule = self.budget.growth
         if rule is None:
             return None
-        return Significance(rule, self.scene.train, images, self.curriculum, self.backend, background)
+        taken_by = {} if rig is None else {"camera_of": rig.camera}
+        return Significance(rule, self.scene.train, images, self.curriculum, self.backend, background, **taken_by)
 
 
 def training_device(backend: str) -> torch.device:

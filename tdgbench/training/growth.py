@@ -12,12 +12,13 @@ How much D differs between views says nothing more: where a model still lacks Ga
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from tdgbench.scenes import View
+from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
@@ -42,13 +43,14 @@ class Significance:
         curriculum: Curriculum,
         backend: str,
         background: Tensor | None = None,
+        camera_of: Callable[[Camera], Camera] = lambda camera: camera,
     ) -> None:
         """views: of the training; a round looks at some of those that the curriculum shows, at its resolution.
 
-        background: (C,) behind the Gaussians; None: black.
+        background: (C,) behind the Gaussians; None: black. camera_of: the camera that took the images of a view.
         """
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
-        self.background = background
+        self.background, self.camera_of = background, camera_of
 
     @cached_property
     def noise(self) -> float:
@@ -78,8 +80,9 @@ class Significance:
 
     def look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         """Footprints in what a view shows and the Gaussians do not."""
-        camera = Pinhole.of(view.camera).to(gaussians.means)
+        taken_by = self.camera_of(view.camera)
+        camera = Pinhole.of(taken_by).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.of(view, image.device)
-        return look_at(gaussians, view.camera, target - image, valid, self.backend)
+        return look_at(gaussians, taken_by, target - image, valid, self.backend)

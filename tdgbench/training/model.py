@@ -25,6 +25,7 @@ from tdgbench.training.budget import Budget
 from tdgbench.training.errors import EmptyModelError
 from tdgbench.training.growth import Significance
 from tdgbench.training.part import Part
+from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips
 from tdgbench.training.work import Work
 
@@ -33,11 +34,13 @@ from tdgbench.training.work import Work
 class ModelOptions:
     """What sets one model apart from another with the same budget.
 
-    name: for messages. significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the
-    Gaussians; None: black. rates: learning rates of fields, in the place of the budget's; see `Adam`.
+    name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
+    significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
+    black. rates: learning rates of fields, in the place of the budget's; see `Adam`.
     """
 
     name: str = "thermal"
+    rig: Rig | None = None
     significance: Significance | None = None
     background: torch.Tensor | None = None
     rates: Mapping[str, float | str] = field(default_factory=dict)
@@ -58,7 +61,7 @@ class SplatModel(Part):
     ) -> None:
         """extent: of the scene, world units. generator: draws the children of split Gaussians."""
         options = options or ModelOptions()
-        self.name = options.name
+        self.name, self.rig = options.name, options.rig
         self.state = TrainingState(gaussians)
         self.budget = budget
         self.backend = backend
@@ -111,8 +114,10 @@ class SplatModel(Part):
                 self.density.observe_visible(gradients)
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
-        options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
+        if self.rig is not None:
+            hook, pinhole = self.rig.through(hook, pinhole)
+        options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
     def state_dict(self) -> dict[str, Any]:

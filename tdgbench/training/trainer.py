@@ -12,6 +12,7 @@ from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
 from tdgbench.training.plateau import Plateau
+from tdgbench.training.rig import Rig
 from tdgbench.training.settling import Settling
 
 
@@ -26,12 +27,13 @@ class Trainer:
     def restart(self) -> None:
         """Set the first stage up again, as if nothing had been trained."""
         self.stages = self.method.stages()
+        self._rig = Rig(self.whole.scene.extent, self.whole.device) if self.whole.learns_rig else None
         self.number, self.before = 0, 0  # of the stage, and of iterations in those before it
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole.of_stage(self.number, self.stage.share)
+        self.context = self.whole.of_stage(self.number, self.stage.share, self._rig)
         self.stage.setup(self.context)
         self.stopping = self._stopping()
 
