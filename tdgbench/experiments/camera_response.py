@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,15 +19,6 @@ from tdgbench.thermal.polynomials import TERMS, evaluate
 
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 TINY = 1e-9  # °C; a smaller truth has nothing to show
-
-
-class Found(NamedTuple):
-    """Response of training views (V,) at a reference; coefficients (K,) of the vignette. In °C."""
-
-    views: list[str]
-    reference: float
-    response: Response
-    vignette: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -65,24 +56,16 @@ def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: l
     """
     if record.temperature is None or truth.camera.limits is not None:
         return None
-    found = _found(record) or _ideal(train, truth.camera.reference)
-    true = truth_in_gauge(truth, found.views, found.reference)
-    height, width = true.vignette.shape
-    vignette = evaluate(found.vignette, width, height)
-    return Comparison({**labels, "scene": record.scene}, found.views, in_gauge(found.response), vignette, true)
-
-
-def _found(record: Record) -> Found | None:
-    """The camera that training views were corrected for; None if they were not."""
     facts = record.camera.get("estimated", {})
-    if "offsets" not in facts:
-        return None
+    if "offsets" not in facts:  # training views are as an ideal camera would show them
+        facts = {"views": train, "reference": truth.camera.reference, "offsets": np.zeros(len(train)),
+                 "gains": np.ones(len(train)), "vignette": np.zeros(len(TERMS))}  # fmt: skip
     offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
-    return Found(list(facts["views"]), float(facts["reference"]), Response(offsets, gains), vignette)
-
-
-def _ideal(views: list[str], reference: float) -> Found:
-    return Found(views, reference, Response(np.zeros(len(views)), np.ones(len(views))), np.zeros(len(TERMS)))
+    views = list(facts["views"])
+    true = truth_in_gauge(truth, views, float(facts["reference"]))
+    height, width = true.vignette.shape
+    found = in_gauge(Response(offsets, gains))
+    return Comparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
 
 
 def draw_cameras(compared: Sequence[Comparison], target: Path) -> None:

@@ -12,7 +12,6 @@ import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench.record import Record
 from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
@@ -24,7 +23,7 @@ from tdgbench.experiments.matrix import (
     run_cells,
     values_of,
 )
-from tdgbench.experiments.prior_accuracy import Judged, judge, source
+from tdgbench.experiments.prior_accuracy import Accuracy, Judged, judge, source
 from tdgbench.experiments.show import as_text, show
 from tdgbench.files import write_text
 from tdgbench.scenes import SceneError
@@ -68,37 +67,33 @@ class Priors(Experiment):
         """
         self.check(cfg)
         pool.set_threads(cfg.threads)
-        entries: list[Entry] = []
-        cells: list[MatrixCell] = []
-        all_read = True
+        tables: list[SceneTables] = []
         for name in cfg.job.scenes:
             try:
-                of_scene, ran = run_scene(cfg, name)
+                tables.append(run_scene(cfg, name))
             except SceneError as error:
                 say(str(error), "failed:")
-                all_read = False
-            else:
-                entries, cells = entries + of_scene, cells + ran
-        if entries:
-            _write(Path(cfg.results) / cfg.name, entries)
-        check_all_ran(cells)
-        if not all_read:
+        if tables:
+            _write(Path(cfg.results) / cfg.name, tables)
+        check_all_ran(cell for one in tables for cell in one.cells)
+        if len(tables) < len(cfg.job.scenes):
             raise SystemExit(1)
 
 
-class Entry(NamedTuple):
-    """A prior on a scene: how it was judged, and the records of TDg's finished cells with it, one per seed."""
+class SceneTables(NamedTuple):
+    """The cells of a scene, and its rows of the tables.
 
-    scene: str
-    prior: str
-    made_from: str
-    truth: str
-    judged: Judged
-    records: Sequence[Record]
-    reason: str = ""  # why a number is missing
+    priors: a row per prior; errors are means over the training views, scores means over the seeds. psnr_gain: PSNR
+    minus that without a prior, mean over the seeds that both have. reason: why numbers are missing. views: a row per
+    prior and training view.
+    """
+
+    cells: list[MatrixCell]
+    priors: list[dict[str, Any]]
+    views: list[dict[str, Any]]
 
 
-def run_scene(cfg: DictConfig, name: str | None) -> tuple[list[Entry], list[MatrixCell]]:
+def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     """Judge each prior on a scene, and run TDg without depth and with each prior that is available.
 
     Raises SceneError if the scene cannot be read.
@@ -113,50 +108,38 @@ def run_scene(cfg: DictConfig, name: str | None) -> tuple[list[Entry], list[Matr
         "prior": [without, *groups_of("prior", available, variant="prior")],
         "seed": values_of("seed", cfg.job.seeds),
     }
-    cells, entries = run_cells(cfg, axes), []
+    cells, rows, views = run_cells(cfg, axes), [], []
+    scores = {prior: _scores(cells, prior) for prior in (NONE, *judged)}
     for prior, found in {NONE: Judged(), **judged}.items():
-        records = [cell.record for cell in cells if cell.labels["prior"] == prior and cell.record is not None]
-        made_from = "" if prior == NONE else str(priors[prior].get("made_from") or "")
-        truth = "" if found.reason else source(scene)
-        failed = "" if found.reason or len(records) == len(cfg.job.seeds) else "a training failed"
-        entries.append(Entry(scene.name, prior, made_from, truth, found, records, found.reason or failed))
-    return entries, cells
-
-
-def prior_rows(entries: Sequence[Entry]) -> pd.DataFrame:
-    """One row per scene and prior. Errors are means over the training views, scores means over the seeds.
-
-    psnr_gain: PSNR minus that without a prior, mean over the seeds that both have. reason: why numbers are missing.
-    """
-    without = {(e.scene, r.seed): r.scores.get("psnr") for e in entries if e.prior == NONE for r in e.records}
-    rows = []
-    for entry in entries:
-        found = entry.judged.mean
-        gains = [
-            record.scores["psnr"] - base  # type: ignore[operator]
-            for record in entry.records
-            if (base := without.get((entry.scene, record.seed))) is not None and entry.prior != NONE
-        ]
+        place = {"scene": scene.name, "prior": prior}
+        failed = "" if found.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
         rows.append(
             {
-                "scene": entry.scene, "prior": entry.prior, "made_from": entry.made_from, "kind": entry.judged.kind,
-                "truth": entry.truth if found else "", "views": len(entry.judged.views),
-                **{name: np.nan if found is None else getattr(found, name) for name in ("abs_rel", "delta", "rank")},
-                "seeds": len(entry.records), **{name: _mean(entry.records, name) for name in SCORES},
-                "psnr_gain": float(np.mean(gains)) if gains else np.nan, "reason": entry.reason,
+                **place,
+                "made_from": "" if prior == NONE else str(priors[prior].get("made_from") or ""),
+                **_of_judged(found, source(scene)),
+                "seeds": len(scores[prior]),
+                **scores[prior].mean(skipna=False),
+                "psnr_gain": np.nan if prior == NONE else (scores[prior]["psnr"] - scores[NONE]["psnr"]).mean(),
+                "reason": found.reason or failed,
             }
-        )  # fmt: skip
-    return pd.DataFrame(rows)
+        )
+        views += [{**place, "view": view, **error._asdict()} for view, error in found.views.items()]
+    return SceneTables(cells, rows, views)
 
 
-def view_rows(entries: Sequence[Entry]) -> pd.DataFrame:
-    """One row per scene, prior and training view."""
-    rows = [
-        {"scene": entry.scene, "prior": entry.prior, "view": view, **one._asdict()}
-        for entry in entries
-        for view, one in entry.judged.views.items()
-    ]
-    return pd.DataFrame(rows, columns=["scene", "prior", "view", "abs_rel", "delta", "rank"])
+def _scores(cells: Sequence[MatrixCell], prior: str) -> pd.DataFrame:
+    """SCORES of the finished cells with a prior by seed, NaN for n/a."""
+    records = [cell.record for cell in cells if cell.labels["prior"] == prior and cell.record is not None]
+    seeds = [record.seed for record in records]
+    return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
+
+
+def _of_judged(judged: Judged, truth: str) -> dict[str, Any]:
+    """Errors of a prior, means over the training views, and what they are errors against."""
+    errors = judged.mean or Accuracy(np.nan, np.nan, np.nan)
+    known = {"kind": judged.kind, "truth": truth if judged.mean else "", "views": len(judged.views)}
+    return {**known, **errors._asdict()}
 
 
 def reasons(table: pd.DataFrame) -> list[str]:
@@ -182,16 +165,13 @@ def latex(table: pd.DataFrame) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def _mean(records: Sequence[Record], name: str) -> float:
-    values = [record.scores.get(name) for record in records]
-    return float(np.mean(values)) if values and None not in values else np.nan  # type: ignore[arg-type]
-
-
-def _write(folder: Path, entries: Sequence[Entry]) -> None:
+def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     """Write and print the tables."""
-    table = prior_rows(entries)
+    table = pd.DataFrame([row for one in tables for row in one.priors])
+    views = [row for one in tables for row in one.views]
+    view_table = pd.DataFrame(views, columns=["scene", "prior", "view", *Accuracy._fields])
     write_text(folder / "priors.csv", as_csv(table, na_rep="n/a"))
-    write_text(folder / "priors_views.csv", as_csv(view_rows(entries), na_rep="n/a"))
+    write_text(folder / "priors_views.csv", as_csv(view_table, na_rep="n/a"))
     write_text(folder / "priors.tex", latex(table))
     for scene, rows in table.groupby("scene", sort=False):
         truth = next((text for text in rows["truth"] if text), "nothing")
