@@ -41,16 +41,11 @@ class Outline:
     read: Callable[[], Scene]
 
 
-def read_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None = None) -> Scene:
-    """Read the scene in a folder. layout: None detects it, which a note says.
+def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
+    """The scene in a folder, without decoding images. layout: None detects it, which a note says.
 
     Raises SceneError naming the file or view and the remedy.
     """
-    return outline_scene(folder, description, options, layout).read()
-
-
-def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
-    """`read_scene` without decoding images. Raises SceneError."""
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:
