@@ -30,7 +30,7 @@ GAUSSIANS = RecordMeasure(
 )  # fmt: skip
 OF_RECORDS = (HOURS, GAUSSIANS)  # those that are `published` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
-MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, GAUSSIANS)}
+MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 
 PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.published)
 PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.published))  # columns of the main table
