@@ -80,7 +80,12 @@ def choose(run: Callable[[str], Verdict]) -> Choice:
     reason = load_backend(backend).why_not()
     if reason is not None:
         return Choice(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
-    say("checking gsplat against the reference; its first use compiles kernels for minutes", "note:", stderr=True)
+    say(
+        "checking gsplat against the reference; its first use compiles kernels for minutes",
+        "note:",
+        "yellow",
+        stderr=True,
+    )
     lines = []
     for name, index in sorted(models.items()):
         with torch.cuda.device(index):
