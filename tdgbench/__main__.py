@@ -51,7 +51,7 @@ def _kept() -> str:
     callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""
-    from tdgbench.bench.kept import kept
+    from tdgbench.bench.stored import kept
 
     return f"; {kept(callback.folder)}"
 

@@ -62,11 +62,11 @@ def visible_gpus() -> list[str]:
     return [str(torch.cuda.get_device_properties(i).uuid) for i in range(torch.cuda.device_count())]
 
 
-def describe_gpu(index: int | None = None) -> dict[str, Any] | None:
-    """Name, memory, driver and CUDA version of a GPU, by default of the one in use; None without one."""
+def describe_gpu() -> dict[str, Any] | None:
+    """Name, memory, driver and CUDA version of the GPU in use; None without one."""
     if not torch.cuda.is_available():
         return None
-    properties = torch.cuda.get_device_properties(torch.cuda.current_device() if index is None else index)
+    properties = torch.cuda.get_device_properties(torch.cuda.current_device())
     return {
         "name": properties.name,
         "memory_mb": round(properties.total_memory / 2**20),

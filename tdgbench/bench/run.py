@@ -27,8 +27,7 @@ from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import SetupObserver, loader_of, set_up
 from tdgbench.bench.stored_parts import write_parts
-from tdgbench.bench.tensorboard import TensorBoardLog
-from tdgbench.bench.training_log import write_log
+from tdgbench.bench.training_log import TensorBoardLog, write_log
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of

@@ -1,14 +1,15 @@
-"""What is stored of a cell: its readable record, the record of a failure, a result that a failure hid."""
+"""What is stored of a cell: its readable record, the record of a failure, a result that a failure hid; and of a run."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from pathlib import Path
 
 from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.record import Failure, Record, read_record
+from tdgbench.bench.record import Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 
 
@@ -54,3 +55,13 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
         return False
     put_in_place(hidden, folder)
     return True
+
+
+def kept(experiment: Path) -> str:
+    """What an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
+    records = [readable_record(path.parent) for path in record_files(experiment)]
+    finished = sum(record is not None and record.status == "ok" for record in records)
+    cells = f"{finished} finished {'cell' if finished == 1 else 'cells'}"
+    written = [path.stat().st_mtime for path in (experiment / "checkpoints").glob("[!.]*.pt")]
+    state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
+    return f"{experiment} keeps {cells}{state}; the same command goes on from there"

@@ -1,4 +1,4 @@
-"""The Hydra callback of all experiments: it plans and concludes them, unless a finished one is asked for again."""
+"""The Hydra callback of all experiments: it plans and concludes them, unless nothing has changed since."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from tdgbench.experiments.stamp import command_hash, tell_unchanged
+from tdgbench.experiments.stamp import inputs_hash, tell_unchanged
 from tdgbench.terminal import say
 
 
@@ -20,12 +20,12 @@ class ExperimentCallback(Callback):
 
     Ends the process with status 0 where nothing has changed since the same command finished.
 
-    folder: of the experiment that this process has begun. command: its hash, see `command_hash`. on_loaded: called once
-    everything is imported.
+    folder: of the experiment that this process has begun. inputs: see `inputs_hash`. on_loaded: called once everything
+    is imported.
     """
 
     folder: ClassVar[Path | None] = None
-    command: ClassVar[str | None] = None
+    inputs: ClassVar[str | None] = None
     on_loaded: ClassVar[Callable[[], None] | None] = None
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -43,8 +43,8 @@ class ExperimentCallback(Callback):
 
 def _start(cfg: DictConfig) -> None:
     with _status_1_on_error():
-        command = command_hash(cfg)
-        if tell_unchanged(cfg, command):
+        folder, inputs = Path(cfg.results) / cfg.name, inputs_hash(cfg)
+        if tell_unchanged(folder, inputs):
             raise SystemExit(0)
         from tdgbench.bench.options import names_to_text  # these imports take seconds
         from tdgbench.bench.plan import compose_jobs
@@ -57,9 +57,8 @@ def _start(cfg: DictConfig) -> None:
         experiment = experiment_of(names_to_text(cfg))
         experiment.check(cfg)
         experiment.check_typed(cfg.hydra.overrides.task)
-        folder = Path(cfg.results) / cfg.name
         check_results_folder(folder)
-        ExperimentCallback.folder, ExperimentCallback.command = folder, command
+        ExperimentCallback.folder, ExperimentCallback.inputs = folder, inputs
         experiment.start(cfg)
 
 

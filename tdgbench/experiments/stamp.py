@@ -1,130 +1,138 @@
-"""`finished.json`: what a finished sweep was made of and what it made, so that the same command need not check cells.
+"""`finished.json`: by which a repeated command finds, before anything heavy is imported, that nothing has changed.
 
-It is read before anything heavy is imported. It fits as long as the command, the configuration, the code, the installed
-packages, the inputs of all cells and the results are what they were; otherwise the sweep takes its ordinary course.
+It holds for one command, for one state of what cells are made from (code, configuration, packages, every path that the
+configuration names) and for one state of the results. A file's state is its name, size and times.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import json
+import os
 import re
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
 from pydantic import TypeAdapter, ValidationError
 
 from tdgbench.files import write_text
-from tdgbench.filestate import States
 from tdgbench.resources import PACKAGE, conf_folder, paper_tables_folder
 from tdgbench.terminal import say
 
 FILE = "finished.json"
+RESULTS = ("cells", "tables", "report.html", "strip.png", "experiment.json")
 BASIC_SWEEPER = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"  # runs the cells that the command names
-INSTALLED = ("hydra.", "hydra_plugins.")  # packages with configurations, which change only with their version
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
-DECIDED = ("hydra", "now", "oc.select", "oc.dict.keys", "oc.dict.values")  # resolvers that read configuration alone
-
-
-@dataclass(frozen=True)
-class Told:
-    """What a run that finds all of its cells prints: lines on standard error, text on standard output, findings."""
-
-    errors: list[str]
-    text: str
-    findings: list[str]
+DECIDED = {"hydra", "now", "oc.select", "oc.dict.keys", "oc.dict.values"}  # resolvers that read configuration alone
+TARGET = re.compile(r"_target_\s*[:=]\s*(\w+)")
+OWN = {"tdgbench", "methods", "hydra"}  # packages whose classes read no files but those that the configuration names
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """A finished sweep. command: hash of everything but files of data that the sweep depends on."""
+    """A finished sweep: hashes of its inputs and results, and what a run prints that finds all of its cells."""
 
-    command: str
-    inputs: States
-    results: States
-    told: Told
-
-    def fits(self, command: str) -> bool:
-        """Whether a command would find everything as the sweep left it."""
-        return self.command == command and self.results.is_now() and self.inputs.is_now()
-
-    def write(self, experiment: Path) -> None:
-        write_text(experiment / FILE, json.dumps(asdict(self)) + "\n")
+    inputs: str
+    results: str
+    errors: list[str]  # lines on standard error
+    text: str
+    findings: list[str]
 
 
-def read_stamp(experiment: Path) -> Stamp | None:
-    """The stamp in an experiment's folder; None if there is none that can be read."""
+def tell_unchanged(experiment: Path, inputs: str | None) -> bool:
+    """Print the results of a finished sweep whose stamp fits; False, and nothing printed, otherwise."""
     try:
-        return TypeAdapter(Stamp).validate_json((experiment / FILE).read_bytes())
-    except (OSError, ValidationError, RecursionError):
-        return None
-
-
-def tell_unchanged(cfg: DictConfig, command: str | None) -> bool:
-    """Print the results of a finished sweep whose stamp fits the command; False, and nothing printed, otherwise."""
-    stamp = None if command is None else read_stamp(Path(str(cfg.results)) / str(cfg.name))
-    if command is None or stamp is None or not stamp.fits(command):
+        stamp = TypeAdapter(Stamp).validate_json((experiment / FILE).read_bytes())
+    except (OSError, ValidationError):
         return False
-    for line in stamp.told.errors:
+    if inputs is None or stamp.inputs != inputs or stamp.results != results_hash(experiment):
+        return False
+    for line in stamp.errors:
         say(line, stderr=True)
-    say(stamp.told.text)
-    for sentence in stamp.told.findings:
+    say(stamp.text)
+    for sentence in stamp.findings:
         say(sentence, "found:", "bold")
     return True
 
 
-def command_hash(cfg: DictConfig) -> str | None:
-    """Hash of a command: its configuration, the files that its jobs' configurations are composed of, code, packages.
+def leave_stamp(experiment: Path, stamp: Stamp) -> None:
+    """Write a stamp. Raises OSError."""
+    write_text(experiment / FILE, TypeAdapter(Stamp).dump_json(stamp).decode() + "\n")
 
-    None where that does not decide what the jobs are: their values come from elsewhere, or the sweeper chooses them.
+
+def inputs_hash(cfg: DictConfig) -> str | None:
+    """Hash of all that the cells of a command depend on.
+
+    None where that is not known: cells run whatever is there, a sweeper chooses them, or plug-ins or values come from
+    elsewhere.
     """
-    hydra = cfg.hydra
-    if hydra.sweeper._target_ != BASIC_SWEEPER:
-        return None
-    plain = cfg.copy()
+    hydra, plain = cfg.hydra, cfg.copy()
     with open_dict(plain):
         del plain["hydra"]
-    asked = {
-        "config": OmegaConf.to_container(plain, resolve=False),
-        "words": [*hydra.overrides.task, OmegaConf.to_container(hydra, resolve=False)["sweeper"]],  # type: ignore[index,call-overload]
-        "mode": str(hydra.mode),
-        "folder": str(Path.cwd()),
-    }
-    text = json.dumps(asked, default=str, sort_keys=True)
-    digest = hashlib.sha256(text.encode("utf-8", "surrogateescape"))
-    for source in hydra.runtime.config_sources:
-        if source.schema == "file":
-            text += _hash_folder(digest, Path(source.path), "*.yaml")
-        elif source.schema != "structured" and not f"{source.path}.".startswith(INSTALLED):
-            return None
-    if not set(RESOLVER.findall(text)) <= set(DECIDED):
+    words = [OmegaConf.to_yaml(part) for part in (plain, hydra.overrides, hydra.sweeper)]
+    sources = [source for source in hydra.runtime.config_sources if source.schema == "file"]
+    text = "\n".join([*words, *(path.read_text("utf-8") for one in sources for path in Path(one.path).rglob("*.yaml"))])
+    is_decided = set(RESOLVER.findall(text)) <= DECIDED and set(TARGET.findall(text)) <= OWN
+    if hydra.sweeper._target_ != BASIC_SWEEPER or cfg.overwrite == "always" or not is_decided:
         return None
-    for folder in _code():
-        _hash_folder(digest, folder, "*")
-    digest.update("\0".join([sys.version, *_installed()]).encode())
+    try:
+        values = list(_leaves(OmegaConf.to_container(plain, resolve=True)))
+    except OmegaConfBaseException:
+        return None
+    named = chain(values, *(re.split("[=,]", word) for word in hydra.overrides.task))
+    paths = {Path(name): None for name in named if name and os.path.lexists(name)}
+    state = hash_of_files([*_code(), *paths], Path(str(cfg.results)))
+    asked = [text, str(hydra.mode), str(Path.cwd()), sys.version, *_installed(), *values]
+    return hashlib.sha256("\0".join([state, *asked]).encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def results_hash(experiment: Path) -> str:
+    """Hash of what a sweep made."""
+    return hash_of_files([experiment / name for name in RESULTS])
+
+
+def hash_of_files(paths: Iterable[Path], skipped: Path | None = None) -> str:
+    """Hash of the names, sizes and times of files, and of those below folders, but for the folder `skipped`.
+
+    Links are followed, but no folder is entered twice.
+    """
+    digest, visited = hashlib.sha256(), {os.path.realpath(skipped)} if skipped else set[str]()
+
+    def add(path: Path) -> None:
+        with suppress(OSError):
+            found = path.stat()
+            state = "" if path.is_dir() else f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns}"
+            digest.update(f"{path.absolute()}\0{state}\0".encode("utf-8", "surrogateescape"))
+
+    for path in (one for one in paths if os.path.realpath(one) not in visited):
+        add(path)
+        for place, folders, files in os.walk(path, followlinks=True):
+            entered = os.path.realpath(place) not in visited
+            visited.add(os.path.realpath(place))
+            folders[:] = sorted(name for name in folders if entered and name != "__pycache__")
+            for name in [*folders, *sorted(files)] if entered else []:
+                add(Path(place, name))
     return digest.hexdigest()
 
 
-def _hash_folder(digest: Any, folder: Path, pattern: str) -> str:
-    """Add paths and contents of a folder's files to a hash, caches left out; the text of YAML files is returned."""
-    texts = []
-    for path in sorted(folder.rglob(pattern)):
-        if "__pycache__" in path.parts or not path.is_file():
-            continue
-        content = path.read_bytes()
-        digest.update(f"{path}\0{len(content)}\0".encode("utf-8", "surrogateescape") + content)
-        if path.suffix == ".yaml":
-            texts.append(content.decode("utf-8", "replace"))
-    return "\n".join(texts)
+def _leaves(content: Any) -> Iterator[str]:
+    """All keys and values of a configuration, as text."""
+    if isinstance(content, dict | list):
+        for item in chain(*content.items()) if isinstance(content, dict) else content:
+            yield from _leaves(item)
+    else:
+        yield str(content)
 
 
 def _code() -> Iterator[Path]:
-    """Folders of tdgbench's sources and of the data files that tables are made from."""
+    """Folders of tdgbench's sources and of the data files that cells and tables are made from."""
     yield from (PACKAGE, conf_folder(), paper_tables_folder())
     methods = importlib.util.find_spec("methods")
     if methods is not None:

@@ -13,7 +13,7 @@ import torch
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.images import whole_image
-from tdgbench.scenes.inputs import hash_of, is_folder, is_there, note_tree, read_array
+from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
 LARGEST_COUNT = {"L": 255, "I;16": 65535, "I": 65535}  # by Pillow mode
@@ -33,9 +33,6 @@ class FilePrior:
     def identity(self, scene: Scene) -> dict[str, object]:
         folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
         digest = hashlib.sha256()
-        with _as_prior_error():
-            if self.folder is not None and is_folder(self.folder):
-                note_tree(self.folder)
         for view in scene.train:
             with _as_prior_error():
                 digest.update(hash_of(self._find(scene, view)))

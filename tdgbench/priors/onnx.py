@@ -18,7 +18,7 @@ from pydantic import PositiveInt
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.images import resize
-from tdgbench.scenes.inputs import hash_of, listed, note_names, regular_file
+from tdgbench.scenes.inputs import hash_of, listed, regular_file
 from tdgbench.splats.cpu import pool
 from tdgbench.text import shortened
 
@@ -103,7 +103,6 @@ class OnnxPrior:
         digest = hashlib.sha256()
         try:
             regular_file(self._path)
-            note_names(self._path.parent)
             for path in listed(self._path.parent):
                 if path.name.startswith(self._path.name):
                     digest.update(path.name.removeprefix(self._path.name).encode() + hash_of(path))

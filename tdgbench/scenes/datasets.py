@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.inputs import is_folder, is_there, listed, note_names, utf8_name
+from tdgbench.scenes.inputs import is_folder, is_there, listed, utf8_name
 from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
@@ -90,7 +90,6 @@ class RegisteredDataset:
         folder = self._find(description.scene)
         if folder is None:
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
-        note_names(folder.parent)
         return outline_scene(folder, description, self.options, None)
 
     def explain_missing(self, names: list[str]) -> str:
@@ -182,8 +181,6 @@ class FolderDataset:
         if description.scene not in self.names():
             self._is_scene(root / description.scene)  # its error says more, where there is one
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
-        for place in (self.root, root):
-            note_names(place)
         folder = root if self._is_scene(root) else root / description.scene
         return outline_scene(folder, description, self.options, self.layout)
 

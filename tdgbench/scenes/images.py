@@ -74,12 +74,6 @@ def _check_one_picture(image: Image.Image, path: Path) -> None:
     image.seek(0)
 
 
-def image_size(path: Path) -> tuple[int, int]:
-    """Width and height in px, of the header alone. Raises SceneError naming the file."""
-    with opened_image(path) as image:
-        return image.size
-
-
 def storage(path: Path) -> Storage:
     """How an image stores its pixels, of the header alone. Raises SceneError naming the file."""
     with opened_image(path) as image:

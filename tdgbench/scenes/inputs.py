@@ -1,7 +1,6 @@
 """Input files and folders: opened only if they are regular files, listed only if they can be.
 
-A FIFO, a device or a socket would block or never end; a loop of links or a missing permission is named. What enters a
-cell's key is hashed by `hash_of`, so that `observed_inputs` knows the files that the key depends on.
+A FIFO, a device or a socket would block or never end; a loop of links or a missing permission is named.
 """
 
 from __future__ import annotations
@@ -10,15 +9,11 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tdgbench.filestate import States, made_state
 from tdgbench.scenes.errors import SceneError
 
 LONGEST_NAME = 200  # bytes; names of files have 255 at most
@@ -29,33 +24,6 @@ KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
-
-_observer: ContextVar[States | None] = ContextVar("observer", default=None)
-
-
-@contextmanager
-def observed_inputs() -> Iterator[States]:
-    """Context that collects the states of the files that `hash_of` reads and of the folders of the scenes."""
-    states = States()
-    token = _observer.set(states)
-    try:
-        yield states
-    finally:
-        _observer.reset(token)
-
-
-def note_tree(folder: Path) -> None:
-    """Note that a key depends on the names of everything below a folder."""
-    observer = _observer.get()
-    if observer is not None:
-        observer.add_tree(folder)
-
-
-def note_names(folder: Path) -> None:
-    """Note that a key depends on the names in a folder."""
-    observer = _observer.get()
-    if observer is not None:
-        observer.add_names(folder)
 
 
 def regular_file(path: Path) -> Path:
@@ -112,15 +80,10 @@ def read_json(path: Path) -> Any:
 def hash_of(path: Path) -> bytes:
     """SHA-256 of a regular file. Raises SceneError."""
     try:
-        before = regular_file(path).stat()
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").digest()
+        with regular_file(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
     except OSError as error:
         raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
-    observer = _observer.get()
-    if observer is not None:
-        observer.add_file(path, made_state(before, digest.hex()))
-    return digest
 
 
 def read_array(path: Path) -> np.ndarray:

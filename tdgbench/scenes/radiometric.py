@@ -94,14 +94,6 @@ def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: 
     return _valid_or_nan(values, path)
 
 
-def embedded_photo(path: Path) -> np.ndarray | None:
-    """The photo (H, W, 3) uint8 inside a FLIR radiometric JPEG; None if it has none. Raises SceneError."""
-    with regular_file(path).open("rb") as file:
-        if file.read(2) != JPEG_START or _maker(file) != "FLIR":
-            return None
-    return read_thermogram(path).photo
-
-
 def read_thermogram(path: Path) -> Thermogram:
     """Temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
     content = read_bytes(path)

@@ -13,7 +13,7 @@ import numpy as np
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
-from tdgbench.scenes.inputs import hash_of, is_folder, is_there, note_tree, regular_file
+from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
 from tdgbench.scenes.measured import Source, ThermalImages, resample
@@ -41,17 +41,11 @@ class Outline:
     read: Callable[[], Scene]
 
 
-def read_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None = None) -> Scene:
-    """Read the scene in a folder. layout: None detects it, which a note says.
+def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
+    """The scene in a folder, without decoding images. layout: None detects it, which a note says.
 
     Raises SceneError naming the file or view and the remedy.
     """
-    return outline_scene(folder, description, options, layout).read()
-
-
-def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
-    """`read_scene` without decoding images. Raises SceneError."""
-    note_tree(folder)
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:

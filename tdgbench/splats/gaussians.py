@@ -73,10 +73,6 @@ class Gaussians:
         """The Gaussians at an index, in a slice or under a mask."""
         return self.map(lambda tensor: tensor[index])
 
-    def as_leaves(self) -> Gaussians:
-        """Detached tensors that require gradients."""
-        return self.map(lambda tensor: tensor.detach().contiguous().requires_grad_())
-
     def detach(self) -> Gaussians:
         """Detached tensors."""
         return self.map(torch.Tensor.detach)

@@ -76,8 +76,3 @@ def sh_from_color(color: Tensor) -> Tensor:
     tensor([-1.7725,  0.0000,  1.7725])
     """
     return (color - 0.5) / C0
-
-
-def color_from_sh(dc: Tensor) -> Tensor:
-    """Colour of a degree-0 coefficient, any shape; inverse of `sh_from_color`."""
-    return dc * C0 + 0.5

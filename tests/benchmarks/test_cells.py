@@ -15,7 +15,7 @@ def test_scoring_is_timed_on_one_thread_and_on_all(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("told", "status"), [(1.0, 0), (3.5, 1)])
 def test_a_slow_repetition_is_a_failure(tmp_path, monkeypatch, told, status):
-    runs = iter([50.0, told, 10.0, told, 10.0, told, 10.0])
+    runs = iter([50.0, 10.0, told, 10.0, told, 10.0, told, 10.0])
     stamp = tmp_path / "results" / "single" / cells.FILE
 
     def run(folder):

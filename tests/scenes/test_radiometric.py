@@ -9,7 +9,6 @@ from PIL import Image
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import (
     PhotoMapping,
-    embedded_photo,
     is_radiometric,
     read_celsius,
     read_thermogram,
@@ -43,13 +42,13 @@ def test_photo_and_its_mapping(tmp_path):
     photo = np.zeros((60, 80, 3), np.uint8)
     photo[:, 40:] = (200, 100, 50)
     write_flir(tmp_path / "t.jpg", COUNTS, photo, mapping=(1.25, -10, 5))
-    read = embedded_photo(tmp_path / "t.jpg")
+    read = read_thermogram(tmp_path / "t.jpg").photo
     assert read.shape == photo.shape and read.dtype == np.uint8
     assert np.abs(read[:, 60].astype(int) - photo[:, 60]).max() <= 3
     assert read_thermogram(tmp_path / "t.jpg").mapping == PhotoMapping(1.25, -10, 5)
     write_flir(tmp_path / "without.jpg", COUNTS)
-    assert embedded_photo(tmp_path / "without.jpg") is None
-    assert read_thermogram(tmp_path / "without.jpg").mapping is None
+    without = read_thermogram(tmp_path / "without.jpg")
+    assert without.photo is None and without.mapping is None
 
 
 def test_several_segments(tmp_path):
@@ -95,7 +94,6 @@ def test_content_decides(tmp_path):
         "flir.png": True, "float.tiff": True, "gray.tiff": False, "plain.jpg": False, "counts.png": False,
         "empty.jpg": False,
     }  # fmt: skip
-    assert embedded_photo(tmp_path / "plain.jpg") is None
     with pytest.raises(SceneError, match=r"plain\.jpg holds no temperatures"):
         read_celsius(tmp_path / "plain.jpg")
     with pytest.raises(SceneError, match=r"gray\.tiff has mode L"):

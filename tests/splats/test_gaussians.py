@@ -24,9 +24,3 @@ def test_activated():
     means, quats, scales, opacities, colors, degree = g.activated(1)
     assert means is g.means and quats is g.quats and colors is g.sh and degree == 1
     assert torch.equal(scales, g.scales) and torch.equal(opacities, g.opacities)
-
-
-def test_leaves():
-    leaves = model(1, 0).as_leaves()
-    assert all(t.is_leaf and t.requires_grad for _, t in leaves.items())
-    assert not any(t.requires_grad for _, t in leaves.detach().items())

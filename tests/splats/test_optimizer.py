@@ -27,7 +27,7 @@ def test_is_torch_adam(share, channels):
     state = TrainingState(model(channels, 2, count=133))
     start = state.split(state.values.clone())
     optimizer = Adam(state, RATES, EXTENT)
-    theirs = start.map(lambda t: t.double().clone()).as_leaves()
+    theirs = start.map(lambda t: t.detach().double().clone().requires_grad_())
     dc, rest = (t.detach().clone().requires_grad_() for t in (theirs.sh[:, :1], theirs.sh[:, 1:]))
     groups = torch_groups(state, theirs)
     groups += [{"params": [dc], "lr": RATES.sh_dc}, {"params": [rest], "lr": RATES.sh_rest}]

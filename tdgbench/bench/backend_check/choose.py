@@ -1,28 +1,39 @@
-"""Which backend `backend=auto` trains with: the GPU's if it passes its check on every GPU here, else the CPU's."""
+"""Which backend `backend=auto` trains with: the GPU's if it agrees with the float64 reference, else the CPU's.
+
+Once in a process, before its first training, it renders three small scenes several times: values and gradients count.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
-from tdgbench.bench.backend_check.check import Verdict
-from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE
-from tdgbench.bench.backend_check.process import check_in_process
-from tdgbench.bench.backend_check.stored import Identity, check_version, place_of, read_verdict, write_verdict
-from tdgbench.bench.gpu import describe_gpu
-from tdgbench.bench.lock import file_lock
+from tdgbench.bench.backend_check.compare import (
+    GRADIENT_TOLERANCE,
+    IMAGE_TOLERANCE,
+    NAMES,
+    Cloud,
+    Rendered,
+    cloud,
+    expected,
+    render,
+)
+from tdgbench.bench.failures import message
 from tdgbench.splats.backends import AUTO, load_backend
 from tdgbench.splats.backends.cuda import installed_version
 from tdgbench.terminal import say
+from tdgbench.text import shortened
 
 GPU = "cuda"  # type of device
-RETRY_SECONDS = 0.5
+REPETITIONS = 3
+COMPARED = (*NAMES, "means2d")  # density control reads the last one
+LONGEST_REASON = 300  # characters
 
 
 class Choice(NamedTuple):
@@ -32,11 +43,15 @@ class Choice(NamedTuple):
     line: str = ""  # what was found of the GPU, in one line; empty without one
 
 
-class Found(NamedTuple):
-    """A verdict and where it comes from."""
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of a check. Errors are the largest ones so far, relative; NaN where one is not finite."""
 
-    verdict: Verdict
-    is_stored: bool
+    reason: str = ""  # why the backend must not train; empty if it may
+    image: float = 0.0
+    gradients: float = 0.0
+    spread: float = 0.0  # largest difference between repetitions, as the errors; 0: equal bytes
+    seconds: float = 0.0
 
 
 def training_backend(name: str) -> str:
@@ -47,112 +62,118 @@ def training_backend(name: str) -> str:
 @cache
 def auto() -> Choice:
     """What `auto` stands for in this process."""
-    choice = choose(check_in_process)
+    choice = choose(check)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
     return choice
 
 
-def choose(run: Callable[[str, int], Verdict]) -> Choice:
-    """The backend to train with. run: checks a backend on a GPU (CUDA's index) where no verdict is stored.
+def choose(run: Callable[[str], Verdict]) -> Choice:
+    """The backend to train with. run: checks a backend on the current GPU.
 
     Without a GPU it is the CPU's, with nothing to say. Where GPUs differ, every model has to pass.
     """
     if not torch.cuda.is_available():
         return Choice(AUTO["cpu"])
-    backend, models = AUTO[GPU], _models()
-    names, lines = " and ".join(models), []
+    backend = AUTO[GPU]
+    models = {torch.cuda.get_device_name(i): i for i in reversed(range(torch.cuda.device_count()))}
     reason = load_backend(backend).why_not()
     if reason is not None:
-        return Choice(AUTO["cpu"], f"the CPU trains, not {names}: {reason}")
-    for name, (index, identity) in models.items():
-        found = verdict_on(identity, lambda index=index: run(backend, index))  # type: ignore[misc]
-        if not found.verdict.accepts:
-            return Choice(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, identity, found)}")
-        lines.append(f"{name} trains: {_acceptance(identity, found)}")
+        return Choice(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
+    say(
+        "checking gsplat against the reference; its first use compiles kernels for minutes",
+        "note:",
+        "yellow",
+        stderr=True,
+    )
+    lines = []
+    for name, index in sorted(models.items()):
+        with torch.cuda.device(index):
+            verdict = run(backend)
+        if verdict.reason:
+            return Choice(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
+        lines.append(f"{name} trains: {_acceptance(verdict)}")
     return Choice(backend, "; ".join(lines))
 
 
-def verdict_on(identity: Identity, run: Callable[[], Verdict]) -> Found:
-    """The stored verdict on an identity, or that of a check, which only one process runs at a time.
-
-    A stored file that cannot be used is named and replaced. Without a folder for caches, every process checks.
-    """
+def check(backend: str) -> Verdict:
+    """Compare a backend with the reference, each scene several times. Never raises an Exception: that is a verdict."""
+    start = time.perf_counter()
+    worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
+    reason = ""
     try:
-        path = place_of(identity)
-        lock = path.with_suffix(".lock")
-        with file_lock(lock):
-            pass
-    except (OSError, RuntimeError) as error:
-        say(f"the check of the GPU is not remembered: {error}", "note:", "yellow", stderr=True)
-        return Found(run(), False)
-    while True:
-        with file_lock(lock) as acquired:
-            if acquired:
-                stored = _readable(path, identity)
-                return Found(_checked(path, identity, run), False) if stored is None else Found(stored, True)
-        time.sleep(RETRY_SECONDS)
+        for name, make in scenes().items():
+            reason = reason or _compare(name, make(), backend, worst)
+    except Exception as error:
+        reason = shortened(message(error), LONGEST_REASON)
+    return Verdict(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 
-def _checked(path: Path, identity: Identity, run: Callable[[], Verdict]) -> Verdict:
-    """Verdict of a new check, stored if it will be the same the next time."""
-    verdict = run()
-    if verdict.is_lasting:
-        try:
-            write_verdict(path, identity, verdict)
-        except OSError as error:
-            say(f"the check of the GPU is not remembered: {error}", "note:", "yellow", stderr=True)
-    elif path.exists():
-        with suppress(OSError):
-            path.unlink()
-    return verdict
+def scenes() -> dict[str, Callable[[], Cloud]]:
+    """The three scenes, by what they are like."""
+    return {"gray, harmonics of degree 3": _gray, "colours, many tiles": _colors, "hidden, faint and opaque": _extremes}
 
 
-def _readable(path: Path, identity: Identity) -> Verdict | None:
-    try:
-        return read_verdict(path, identity)
-    except ValueError as error:
-        say(f"{path} is not used, and the GPU is checked again: {error}", "note:", "yellow", stderr=True)
-        return None
+def _compare(name: str, scene: Cloud, backend: str, worst: dict[str, float]) -> str:
+    """Render a scene several times and raise the `worst` errors. Returns why the backend is refused, or nothing."""
+    want = expected(scene, backend)
+    first: Rendered | None = None
+    for _ in range(REPETITIONS):
+        got = render(scene, backend, want.weights)
+        errors = want.errors(got, COMPARED)
+        limits = {"image": (errors.image, IMAGE_TOLERANCE), "gradients": (errors.gradients, GRADIENT_TOLERANCE)}
+        for what, (error, limit) in limits.items():
+            worst[what] = error if math.isnan(error) else max(worst[what], error)
+            if not error <= limit:  # NaN is not
+                size = f"wrong by {error:.1e}, allowed is {limit:g}" if math.isfinite(error) else "not finite"
+                return f"{what} of the scene '{name}' {'is' if what == 'image' else 'are'} {size}"
+        first = first or got
+        worst["spread"] = max(worst["spread"], _spread(first, got))
+    return ""
 
 
-def _models() -> dict[str, tuple[int, Identity]]:
-    """Each GPU model here by name, with the index of one of them and what a verdict on it depends on."""
-    models: dict[str, tuple[int, Identity]] = {}
-    for index in range(torch.cuda.device_count()):
-        gpu = describe_gpu(index)
-        if gpu is not None:
-            models.setdefault(gpu["name"], (index, _identity(gpu["name"], gpu["driver"])))
-    return models
+def _spread(first: Rendered, other: Rendered) -> float:
+    """Largest difference of two results of one scene: of a pixel, or of a gradient relative to its norm; 0: equal."""
+    parts = [(first.image - other.image).abs().max()]
+    for name in COMPARED:
+        gradient = first.gradients[name]
+        parts.append((gradient - other.gradients[name]).norm() / gradient.norm().clamp_min(1e-12))
+    return torch.stack(parts).max().item()
 
 
-def _identity(name: str, driver: str | None) -> Identity:
-    return {
-        "gpu": name,
-        "driver": driver,
-        "cuda": torch.version.cuda,
-        "torch": torch.__version__,
-        "gsplat": installed_version(),
-        "check": check_version(),
-    }
+def _gray() -> Cloud:
+    """Thermal values as most trainings hold them."""
+    return cloud(100, seed=1, width=53, height=37, degree=3)
 
 
-def _acceptance(identity: Identity, found: Found) -> str:
-    verdict = found.verdict
+def _colors() -> Cloud:
+    """More Gaussians in more tiles, so that sums over tiles have an order to lose."""
+    return cloud(200, seed=2, width=72, height=56, channels=3)
+
+
+def _extremes() -> Cloud:
+    """Gaussians behind the camera and beside its image, below the threshold of alpha, near its cap, thin and large."""
+    scene = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
+    scene.means[:15, 2] *= -1
+    scene.means[15:30, 0] += 40.0
+    scene.opacities[30:45] = 1 / 300
+    scene.opacities[45:60] = 0.98
+    scene.scales[60:75, 1:] = 0.005
+    scene.scales[75:80] = 3.0
+    return scene
+
+
+def _acceptance(verdict: Verdict) -> str:
     sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
     return (
-        f"gsplat {identity['gsplat']} agrees with the reference (image within {verdict.image:.0e} of "
+        f"gsplat {installed_version()} agrees with the reference (image within {verdict.image:.0e} of "
         f"{IMAGE_TOLERANCE:g}, gradients within {verdict.gradients:.0e} of {GRADIENT_TOLERANCE:g}; {sums}; "
-        f"{_when(found)})"
+        f"checked in {verdict.seconds:g} s)"
     )
 
 
-def _refusal(backend: str, identity: Identity, found: Found) -> str:
+def _refusal(backend: str, verdict: Verdict) -> str:
     return (
-        f"gsplat {identity['gsplat']} did not pass its check: {found.verdict.reason} ({_when(found)}; "
+        f"gsplat {installed_version()} did not pass its check: {verdict.reason} (checked in {verdict.seconds:g} s; "
         f"backend={backend} trains with it all the same)"
     )
-
-
-def _when(found: Found) -> str:
-    return "checked earlier" if found.is_stored else f"checked in {found.verdict.seconds:g} s"

@@ -29,7 +29,7 @@ def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) ->
             say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
         for note in check.notes:
             say(f"{check.name}: {one_line(note)}", "note", "dim")
-    say(time if isinstance(time, str) else time.text())
+    say(time if isinstance(time, str) else time.text)
     usable = sum(check.status == "ok" for check in checks)
     say(f"{usable} of {len(checks)} scenes can be used")
 
@@ -71,7 +71,7 @@ def as_json(root: Path, checks: list[SceneCheck], time: Table1Time | str, is_pap
             "usable": all(check.status == "ok" for check in checks),
             "scenes": [_scene_json(check) for check in checks],
             "table1_hours": None if isinstance(time, str) else list(time.hours),
-            "table1": time if isinstance(time, str) else time.text(),
+            "table1": time if isinstance(time, str) else time.text,
         },
         indent=1,
     )

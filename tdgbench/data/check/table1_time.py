@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,35 +30,11 @@ WARM_UP, AT_A_TIME = 5, 10  # steps
 TRAINING_VIEWS = 8  # of the timed training: few, so that priors of the others are not estimated
 
 
-@dataclass(frozen=True)
-class Table1Time:
-    """Hours of training of Table 1: 14 scenes like the measured one, one seed. ms: of a step by method, low, high."""
+class Table1Time(NamedTuple):
+    """Hours of training of Table 1, low and high: 14 scenes like the measured one, one seed; and how that is known."""
 
     hours: tuple[float, float]
-    ms: dict[str, tuple[float, float]]
-    iterations: dict[str, int]
-    scene: str
-    gaussians: tuple[int, int]
-    size: tuple[int, int]
-    threads: int
-    load: float  # processes that wanted a processor before the measurement, on average over a minute
-
-    def text(self) -> str:
-        low, high = self.hours
-        steps = "; ".join(
-            f"{method} {a:.0f} to {b:.0f} ms × {self.iterations[method]} steps" for method, (a, b) in self.ms.items()
-        )
-        return (
-            f"Table 1 will train {low:.1f} to {high:.1f} hours here: {len(SCENES)} scenes, one seed, one after the "
-            f"other ({steps}; measured on {self.scene}, {self.size[0]}×{self.size[1]} px, {self.gaussians[0]} and "
-            f"{self.gaussians[1]} Gaussians, {self.threads} threads). Noisy scenes may grow beyond that; depth priors "
-            f"and scores are not included{self._busy()}"
-        )
-
-    def _busy(self) -> str:
-        if self.load < self.threads / 2:
-            return ""
-        return f". The machine was busy (load {self.load:.1f}): measure again when it is idle"
+    text: str
 
 
 def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> Table1Time | str:
@@ -67,24 +44,29 @@ def table1_time(scene: Scene, seconds: float, begin: Callable[[str], None]) -> T
     if any(view.load_rgb is None for view in scene.train):
         return "n/a: no scene with RGB images of all training views to time a training on"
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    few, many = _part(scene, 1), _part(scene, GROWTH)
-    ms: dict[str, tuple[float, float]] = {}
-    iterations, counts = {}, (0, 0)
     torch.set_num_threads(1)  # as in a cell: the kernels use a pool of threads
     pool.set_threads(None)
+    hours, steps, counts = [0.0, 0.0], [], (0, 0)
     try:
         for method in METHODS:
             begin(f"timing steps of {method} on {scene.name}, {2 * seconds:g} s")
             cfg = _config(method)
-            iterations[method] = int(cfg.budget.iterations)
-            (low, first), (high, last) = (_step_ms(cfg, part, seconds) for part in (few, many))
-            ms[method], counts = (min(low, high), max(low, high)), (first, last)
+            (few, first), (many, last) = (_step_ms(cfg, _part(scene, growth), seconds) for growth in (1, GROWTH))
+            ms, counts = sorted((few, many)), (first, last)
+            hours = [h + len(SCENES) * cfg.budget.iterations * one / 3.6e6 for h, one in zip(hours, ms, strict=True)]
+            steps.append(f"{method} {ms[0]:.0f} to {ms[1]:.0f} ms × {cfg.budget.iterations} steps")
     except Exception as error:  # of a method, prior or backend that does not work here
         return f"n/a: the timed training failed: {error}"
-    hours = [len(SCENES) * sum(iterations[m] * ms[m][end] for m in METHODS) / 3.6e6 for end in (0, 1)]
-    view = scene.train[0].camera
-    size = view.width, view.height
-    return Table1Time((hours[0], hours[1]), ms, iterations, scene.name, counts, size, pool.get_threads(), load)
+    camera, threads = scene.train[0].camera, pool.get_threads()
+    size = f"{camera.width}×{camera.height} px, {counts[0]} and {counts[1]} Gaussians, {threads} threads"
+    text = (
+        f"Table 1 will train {hours[0]:.1f} to {hours[1]:.1f} hours here: {len(SCENES)} scenes, one seed, one after "
+        f"the other ({'; '.join(steps)}; measured on {scene.name}, {size}). Noisy scenes may grow beyond that; depth "
+        "priors and scores are not included"
+    )
+    if load >= threads / 2:
+        text += f". The machine was busy (load {load:.1f}): measure again when it is idle"
+    return Table1Time((hours[0], hours[1]), text)
 
 
 def _config(method: str) -> DictConfig:

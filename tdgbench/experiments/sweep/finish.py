@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.outcome import Outcome, Status
-from tdgbench.experiments.sweep.stamped import Written, files_in_words, leave_stamp, states_of_cells
+from tdgbench.bench.outcome import COMPLETE, Outcome, Status
+from tdgbench.experiments.callback import ExperimentCallback
+from tdgbench.experiments.stamp import Stamp, inputs_hash, leave_stamp, results_hash
+from tdgbench.experiments.sweep.cells import PlannedCell, counted
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show, show_findings
-from tdgbench.terminal import console, say
+from tdgbench.terminal import as_printed, console, say
 
 FAILED = ("failed", "missing", "no prior")
 
 
-def finish(cfg: DictConfig, outcomes: list[Outcome], jobs: Path | None = None) -> None:
+def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     """Write tables and pictures of all cells on disk; print a summary, one line per failure, and what was found.
 
-    Cells that lack the same prior have one line. jobs: folder of Hydra's jobs; where all of them have a result, a stamp
-    is left, by which the same command finds that nothing has changed.
+    Cells that lack the same prior have one line. Where all cells have a result and no input changed, a stamp is left,
+    by which the same command finds that nothing has changed.
 
     Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
     """
-    problem, found, experiment = None, list[str](), Path(cfg.results) / cfg.name
+    problem, found = None, list[str]()
+    experiment, inputs = Path(cfg.results) / cfg.name, ExperimentCallback.inputs
     try:
-        cells = states_of_cells(experiment)
-        written = _write_all(experiment)
-        found = written.tables.findings
-        if jobs is not None:
-            again = summary([replace(outcome, status="kept") for outcome in outcomes])
-            leave_stamp(experiment, outcomes, jobs, cells, written, again)
+        text, found = _write_all(experiment)
+        if all(outcome.status in COMPLETE for outcome in outcomes) and inputs and inputs == inputs_hash(cfg):
+            kept = [Outcome("kept", outcome.title) for outcome in outcomes]
+            there = counted([PlannedCell("", "", "with a result")] * len(kept))
+            lines = [f"{experiment.name}: {there}"] * (len(kept) > 1) + [one.line for one in kept]
+            leave_stamp(experiment, Stamp(inputs, results_hash(experiment), lines, f"{text}\n{summary(kept)}", found))
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(summary(outcomes))
@@ -71,14 +73,14 @@ def _cells(count: int) -> str:
     return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
-def _write_all(experiment: Path) -> Written:
-    """Write tables, pictures and report of all cells on disk; print where they are."""
+def _write_all(experiment: Path) -> tuple[str, list[str]]:
+    """Write tables, pictures and report of all cells on disk; print and return them in words, and what was found."""
     tables = build_tables(experiment)
     show(tables, console())
-    written = Written(tables, {"tables": tables.folder})
+    places = {"tables": tables.folder}
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
-        written.files["pictures"] = experiment / "strip.png"
-    written.files["report"] = write_report(experiment, tables)
-    for line in files_in_words(written):
-        say(line)
-    return written
+        places["pictures"] = experiment / "strip.png"
+    places["report"] = write_report(experiment, tables)
+    lines = [f"{what}: {place}" for what, place in places.items()]
+    say("\n".join(lines))
+    return as_printed(lambda console: show(tables, console)) + "\n".join(lines), tables.findings

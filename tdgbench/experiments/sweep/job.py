@@ -13,34 +13,27 @@ from pydantic import TypeAdapter
 
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.options import check_method_name
-from tdgbench.bench.outcome import COMPLETE, Outcome
+from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import plan_of_job
 from tdgbench.bench.progress import CellProgress
 from tdgbench.experiments.experiment import in_words
 from tdgbench.experiments.sweep import cells
 from tdgbench.files import write_text
-from tdgbench.filestate import States, merged
-from tdgbench.scenes.inputs import observed_inputs
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
 
 OUTCOME = "outcome.json"
-INPUTS = "inputs.json"  # states of the files that the cell's key depends on
 BASIC_LAUNCHER = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"  # one job after the other
 _SCHEMA = TypeAdapter(Outcome)
-_STATES = TypeAdapter(States)
 
 
 def run_job(cfg: DictConfig) -> None:
     """Run a cell, print its outcome in one line, and write the outcome to the job's folder."""
     hydra = HydraConfig.get()
-    with observed_inputs() as inputs:
-        outcome = _outcome(cfg, hydra)
+    outcome = _outcome(cfg, hydra)
     folder = Path(hydra.runtime.output_dir)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if outcome.status in COMPLETE and _are_all_known(cfg):
-            write_text(folder / INPUTS, json.dumps(asdict(inputs)))
         write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
     except OSError as error:
         say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
@@ -67,23 +60,6 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
         return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
     except Exception as error:
         return Outcome("failed", title or "the cell", in_words(error))
-
-
-def _are_all_known(cfg: DictConfig) -> bool:
-    """Whether the next run of a cell depends on no files but the observed ones: a plug-in may read others unnoticed."""
-    readers = (cfg.dataset.loader._target_, cfg.prior.estimator._target_)
-    return cfg.overwrite != "always" and all(str(one).startswith("tdgbench.") for one in readers)
-
-
-def inputs_of_jobs(hydra_folder: Path, jobs: int) -> States | None:
-    """States of the files that the keys of all cells of a run or sweep depend on; None where they are not known."""
-    found = []
-    for path in hydra_folder.rglob(INPUTS):
-        try:
-            found.append(_STATES.validate_json(path.read_bytes()))
-        except (OSError, ValueError):
-            return None
-    return merged(found) if len(found) == jobs else None
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:

@@ -25,10 +25,10 @@ class Sweep(Experiment):
         run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
-        _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)), jobs)
+        _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
 
 
-def _finish(cfg: DictConfig, outcomes: list[Outcome], jobs: Path | None = None) -> None:
+def _finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     from tdgbench.experiments.sweep.finish import finish  # pandas, SciPy's statistics, Matplotlib: 75 MB of memory
 
-    finish(cfg, outcomes, jobs)
+    finish(cfg, outcomes)

@@ -33,11 +33,6 @@ class RegisteredImage:
         """Width and height of the camera as in the model, px."""
         return (self.camera.width, self.camera.height) if self.undistortion is None else self.undistortion.source_size
 
-    def check_undistortion(self) -> None:
-        """Raise SceneError if the camera's distortion makes no image of its images."""
-        if self.undistortion is not None:
-            _ = self.undistortion.positions
-
 
 class ReadModel(NamedTuple):
     """A model as scenes use it."""

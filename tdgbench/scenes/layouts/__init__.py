@@ -1,12 +1,13 @@
-"""Layouts of scene folders: one module each says whether a folder has it, and finds what is there."""
+"""Layouts of scene folders: each says whether a folder has it, and finds what is there."""
 
 from pathlib import Path
 
-from tdgbench.scenes.layouts import rgbt_scenes, thermalmix, thermoscenes, ti_nsd
+from tdgbench.scenes.layouts import thermalmix, thermoscenes
 from tdgbench.scenes.layouts.layout import Found, Layout
+from tdgbench.scenes.layouts.plain import RGBT_SCENES, TI_NSD
 
 # In the order in which they are looked for: each is more general than those before it.
-LAYOUTS = {one.name: one for one in (m.LAYOUT for m in (thermalmix, thermoscenes, rgbt_scenes, ti_nsd))}
+LAYOUTS = {one.name: one for one in (thermalmix.LAYOUT, thermoscenes.LAYOUT, RGBT_SCENES, TI_NSD)}
 
 __all__ = ["LAYOUTS", "Found", "Layout", "detect"]
 

@@ -1,0 +1,56 @@
+"""Folders of images beside a COLMAP model: RGBT-Scenes of ThermalGaussian, the layout of most captures, and TI-NSD.
+
+RGBT-Scenes: chen-hangyu/Thermal-Gaussian-main 050c291, scene/dataset_readers.py and README.md: `rgb` and `thermal`,
+each with `train` and `test`; views of the COLMAP model (`sparse/0`, or `colmap/sparse/0` before it is moved) that have
+no file are passed over. Here files and model are paired by view name, so extensions may differ, and train/ and test/
+may be missing.
+
+TI-NSD of Thermal3D-GS: thermal images alone, in the plain layout of 3DGS. Its papers test every 8th image:
+`data.split=every_8th`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.inputs import is_folder, is_there
+from tdgbench.scenes.layouts.layout import Found, Layout, find_files, find_model, find_optional, model_folder
+from tdgbench.scenes.temperature import FILE, read_radiometry
+
+MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
+
+
+def _find(folder: Path, images: str, rgb: str | None = None) -> Found:
+    """What is in a scene. images, rgb: names of the folders of thermal and RGB images."""
+    layout = TI_NSD if rgb is None else RGBT_SCENES
+    if not is_folder(folder / images):
+        raise SceneError(f"{folder} has no {images}/ folder; the layout is {layout.looks}")
+    thermal, shipped = find_files(folder / images)
+    if not thermal:
+        raise SceneError(f"{folder / images} holds no image; put one of each view there ({', '.join(SUFFIXES)})")
+    photos = {} if rgb is None else find_optional(folder / rgb, "RGB images")
+    model = find_model(folder, MODELS, layout.title)
+    files = [*model.files, *([folder / FILE] if is_there(folder / FILE) else [])]
+    return Found(
+        model.posed, model.points, thermal, photos, shipped, read_radiometry(folder / FILE), files=files,
+        notes=model.notes,
+    )  # fmt: skip
+
+
+RGBT_SCENES = Layout(
+    "rgbt_scenes",
+    "RGBT-Scenes",
+    "{rgb,thermal}/[train|test/]<view>.png, sparse/0 (COLMAP), [temperature.json]",
+    lambda folder: is_folder(folder / "thermal"),
+    partial(_find, images="thermal", rgb="rgb"),
+)
+TI_NSD = Layout(
+    "ti_nsd",
+    "TI-NSD",
+    "images/<view>.png (thermal alone), sparse/0 (COLMAP)",
+    lambda folder: is_folder(folder / "images") and model_folder(folder, MODELS) is not None,
+    partial(_find, images="images"),
+)
