@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+
+import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
@@ -48,3 +51,22 @@ def digest(trainer: Trainer) -> str:
         for _, tensor in model.gaussians.items():
             content.update(tensor.detach().numpy().tobytes())
     return content.hexdigest()
+
+
+def digest_of_all(trainer: Trainer) -> str:
+    """Return a hash of everything that training changes."""
+    for model in trainer.gaussians.values():
+        model.optimizer.flush()
+    return hashlib.sha256(b"".join(_bytes_of(trainer.state_dict()))).hexdigest()
+
+
+def _bytes_of(state) -> Iterator[bytes]:
+    """Yield the tensors, numbers and names of a state, in their order."""
+    if isinstance(state, torch.Tensor):
+        yield state.numpy().tobytes()
+    elif isinstance(state, dict | list):
+        for one in state.items() if isinstance(state, dict) else enumerate(state):
+            yield repr(one[0]).encode()
+            yield from _bytes_of(one[1])
+    else:
+        yield repr(state).encode()

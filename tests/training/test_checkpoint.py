@@ -2,7 +2,6 @@ import hashlib
 import io
 import os
 import random
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ import torch
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.trainer import Trainer
+from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
@@ -34,25 +34,6 @@ def set_up(scene, name: str, *overrides: str) -> Trainer:
     if name == "lean":
         return ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
     return ready_to_train(scene, name, ITERATIONS, *OFTEN, *overrides)
-
-
-def digest(trainer: Trainer) -> str:
-    """Of everything that training changes."""
-    for model in trainer.gaussians.values():
-        model.optimizer.flush()
-    return hashlib.sha256(b"".join(bytes_of(trainer.state_dict()))).hexdigest()
-
-
-def bytes_of(state) -> Iterator[bytes]:
-    """The tensors, numbers and names of a state, in their order."""
-    if isinstance(state, torch.Tensor):
-        yield state.numpy().tobytes()
-    elif isinstance(state, dict | list):
-        for one in state.items() if isinstance(state, dict) else enumerate(state):
-            yield repr(one[0]).encode()
-            yield from bytes_of(one[1])
-    else:
-        yield repr(state).encode()
 
 
 def timeless(log: TrainingLog):

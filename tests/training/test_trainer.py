@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-
 import pytest
 import torch
 
@@ -16,6 +13,7 @@ from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.plateau import Plateau
 from tdgbench.training.trainer import Trainer, frames_of
+from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
@@ -78,15 +76,6 @@ class CoarseToFine(Method):
 
 def two_stages(scene, *overrides: str) -> Trainer:
     return ready_to_train(scene, "splat", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
-
-
-def digest(trainer: Trainer) -> str:
-    """Of everything that a checkpoint holds."""
-    for model in trainer.gaussians.values():
-        model.optimizer.flush()
-    file = io.BytesIO()
-    torch.save(trainer.state_dict(), file)
-    return hashlib.sha256(file.getvalue()).hexdigest()
 
 
 def lines(log: TrainingLog):
