@@ -161,6 +161,7 @@ def _mismatch(saved: Any, wanted: Any, place: str, *, is_exact: bool) -> str | N
     if type(saved) is not type(wanted):
         return place
     if isinstance(wanted, dict):
+        wanted = wanted or saved  # filled in training, as the state of torch's optimisers is
         if saved.keys() != wanted.keys():
             return place or "content"
         parts = [(name, saved[name], wanted[name]) for name in wanted]

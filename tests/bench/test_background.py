@@ -30,7 +30,8 @@ def cell(tmp_path_factory, data_root):
 
 
 def test_the_record_has_it(cell):
-    background = json.loads((cell / "record.json").read_text())["background"]
+    parts = json.loads((cell / "record.json").read_text())["parts"]
+    background = {name: report["background"] for name, report in parts.items() if "background" in report}
     assert {name: len(color) for name, color in background.items()} == {"thermal": 1, "rgb": 3}
     assert all(0.05 < value < 0.95 for color in background.values() for value in color)
 
@@ -39,14 +40,15 @@ def test_the_cell_is_verified_over_it(cell, tmp_path):
     assert verify_cell(cell) == []
     changed = Path(shutil.copytree(cell, tmp_path / "cell"))
     record = json.loads((changed / "record.json").read_text())
-    record["background"]["thermal"] = [0.5, 0.5]
+    record["parts"]["thermal"]["background"] = [0.5, 0.5]
     (changed / "record.json").write_text(json.dumps(record))
     assert any("background has the shape (2,)" in problem for problem in verify_cell(changed))
 
 
 def test_without_it_the_renders_do_not_fit(cell):
     viewed = open_cell(cell)
-    viewed.record.background = {}
+    for report in viewed.record.parts.values():
+        report.pop("background", None)
     shown, stored = pictures(viewed)
     assert np.abs(shown.astype(int) - stored).max() > 10
 

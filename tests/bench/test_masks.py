@@ -21,8 +21,8 @@ OFTEN = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=
 
 def all_of(scene, method: str, folder, *overrides: str):
     """Model, log, scores and written pictures of a short training."""
-    trained, context = ready_to_train(scene, method, 45, *OFTEN, *overrides)
-    log = train(trained, 45)
+    trained = ready_to_train(scene, method, 45, *OFTEN, *overrides)
+    log = train(trained)
     scorer = instantiate(config("metrics.lpips.download=false").metrics)
     renders = render_views(trained, scene.test)
     folder.mkdir()
@@ -30,7 +30,7 @@ def all_of(scene, method: str, folder, *overrides: str):
     pictures = {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*.png"))}
     lines = [(line.loss, line.psnr, line.gaussians, line.terms) for line in log.lines]
     scores = scorer.score(scene, renders), score_training_views(trained, scene, scorer)
-    priors = {name: prior.values.tobytes() for name, prior in context.priors.items()}
+    priors = {name: prior.values.tobytes() for name, prior in trained.whole.priors.items()}
     return {"model": digest(trained), "log": lines, "scores": scores, "pictures": pictures, "priors": priors}
 
 
@@ -66,14 +66,14 @@ def test_a_mask_of_valid_pixels_alone_is_none(small_gray_scene, tmp_path):
 
 def test_the_thermal_model_gets_no_gradient_from_masked_pixels(small_gray_scene):
     scene = masked_scene(small_gray_scene)
-    method, _ = ready_to_train(replace(scene, train=scene.train[1:]), "tdg", 60)
+    trainer = ready_to_train(replace(scene, train=scene.train[1:]), "tdg", 60)
     for iteration in range(1, 5):
-        for model in method.models().values():
-            model.begin(iteration)
-        step = method.step(iteration)
+        for part in trainer.parts.values():
+            part.begin(iteration)
+        step = trainer.method.step(iteration)
         gradients = []
-        step.thermal.image.register_hook(gradients.append)
-        step.thermal.depth.register_hook(gradients.append)
+        step.render.image.register_hook(gradients.append)
+        step.render.depth.register_hook(gradients.append)
         step.loss.backward()
         image, depth = gradients if gradients[0].ndim == 3 else gradients[::-1]
         assert image[step.valid].any() and not image[~step.valid].any()

@@ -10,18 +10,18 @@ from tests.helpers.training import ready_to_train
 
 
 def test_renders_of_a_method_are_those_of_its_model(small_gray_scene):
-    method, _ = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "splat", 3)
     view = small_gray_scene.test[0]
-    images = render_images(method, view)
-    stored = render_model(method.models()["thermal"].gaussians.detach(), view.camera)
+    images = render_images(trainer, view)
+    stored = render_model(trainer.gaussians["thermal"].gaussians.detach(), view.camera)
     assert images.image.shape == (36, 48, 1) and images.depth.shape == (36, 48) and not images.others
     assert torch.allclose(stored.image, torch.from_numpy(images.image), atol=1e-6)
 
 
 def test_pairs_of_pictures(small_scene, tmp_path):
-    method, _ = ready_to_train(small_scene, "msmg", 3)
+    trainer = ready_to_train(small_scene, "msmg", 3)
     views = small_scene.test
-    write_renders(render_views(method, views), views, tmp_path)
+    write_renders(render_views(trainer, views), views, tmp_path)
     names = {f"{view.name}.png" for view in views}
     for folder in ("renders", "targets", "renders_rgb", "targets_rgb"):
         assert {p.name for p in (tmp_path / folder).iterdir()} == names
@@ -44,8 +44,8 @@ def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():
 
 
 def test_constants_of_a_cell_change_its_renders(small_gray_scene):
-    method, _ = ready_to_train(small_gray_scene, "splat", 3)
-    model, camera = method.models()["thermal"].gaussians.detach(), small_gray_scene.test[0].camera
+    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    model, camera = trainer.gaussians["thermal"].gaussians.detach(), small_gray_scene.test[0].camera
     model.opacity_logits[:] = 9.0
     default, other = (render_model(model, camera, blending=b).image for b in (AS_3DGS, Blending(max_alpha=0.999)))
     assert (default - other).abs().max() > 1e-3
@@ -53,7 +53,7 @@ def test_constants_of_a_cell_change_its_renders(small_gray_scene):
 
 
 def test_a_method_that_renders_no_depth_is_named(small_gray_scene, monkeypatch):
-    method, _ = ready_to_train(small_gray_scene, "splat", 3)
-    monkeypatch.setattr(method, "render", lambda camera: method.model.render(camera))
+    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    monkeypatch.setattr(trainer.method, "render", lambda frame: trainer.method.model.render(frame.camera))
     with pytest.raises(TypeError, match=r"splat\.render gives no depth"), torch.no_grad():
-        render_images(method, small_gray_scene.test[0])
+        render_images(trainer, small_gray_scene.test[0])

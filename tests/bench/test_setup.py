@@ -20,12 +20,14 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
 
 
 def test_a_method_is_ready_to_train(data_root):
-    cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
+    cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo",
+                 "budget.iterations=2")  # fmt: skip
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    method, context, *_ = set_up(cfg, scene)
-    assert len(method.models()["thermal"]) == 300 and len(method.targets) == len(scene.train)
-    assert context.budget == instantiate(cfg.budget) and context.scene is scene and context.seed == cfg.seed
-    assert train(method, 2).iterations == 2
+    trainer, scored, _ = set_up(cfg, scene)
+    context = trainer.whole
+    assert len(trainer.gaussians["thermal"]) == 300 and len(trainer.method.targets) == len(scene.train)
+    assert context.budget == instantiate(cfg.budget) and context.scene is scored is scene and context.seed == cfg.seed
+    assert train(trainer).iterations == 2
 
 
 class Watch(SetupObserver):

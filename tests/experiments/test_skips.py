@@ -49,7 +49,7 @@ def record(scene, variant, seconds, psnr, ssim=0.9, taken=()):
     return Record(
         method="tdg", dataset="synthetic", scene=scene, init="colmap", seed=0, experiment="skips", variant=variant,
         seconds={"train": seconds, "load": 1.0}, scores={"psnr": psnr, "ssim": ssim, "lpips": None}, skips=skips,
-        gaussians={"thermal": 5}, peak_rss_mb=100.0, iterations=10,
+        parts={"thermal": {"gaussians": 5}}, peak_rss_mb=100.0, iterations=10,
     )  # fmt: skip
 
 

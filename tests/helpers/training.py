@@ -3,47 +3,70 @@
 from __future__ import annotations
 
 import hashlib
-from typing import NamedTuple
+from collections.abc import Iterator
+
+import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
-from tdgbench.training.loop import train
-from tdgbench.training.method import Context, Method
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
+from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
 
-
-class Ready(NamedTuple):
-    """A method that is ready to train, and the context it was set up with."""
-
-    method: Method
-    context: Context
+OFTEN = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
 
 
 def ready_to_train(
-    scene: Scene, name: str, iterations: int, *overrides: str, seed: int = 0, skips: Skips | None = None
-) -> Ready:
-    """A method with the demo's budget, ready to train."""
+    scene: Scene,
+    name: str,
+    iterations: int,
+    *overrides: str,
+    seed: int = 0,
+    skips: Skips | None = None,
+    method: Method | None = None,
+) -> Trainer:
+    """Return a trainer of a method with the demo's budget. method: in the place of the configured one of that name."""
     cfg = config(
         f"method={name}", "prior=synthetic", "budget=demo", f"budget.iterations={iterations}", *overrides
     )  # fmt: skip
     cfg.seed = seed
-    method, context, *_ = set_up(cfg, scene, skips=skips, compiles=False)
-    return Ready(method, context)
+    return set_up(cfg, scene, method=method, skips=skips, compiles=False).trainer
 
 
-def trained(scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides):
-    """A method trained for a while, with its log."""
-    often = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
+def trained(
+    scene: Scene, method_name: str, iterations: int = 60, seed: int = 0, skips: Skips | None = None, **overrides
+) -> tuple[Trainer, TrainingLog]:
+    """Train a method for a while; return its trainer and the log."""
     extra = [f"{k}={v}" for k, v in overrides.items()]
-    method, _ = ready_to_train(scene, method_name, iterations, *often, *extra, seed=seed, skips=skips)
-    return method, train(method, iterations)
+    trainer = ready_to_train(scene, method_name, iterations, *OFTEN, *extra, seed=seed, skips=skips)
+    return trainer, train(trainer)
 
 
-def digest(method: Method) -> str:
-    """A hash of every parameter of a method's models."""
+def digest(trainer: Trainer) -> str:
+    """Return a hash of every parameter of the Gaussians in training."""
     content = hashlib.sha256()
-    for model in method.models().values():
+    for model in trainer.gaussians.values():
         for _, tensor in model.gaussians.items():
             content.update(tensor.detach().numpy().tobytes())
     return content.hexdigest()
+
+
+def digest_of_all(trainer: Trainer) -> str:
+    """Return a hash of everything that training changes."""
+    for model in trainer.gaussians.values():
+        model.optimizer.flush()
+    return hashlib.sha256(b"".join(_bytes_of(trainer.state_dict()))).hexdigest()
+
+
+def _bytes_of(state) -> Iterator[bytes]:
+    """Yield the tensors, numbers and names of a state, in their order."""
+    if isinstance(state, torch.Tensor):
+        yield state.numpy().tobytes()
+    elif isinstance(state, dict | list):
+        for one in state.items() if isinstance(state, dict) else enumerate(state):
+            yield repr(one[0]).encode()
+            yield from _bytes_of(one[1])
+    else:
+        yield repr(state).encode()

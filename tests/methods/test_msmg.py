@@ -6,7 +6,7 @@ from tests.helpers.training import trained
 
 def test_crossed_weights(small_scene):
     """total = 0.3 · N_th/(N_rgb + N_th) · L_rgb + 0.6 · N_rgb/(N_rgb + N_th) · L_thermal."""
-    method, _ = trained(small_scene, "msmg", 60)
+    method = trained(small_scene, "msmg", 60)[0].method
     n_rgb, n_thermal = len(method.rgb), len(method.thermal)
     assert n_rgb != n_thermal  # else the test could not tell the shares apart
     step = method.step(1)
@@ -16,19 +16,22 @@ def test_crossed_weights(small_scene):
 
 
 def test_two_models_of_their_own(small_gray_scene):
-    method, _ = trained(small_gray_scene, "msmg", 3)
-    models = method.models()
+    models = trained(small_gray_scene, "msmg", 3)[0].gaussians
     assert set(models) == {"rgb", "thermal"}
     assert (models["rgb"].gaussians.channels, models["thermal"].gaussians.channels) == (3, 1)
     assert not torch.equal(models["rgb"].gaussians.means, models["thermal"].gaussians.means)
 
 
 def test_views_are_drawn_independently(small_scene):
-    method, _ = trained(small_scene, "msmg", 1)
+    method = trained(small_scene, "msmg", 1)[0].method
     pairs = [(method.rgb_views.next().name, method.thermal_views.next().name) for _ in range(20)]
     assert any(a != b for a, b in pairs)
 
 
-def test_needs_rgb(small_scene):
-    method, _ = trained(small_scene, "msmg", 1)
-    assert method.needs_rgb and not method.needs_prior
+def test_both_modalities_are_rendered_from_a_frame(small_gray_scene):
+    trainer, _ = trained(small_gray_scene, "msmg", 1)
+    method, frame = trainer.method, trainer.frame(small_gray_scene.test[0])
+    assert method.modalities == ("thermal", "rgb") and not method.needs_prior
+    thermal, rgb = (method.render(frame, name) for name in method.modalities)
+    assert (thermal.image.shape, rgb.image.shape) == ((36, 48, 1), (36, 48, 3))
+    assert thermal.depth is not None and rgb.depth is None and not rgb.image.requires_grad

@@ -5,10 +5,10 @@ from tests.helpers.training import trained
 
 
 def test_is_the_photometric_loss_alone(small_scene):
-    method, _ = trained(small_scene, "splat", 2)
+    method = trained(small_scene, "splat", 2)[0].method
     step = method.step(3)
-    assert step.loss.item() == pytest.approx(photometric(step.thermal.image, step.target, 0.2).item())
-    assert not method.needs_rgb and not method.needs_prior
+    assert step.loss.item() == pytest.approx(photometric(step.render.image, step.target, 0.2).item())
+    assert method.modalities == ("thermal",) and not method.needs_prior
 
 
 def test_the_weight_scales_the_loss_and_not_its_term(small_gray_scene):

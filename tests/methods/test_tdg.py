@@ -73,16 +73,17 @@ def test_decay():
 
 
 def test_depth_is_rendered_only_while_it_weighs(small_scene):
-    method, log = trained(small_scene, "tdg", 40)
+    trainer, log = trained(small_scene, "tdg", 40)
     with_depth = [line.iteration for line in log.lines if "depth" in line.terms]
     assert with_depth == list(range(1, 20))
-    assert method.step(10).thermal.depth is not None and method.step(30).thermal.depth is None
+    step = trainer.method.step
+    assert step(10).render.depth is not None and step(30).render.depth is None
     _, log = trained(small_scene, "tdg", 40, **{"+budget.expected_iterations": 20})
     assert [line.iteration for line in log.lines if "depth" in line.terms] == list(range(1, 10))
 
 
 def test_total_is_the_sum_of_its_terms(small_scene):
-    method, _ = trained(small_scene, "tdg", 40)
+    method = trained(small_scene, "tdg", 40)[0].method
     step = method.step(5)
     weight = method.lambda_depth * decay_weight(5, 1, 20)
     assert step.loss.item() == pytest.approx(step.terms["thermal"] + weight * step.terms["depth"], rel=1e-5)

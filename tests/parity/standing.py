@@ -32,9 +32,6 @@ class Still:
         assert not depth
         return Render(self.image, None, torch.zeros(self.image.shape[:2]))
 
-    def show(self, view: View, *, depth: bool = False) -> Render:
-        return self.render(view.camera, depth=depth)
-
 
 def standing_view() -> SimpleNamespace:
     """A view order with a single view."""

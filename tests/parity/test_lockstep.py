@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
 from scipy.optimize import linear_sum_assignment
 
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, PointCloud
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Render
 from tdgbench.training import model as model_module
+from tdgbench.training.context import Context
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.method import Step
+from tdgbench.training.method import Method, Step
 from tdgbench.training.model import SplatModel
+from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
 from tests.helpers.deferred import apply_deferred_steps
 from tests.parity.drive import HEIGHT, WIDTH, pull, visible_at
@@ -73,24 +77,31 @@ def pulled_render(state, optimizer, camera, options, collect, backend):
     return Render(_Pulled.apply(anchor, lambda: collect(gradients)), None, torch.zeros(HEIGHT, WIDTH))
 
 
-class Pulled:
+class Pulled(Method):
     """A method whose only loss is that its Gaussians are pulled."""
 
-    def __init__(self, start: np.ndarray, iterations: int) -> None:
-        rules = [f"budget.density.{rule}" for rule in (*RULES, *AS_RELEASED)]
-        length = (f"budget.iterations={iterations}", "budget.rates.position_steps=80", "budget.sh_degree=1")
-        budget = instantiate(config("budget=paper", *length, *rules).budget)
-        rows = torch.from_numpy(start)
-        first = Gaussians(rows[:, :3], rows[:, 3:6], rows[:, 6:10], rows[:, 10], rows[:, 11:].unflatten(1, (4, 3)))
-        self.model = SplatModel(first, budget, EXTENT, "auto", torch.Generator())
+    name = "pulled"
 
-    def models(self) -> dict[str, SplatModel]:
-        return {"thermal": self.model}
+    def __init__(self, start: np.ndarray) -> None:
+        rows = torch.from_numpy(start)
+        self.start = Gaussians(rows[:, :3], rows[:, 3:6], rows[:, 6:10], rows[:, 10], rows[:, 11:].unflatten(1, (4, 3)))
+
+    def setup(self, context: Context) -> None:
+        self.model = context.gaussians(start=self.start)
 
     def step(self, iteration: int) -> Step:
         self.model.optimizer.rendering = iteration
         render = self.model.render(CAMERA)
         return Step(render.image.sum(), {}, render, torch.zeros_like(render.image))
+
+
+def pulled(start: np.ndarray, iterations: int) -> Trainer:
+    """A training of so many iterations in a scene without views."""
+    rules = [f"budget.density.{rule}" for rule in (*RULES, *AS_RELEASED)]
+    length = (f"budget.iterations={iterations}", "budget.rates.position_steps=80", "budget.sh_degree=1")
+    budget = instantiate(config("budget=paper", *length, *rules).budget)
+    scene = SimpleNamespace(train=[], views=[], extent=EXTENT)
+    return Trainer(Pulled(start), Context(scene, PointCloud(*np.zeros((2, 0, 3))), {}, budget, "cpu", 0))
 
 
 @pytest.fixture
@@ -131,14 +142,15 @@ def rows_of(model: SplatModel) -> np.ndarray:
 
 def test_every_iteration(theirs, same_draws):
     """Counts at each of 80 iterations, parameters at some, before density control: 4 rounds and a reset in between."""
-    method, counts, far = Pulled(theirs["saved_1"], BOTH), [], {}
+    trainer, counts, far = pulled(theirs["saved_1"], BOTH), [], {}
+    model = trainer.gaussians["thermal"]
 
     def compare(log: TrainingLog) -> None:
-        counts.append(len(method.model))
+        counts.append(len(model))
         if f"saved_{log.iterations}" in theirs:
-            far[log.iterations] = difference(rows_of(method.model), theirs[f"saved_{log.iterations}"])
+            far[log.iterations] = difference(rows_of(model), theirs[f"saved_{log.iterations}"])
 
-    train(method, BOTH, on_model=compare)
+    train(trainer, on_model=compare)
     assert counts == theirs["counts"].tolist() and len(set(counts)) == 5
     assert far[1] == 0 and list(far) == [1, 2, 16, 40, 41, 64, 70, 80]
     assert max(far.values()) < LIMIT, far
@@ -147,7 +159,8 @@ def test_every_iteration(theirs, same_draws):
 @pytest.mark.parametrize("last", [ORDINARY, DENSIFIES, RESETS, BOTH])
 def test_end_of_training(theirs, same_draws, last):
     """The model that is left is the one before the last iteration's density control, without a last step."""
-    method = Pulled(theirs["saved_1"], last)
-    train(method, last)
-    assert len(method.model) == theirs["counts"][last - 1]
-    assert difference(rows_of(method.model), theirs[f"saved_{last}"]) < LIMIT
+    trainer = pulled(theirs["saved_1"], last)
+    train(trainer)
+    model = trainer.gaussians["thermal"]
+    assert len(model) == theirs["counts"][last - 1]
+    assert difference(rows_of(model), theirs[f"saved_{last}"]) < LIMIT

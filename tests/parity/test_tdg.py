@@ -25,7 +25,7 @@ FILES = ("bits8", "bits16", "constant", "ones")  # ones: 0 and 1 alone
 @pytest.mark.parametrize("length", [500, 503, 1000, 10_000])
 def test_decay(small_gray_scene, length):
     """w = 1 at the first iteration, 0 from half of them on."""
-    method, _ = ready_to_train(small_gray_scene, "tdg", length)
+    method = ready_to_train(small_gray_scene, "tdg", length).method
     ours = [method._decay(iteration) for iteration in range(1, length + 1)]
     assert np.abs(np.array(ours) - original("decay")[f"w_decay_{length}"]).max() < 1e-12
 
@@ -93,6 +93,6 @@ def test_whole_loss_of_msmg(case):
     step = method.step(1)
     step.loss.backward()
     assert step.loss.item() == pytest.approx(float(theirs[f"msmg_{case}"]), rel=LIMIT)
-    for name, model in method.models().items():
+    for name, model in {"rgb": method.rgb, "thermal": method.thermal}.items():
         gradient = theirs[f"msmg_{case}_gradient_{name}"]
         assert relative(model.image.grad.permute(2, 0, 1), gradient) < LIMIT

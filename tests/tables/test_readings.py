@@ -11,7 +11,7 @@ def record(method, iterations, psnr, seed=0, scene="orbit", dataset="synthetic",
     return Record(
         method, dataset, scene, "colmap", seed, "readings", f"budget.iterations={iterations}", split="eighty_twenty",
         scores={"psnr": psnr, "ssim": 0.9, "lpips": None}, missing={"lpips": "no backbone"},
-        seconds={"train": 3600 * hours}, gaussians={"thermal": gaussians},
+        seconds={"train": 3600 * hours}, parts={"thermal": {"gaussians": gaussians}},
         config={"budget": {"iterations": iterations}},
     )  # fmt: skip
 

@@ -8,12 +8,17 @@ import pytest
 import torch
 
 from tdgbench.training.checkpoint import Checkpoint
-from tdgbench.training.loop import TrainingLog, stopping_of, train
-from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.trainer import Trainer
+from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
-RULE = PlateauRule(rounds=1, patience=50, gain=0.0, after=0)
+OFTEN = (  # with a plateau that is watched but never reached
+    "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
+    "budget.density.reset_recovery=1", "budget.sh_every=12",
+    "budget.plateau.rounds=1", "budget.plateau.patience=50", "budget.plateau.gain=0", "budget.plateau.after=0",
+)  # fmt: skip
 LEAN = (  # every rule of the lean budget: images are small at first; it settles in iteration 48
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
     "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
@@ -24,32 +29,11 @@ class KilledError(Exception):
     pass
 
 
-def set_up(scene, name: str):
-    """A method that is ready to train, its context and a plateau that is watched but never reached.
-
-    name: of the method, or lean: 3DGS with the lean budget, and what stops it.
-    """
+def set_up(scene, name: str, *overrides: str) -> Trainer:
+    """A trainer of a method, or of 3DGS with the lean budget (`lean`)."""
     if name == "lean":
-        method, context = ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
-        return method, context, stopping_of(method, context)
-    often = (
-        "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
-        "budget.density.reset_recovery=1",
-        "budget.sh_every=12",
-    )  # fmt: skip
-    method, context = ready_to_train(scene, name, ITERATIONS, *often)
-    return method, context, Plateau(RULE, len(scene.train))
-
-
-def digest(method) -> str:
-    """Of everything that training changes."""
-    content = hashlib.sha256()
-    for model in method.models().values():
-        _ = model.gaussians  # brings every row up to date
-        for tensor in (model.state.values, model.state.first, model.state.second, model.density.grad_sum):
-            content.update(tensor.numpy().tobytes())
-        content.update(repr((model.degree, model.work, model.optimizer.steps)).encode())
-    return content.hexdigest()
+        return ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
+    return ready_to_train(scene, name, ITERATIONS, *OFTEN, *overrides)
 
 
 def timeless(log: TrainingLog):
@@ -58,15 +42,15 @@ def timeless(log: TrainingLog):
 
 @pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean"])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
-    method, context, stopping = set_up(small_gray_scene, name)
-    calm = train(method, ITERATIONS, stopping=stopping)
-    wanted = digest(method)
+    trainer = set_up(small_gray_scene, name)
+    calm = train(trainer)
+    wanted = digest(trainer)
     log = TrainingLog()
     stops = [1, 9, 10, 26, 47, ITERATIONS]
     for stop in stops:
-        method, context, stopping = set_up(small_gray_scene, name)
+        trainer = set_up(small_gray_scene, name)
         checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        log = checkpoint.take_up(method, context, stopping)
+        log = checkpoint.take_up(trainer)
         checkpoint._next = 0.0  # every step, however long writing takes
 
         def killed(log, checkpoint=checkpoint, stop=stop):
@@ -77,50 +61,52 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
 
         if stop < ITERATIONS:
             with pytest.raises(KilledError):
-                train(method, ITERATIONS, stopping=stopping, on_step=killed, log=log)
+                train(trainer, on_step=killed, log=log)
         else:
-            log = train(method, ITERATIONS, stopping=stopping, on_step=killed, log=log)
+            log = train(trainer, on_step=killed, log=log)
     assert log.resumed == stops[:-1]
     assert timeless(log) == timeless(calm)
-    assert digest(method) == wanted
+    assert digest(trainer) == wanted
     # once it has ended, nothing is left to do
-    method, context, stopping = set_up(small_gray_scene, name)
-    ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, stopping)
-    assert timeless(train(method, ITERATIONS, stopping=stopping, log=ended)) == timeless(calm)
-    assert digest(method) == wanted
+    trainer = set_up(small_gray_scene, name)
+    ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(trainer)
+    assert timeless(train(trainer, log=ended)) == timeless(calm)
+    assert digest(trainer) == wanted
 
 
 def test_writing_changes_nothing(small_gray_scene, tmp_path):
     digests = []
     for seconds in (None, 0.0):
-        method, context, stopping = set_up(small_gray_scene, "tdg")
+        trainer = set_up(small_gray_scene, "tdg")
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, seconds)
-        log = checkpoint.take_up(method, context, stopping)
-        train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
-        digests.append(digest(method))
+        log = checkpoint.take_up(trainer)
+        train(trainer, on_step=checkpoint.after_step, log=log)
+        digests.append(digest(trainer))
         assert checkpoint.path.exists() == (seconds is not None)
     assert digests[0] == digests[1]
 
 
 def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):
-    rule = PlateauRule(rounds=1, patience=1, gain=0.9, after=10)
+    soon = (
+        "budget.plateau.patience=1", "budget.plateau.gain=0.9", "budget.plateau.after=10",
+        "budget.density.start=100", "budget.density.opacity_reset_every=100",
+    )  # fmt: skip
     for _ in range(2):
-        method, context, _ = set_up(small_gray_scene, "splat")
-        stopping, checkpoint = Plateau(rule, 5), Checkpoint(tmp_path / "a.pt", {}, 0.0)
-        log = checkpoint.take_up(method, context, stopping)
+        trainer, checkpoint = set_up(small_gray_scene, "splat", *soon), Checkpoint(tmp_path / "a.pt", {}, 0.0)
+        log = checkpoint.take_up(trainer)
         checkpoint._next = 0.0
-        log = train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
-        assert log.iterations == 20
+        log = train(trainer, on_step=checkpoint.after_step, log=log)
+        assert log.iterations == 10 + 2 * len(small_gray_scene.train)
 
 
 def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
     def taken_up(made_with):
-        method, context, stopping = set_up(small_gray_scene, "splat")
+        trainer = set_up(small_gray_scene, "splat", "budget.iterations=5")
         checkpoint = Checkpoint(tmp_path / "a.pt", made_with, 0.0)
-        return checkpoint, checkpoint.take_up(method, context, stopping), method
+        return checkpoint, checkpoint.take_up(trainer), trainer
 
-    checkpoint, log, method = taken_up({"key": "k", "cpu": "A"})
-    train(method, 5, on_step=checkpoint.after_step, log=log)
+    checkpoint, log, trainer = taken_up({"key": "k", "cpu": "A"})
+    train(trainer, on_step=checkpoint.after_step, log=log)
     checkpoint, log, _ = taken_up({"key": "k", "cpu": "B"})
     assert log.iterations == 0 and "not used: other cpu" in checkpoint.notes[0]
     checkpoint.path.write_bytes(b"no such thing")
@@ -130,20 +116,20 @@ def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 def test_a_full_disk_is_told_and_training_goes_on(small_gray_scene, tmp_path, monkeypatch):
-    method, context, stopping = set_up(small_gray_scene, "splat")
+    trainer = set_up(small_gray_scene, "splat", "budget.iterations=2")
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    log = checkpoint.take_up(method, context, stopping)
+    log = checkpoint.take_up(trainer)
 
     save = torch.save
     monkeypatch.setattr(torch, "save", lambda content, _: save(content, "/dev/full"))
-    assert train(method, 2, on_step=checkpoint.after_step, log=log).iterations == 2
+    assert train(trainer, on_step=checkpoint.after_step, log=log).iterations == 2
     assert checkpoint.notes[0].startswith(f"no checkpoint at iteration 1 in {tmp_path}: ")
     assert not list(tmp_path.iterdir())
 
 
 def test_what_a_killed_writer_left_goes(small_gray_scene, tmp_path):
     (tmp_path / ".a.123.pt").write_bytes(b"half")
-    Checkpoint(tmp_path / "a.pt", {}, None).take_up(*set_up(small_gray_scene, "splat"))
+    Checkpoint(tmp_path / "a.pt", {}, None).take_up(set_up(small_gray_scene, "splat"))
     assert not list(tmp_path.iterdir())
 
 
@@ -154,19 +140,26 @@ def test_seconds_below_zero_are_refused(tmp_path):
 
 @pytest.fixture
 def stored(small_gray_scene, tmp_path):
-    """A fresh method, the checkpoint of another one after 12 iterations, and its content; `take_up` loads it."""
-    method, context, stopping = set_up(small_gray_scene, "msmg")
+    """A function that takes up the checkpoint of an MSMG training after 12 iterations in a fresh one; its path."""
+    trainer = set_up(small_gray_scene, "msmg")
     checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-    checkpoint.take_up(method, context, stopping)
-    train(method, 12, stopping=stopping, on_step=checkpoint.after_step)
-    method, context, stopping = set_up(small_gray_scene, "msmg")
-    fresh = digest(method)
+    checkpoint.take_up(trainer)
+
+    def killed(log):
+        checkpoint.after_step(log)
+        if log.iterations == 12:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        train(trainer, on_step=killed)
+    trainer = set_up(small_gray_scene, "msmg")
+    fresh = digest(trainer)
 
     def take_up() -> list[str]:
-        """The notes of a checkpoint that is not used; the method has not changed."""
+        """The notes of a checkpoint that is not used; the training starts afresh."""
         checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        assert checkpoint.take_up(method, context, stopping).iterations == 0
-        assert digest(method) == fresh
+        assert checkpoint.take_up(trainer).iterations == 0
+        assert digest(trainer) == fresh
         return checkpoint.notes
 
     take_up.path = tmp_path / "a.pt"
@@ -213,20 +206,24 @@ def change(path, at, edit):
 
 
 OTHERS = {
-    "no models": ("models", lambda _: None),
-    "other model": ("models", lambda models: {"thermal": models["thermal"]}),
-    "other columns": ("models.rgb.rows._values", lambda rows: rows[:, 1:].clone()),
-    "other type": ("models.rgb.rows._values", lambda rows: rows.double()),
-    "fewer rows": ("models.rgb.rows._first", lambda rows: rows[1:].clone()),
-    "no rows": ("models.rgb.rows", lambda rows: {k: v if isinstance(v, int) else v[:0] for k, v in rows.items()}),
-    "a list": ("models.rgb.rows._values", lambda rows: rows.tolist()),
-    "not a number": ("models.rgb.rows._values", lambda rows: rows.index_fill(0, torch.tensor([3]), torch.nan)),
-    "infinite": ("models.rgb.rows._second", lambda rows: rows + torch.inf),
-    "coefficients": ("models.thermal.optimizer.coefficients", lambda one: one[:1].clone()),
-    "counts": ("models.thermal.density.grad_sum", lambda one: one[:1].clone()),
-    "no stream": ("context.generators", lambda states: states[:-1]),
-    "a broken stream": ("context.generators.0", lambda state: torch.full_like(state, 255)),
-    "no rule of stopping": ("stopping", lambda _: {}),
+    "no parts": ("parts", lambda _: None),
+    "another part": ("parts", lambda parts: {**parts, "mlp": {}}),
+    "a part less": ("parts.rgb", lambda _: None),
+    "other columns": ("parts.rgb.rows._values", lambda rows: rows[:, 1:].clone()),
+    "other type": ("parts.rgb.rows._values", lambda rows: rows.double()),
+    "fewer rows": ("parts.rgb.rows._first", lambda rows: rows[1:].clone()),
+    "no rows": ("parts.rgb.rows", lambda rows: {k: v if isinstance(v, int) else v[:0] for k, v in rows.items()}),
+    "a list": ("parts.rgb.rows._values", lambda rows: rows.tolist()),
+    "not a number": ("parts.rgb.rows._values", lambda rows: rows.index_fill(0, torch.tensor([3]), torch.nan)),
+    "infinite": ("parts.rgb.rows._second", lambda rows: rows + torch.inf),
+    "coefficients": ("parts.thermal.optimizer.coefficients", lambda one: one[:1].clone()),
+    "counts": ("parts.thermal.density.grad_sum", lambda one: one[:1].clone()),
+    "no stream": ("parts.rgb_views.generator", lambda _: None),
+    "a broken stream": ("parts.thermal_views.generator", lambda state: torch.full_like(state, 255)),
+    "no rule of stopping": ("parts.stopping", lambda _: {}),
+    "a later stage": ("stage", lambda _: 1),
+    "an earlier stage": ("stage", lambda _: -1),
+    "a stage in words": ("stage", lambda _: "first"),
     "no iterations": ("iterations", lambda _: None),
     "iterations in words": ("iterations", lambda _: "twelve"),
     "lines": ("lines.0", lambda line: {**line, "colour": "red"}),
@@ -241,13 +238,13 @@ def test_a_state_of_another_shape_is_not_used(stored, name):
 
 
 def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene, tmp_path):
-    wanted, method = [], None
+    wanted = []
     for number in range(2):
-        method, context, stopping = set_up(small_gray_scene, "tdg")
+        trainer = set_up(small_gray_scene, "tdg")
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-        log = checkpoint.take_up(method, context, stopping)
+        log = checkpoint.take_up(trainer)
         assert len(checkpoint.notes) == number
-        train(method, ITERATIONS, stopping=stopping, on_step=checkpoint.after_step, log=log)
-        wanted.append(digest(method))
-        change(tmp_path / "a.pt", "context.generators.0", lambda state: torch.full_like(state, 255))
+        train(trainer, on_step=checkpoint.after_step, log=log)
+        wanted.append(digest(trainer))
+        change(tmp_path / "a.pt", "parts.views.generator", lambda state: torch.full_like(state, 255))
     assert wanted[0] == wanted[1]

@@ -1,7 +1,5 @@
-import torch
-
+from tdgbench.training.context import ViewOrder
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.method import ViewOrder
 
 
 def test_views_have_the_resolution_of_the_iteration(small_scene):
@@ -25,23 +23,16 @@ def test_a_shrunk_view_is_made_once(small_scene):
 def test_held_out_views_are_not_trained_on_until_they_are_folded_back(small_scene):
     views = small_scene.train
     curriculum = Curriculum(held=views[1:3])
-    order = ViewOrder(views, torch.Generator().manual_seed(0), curriculum)
+    order = ViewOrder(views, 0, curriculum)
     shown = sorted(order.next().name for _ in range(len(views) - 2))
     assert shown == sorted(view.name for view in views if view not in views[1:3])
     curriculum.settle(1)
     assert sorted(order.next().name for _ in views) == sorted(view.name for view in views)
 
 
-def test_without_rules_the_order_is_that_of_3dgs(small_scene):
-    orders = [ViewOrder(small_scene.train, torch.Generator().manual_seed(3), c) for c in (None, Curriculum())]
-    names = [[order.next().name for _ in range(20)] for order in orders]
-    assert names[0] == names[1]
-
-
 def test_it_goes_on_before_the_schedule_and_may_go_back_for_good():
     curriculum = Curriculum(steps=[(10, 4), (20, 2)])
     curriculum.begin(1)
-    curriculum.begin(1)  # of a second model
     curriculum.advance()
     assert curriculum.scale == 2
     curriculum.begin(2)
@@ -50,3 +41,6 @@ def test_it_goes_on_before_the_schedule_and_may_go_back_for_good():
     curriculum.settle(2)
     curriculum.begin(22)
     assert curriculum.scale == 2 and curriculum.iterations == {4: 1, 2: 2, 1: 1}
+    curriculum.held = [None]  # type: ignore[list-item]
+    by_scale = {"1/4": 1, "1/2": 2, "1/1": 1}
+    assert curriculum.report() == {"iterations": by_scale, "held_out": 1, "settled_at": 21}

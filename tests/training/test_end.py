@@ -5,9 +5,10 @@ from hydra.utils import instantiate
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tdgbench.training.budget import PlateauRule
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tdgbench.training.plateau import Plateau
 from tests.helpers.configs import config
 from tests.helpers.training import digest, ready_to_train
 
@@ -15,7 +16,6 @@ OFTEN = (
     "budget.density.start=20", "budget.density.every=10", "budget.density.opacity_reset_every=60",
     "budget.density.grad_threshold=1e-5", "budget.density.reset_recovery=3", "budget.density.stop=1000",
 )  # fmt: skip
-RULE = PlateauRule(rounds=1, patience=1, gain=0.9, after=10)
 
 
 class EnoughError(Exception):
@@ -24,24 +24,24 @@ class EnoughError(Exception):
 
 def saved_at(scene, iteration: int) -> str:
     """The model of a long training at an iteration, before its density control."""
-    method, _ = ready_to_train(scene, "splat", 1000, *OFTEN)
+    trainer = ready_to_train(scene, "splat", 1000, *OFTEN)
     digests = []
 
     def look(log: TrainingLog) -> None:
         if log.iterations == iteration:
-            digests.append(digest(method))
+            digests.append(digest(trainer))
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(method, 1000, on_model=look)
+        train(trainer, on_model=look)
     return digests[0]
 
 
 @pytest.mark.parametrize("length", [1, 2, 29, 30, 40, 60, 61, 70, 100])
 def test_the_last_iteration_changes_nothing(small_gray_scene, length):
     """Like the released code: what is scored is the model before density control, without a last step."""
-    method, _ = ready_to_train(small_gray_scene, "splat", length, *OFTEN)
-    log = train(method, length)
+    trainer = ready_to_train(small_gray_scene, "splat", length, *OFTEN)
+    log = train(trainer)
     assert log.ended and log.iterations == length == log.lines[-1].iteration
     rules = instantiate(config("budget=demo", *OFTEN).budget.density)
     same_so_far = all(
@@ -49,15 +49,15 @@ def test_the_last_iteration_changes_nothing(small_gray_scene, length):
         for i in range(1, length)
     )
     assert same_so_far == (length not in (61, 70))
-    assert (digest(method) == saved_at(small_gray_scene, length)) == same_so_far
+    assert (digest(trainer) == saved_at(small_gray_scene, length)) == same_so_far
 
 
 @pytest.mark.parametrize("name", ["tdg", "msmg", "splat"])
 def test_a_round_in_the_last_iteration_is_left_out(small_gray_scene, name):
     """Length 60 is a multiple of both intervals: neither new Gaussians nor opacities of at most 0.01."""
-    method, _ = ready_to_train(small_gray_scene, name, 60, *OFTEN)
-    train(method, 60)
-    for model in method.models().values():
+    trainer = ready_to_train(small_gray_scene, name, 60, *OFTEN)
+    train(trainer)
+    for model in trainer.gaussians.values():
         assert model.gaussians.opacities.max() > 0.1
 
 
@@ -71,9 +71,10 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
             f"budget.density.reset_recovery={recovery}",
             f"budget.density.round_recovery={recovery // 3}",
         )
-        method, _ = ready_to_train(small_gray_scene, "splat", 1000, *overrides)
-        views = len(method.views._views)
-        log = train(method, 1000, stopping=Plateau(late, views))
+        trainer = ready_to_train(small_gray_scene, "splat", 1000, *overrides)
+        views = len(small_gray_scene.train)
+        trainer.stopping = Plateau(late, views)
+        log = train(trainer)
         ends[recovery] = log.iterations
         assert log.ended and log.lines[-1].iteration == log.iterations
     assert ends[0] == 32 + 2 * views
@@ -82,9 +83,9 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
 
 
 def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
-    method, context = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-    log = checkpoint.take_up(method, context, None)
+    log = checkpoint.take_up(trainer)
 
     def killed(log):
         checkpoint._next = 0.0
@@ -93,12 +94,12 @@ def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, 
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(method, 60, on_step=killed, log=log)
-    method, context = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
-    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(method, context, None)
+        train(trainer, on_step=killed, log=log)
+    trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(trainer)
     assert log.iterations == 59
-    train(method, 60, log=log)
-    assert digest(method) == saved_at(small_gray_scene, 60)
+    train(trainer, log=log)
+    assert digest(trainer) == saved_at(small_gray_scene, 60)
 
 
 LENGTHS = st.builds(

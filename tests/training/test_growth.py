@@ -6,9 +6,10 @@ import torch
 
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
+from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.growth import GrowthRule, Significance
-from tdgbench.training.images import COLOUR, THERMAL
+from tdgbench.training.growth import Significance
+from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
 RULE = GrowthRule(views=10, z=5.0, min_weight=0.0)
@@ -63,7 +64,7 @@ def test_a_colour_model_is_judged_by_colour_images():
     colour = two()
     colour.sh = torch.zeros(2, 1, 3)
     dark = [dataclasses.replace(view, load_thermal=lambda: 1 / 0) for view in views(edge)]
-    assert judge(dark, colour, modality=COLOUR).grow.tolist() == [True, False]
+    assert judge(dark, colour, modality=RGB).grow.tolist() == [True, False]
 
 
 def test_views_are_judged_at_the_resolution_of_the_iteration():

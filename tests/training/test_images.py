@@ -6,21 +6,53 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from tdgbench.training.images import COLOUR, THERMAL
+from tdgbench.training.images import MODALITIES, RGB, THERMAL
+
+CPU = torch.device("cpu")
+
+
+def masked(view, image: float = 9.0):
+    """A view whose pixels outside a rectangle are masked, and hold `image`."""
+    valid = np.zeros(view.thermal.shape[:2], bool)
+    valid[3:9, 5:20] = True
+    spoilt = np.where(valid[..., None], view.thermal, np.float32(image))
+    return replace(view, load_thermal=lambda: spoilt, load_valid=lambda: valid)
 
 
 def test_mean_by_channel(small_scene):
     views = small_scene.train
-    for modality, images in ((THERMAL, [view.thermal for view in views]), (COLOUR, [view.rgb for view in views])):
+    for modality, images in ((THERMAL, [view.thermal for view in views]), (RGB, [view.rgb for view in views])):
         assert modality.mean(views) == pytest.approx(np.mean(images, axis=(0, 1, 2), dtype=np.float64), abs=1e-6)
 
 
 def test_masked_pixels_have_no_part_in_the_mean(small_gray_scene):
-    view = small_gray_scene.train[0]
-    valid = np.zeros(view.thermal.shape[:2], bool)
-    valid[3:9, 5:20] = True
-    masked = replace(view, load_valid=lambda: valid)
-    assert THERMAL.mean([masked]) == pytest.approx(view.thermal[valid].mean(axis=0), abs=1e-6)
-    nothing = replace(view, load_valid=lambda: np.zeros_like(valid))
+    view = masked(small_gray_scene.train[0])
+    assert THERMAL.mean([view]) == pytest.approx(view.thermal[view.valid].mean(axis=0), abs=1e-6)
+    nothing = replace(view, load_valid=lambda: np.zeros_like(view.valid))
     assert THERMAL.mean([nothing]) == [0]
+
+
+def test_modalities_have_their_images_and_channels(small_gray_scene, small_scene):
+    assert MODALITIES == {"thermal": THERMAL, "rgb": RGB}
+    assert [one.channels(small_gray_scene) for one in (THERMAL, RGB)] == [1, 3]
+    assert THERMAL.channels(small_scene) == 3
+    view = small_gray_scene.train[0]
+    assert THERMAL.array(view) is view.thermal and RGB.array(view) is view.rgb
+
+
+def test_tensors_of_a_view_share_its_memory_and_are_made_once(small_gray_scene):
+    view = masked(small_gray_scene.train[0])
+    image, valid = THERMAL.of(view, CPU)
+    assert np.shares_memory(image.numpy(), view.thermal) and np.array_equal(valid.numpy(), view.valid)
+    assert not image[~valid].any()
+    again = THERMAL.of(view, CPU)
+    assert again[0] is image and again[1] is valid
+
+
+def test_a_thermal_mask_says_nothing_about_rgb(small_gray_scene):
+    view = masked(small_gray_scene.train[0])
+    image, valid = RGB.of(view, CPU)
+    assert valid is None and np.array_equal(image.numpy(), view.rgb)
+    assert THERMAL.of(small_gray_scene.train[1], CPU)[1] is None

@@ -38,7 +38,7 @@ def test_backends_train_the_same(small_scene):
         render = model.render(view.camera, depth=True)
         ((render.image - torch.from_numpy(view.thermal[..., :1])).abs().mean() + render.depth.mean()).backward()
         model.density.rules = dataclasses.replace(model.density.rules, start=10)
-        model.finish(1)
+        model.step(1)
         models.append(model)
     a, b = (m.state.values for m in models)
     models[0].optimizer.flush()
@@ -77,7 +77,7 @@ def test_density_control_sees_the_training_view(small_scene):
     (render.image - torch.from_numpy(view.thermal[..., :1])).abs().sum().backward()
     assert model.density.view_counts.sum() > 0
     before = len(model)
-    model.finish(iteration=1)
+    model.step(iteration=1)
     assert len(model) > before and model.density.view_counts.sum() == 0  # densified, and counting from zero
 
 
@@ -90,7 +90,7 @@ def test_a_round_has_the_memory_of_the_gradients(small_scene, monkeypatch):
     del view
     monkeypatch.setattr(model.density, "update", lambda *args: there.append(alive()) or update(*args))
     before = len(model)
-    model.finish(iteration=1)
+    model.step(iteration=1)
     assert there == [None] and len(model) != before and model.work.touched > 0
 
 
@@ -98,7 +98,7 @@ def test_looking_does_not_count(small_scene):
     model = make(small_scene)
     with torch.no_grad():
         model.render(small_scene.test[0].camera)
-    model.finish(iteration=1000)
+    model.step(iteration=1000)
     assert model.density.view_counts.sum() == 0 and model.optimizer.steps["means"] == 0
 
 
@@ -125,7 +125,7 @@ def take_step(model, view, channels: int, iteration: int) -> str | None:
     target = torch.from_numpy(view.thermal[..., :1]).expand(-1, -1, channels).contiguous()
     loss = thermal(render.image, target, 0.2, 0.1, "paper")
     (loss + (0.0 if render.depth is None else 1e-2 * render.depth.mean())).backward()
-    return model.finish(iteration)
+    return model.step(iteration)
 
 
 def bytes_of(model: SplatModel) -> dict[str, bytes]:
@@ -166,5 +166,5 @@ def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
         view.gradients._blended.slots.values.fill(3e38)  # overflows where two are added
         if computed:
             view.gradients = view.gradients.computed()
-        found.append(model.finish(4))
+        found.append(model.step(4))
     assert found[0] == found[1] is not None

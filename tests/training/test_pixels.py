@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera, View
-from tdgbench.training.pixels import PixelRule, schedule, shrunk
+from tdgbench.training.budget import PixelRule
+from tdgbench.training.pixels import schedule, shrunk
 
 RULE = PixelRule(largest_scale=8, until=0.5, smallest_side=10)
 

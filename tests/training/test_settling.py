@@ -1,21 +1,34 @@
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from tdgbench.training.budget import SettlingRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.loop import stopping_of, train
-from tdgbench.training.settling import Settling, SettlingRule
-from tdgbench.training.skips import Skips
+from tdgbench.training.loop import train
+from tdgbench.training.part import Part
+from tdgbench.training.settling import Settling, hold_out
+from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, ready_to_train
 
 RULE = SettlingRule(
     share=0.1, fewest=1, most=8, every=10, checks=2, window=0.2, gain=0.1, tail=0.5, slowdown=0.1
 )  # fmt: skip
 CONF = (
-    "+budget.settling={_target_:tdgbench.training.settling.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
+    "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
     "window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
+
+
+class Watched(Part):
+    """A part that notes its rate, and when it stops to grow."""
+
+    def __init__(self):
+        self.rate, self.stopped = 1.0, []
+
+    def slow_down(self, factor):
+        self.rate = factor
+
+    def stop_growth(self, iteration):
+        self.stopped.append(iteration)
 
 
 class Scripted(Settling):
@@ -24,12 +37,8 @@ class Scripted(Settling):
     def __init__(self, psnr, iterations=1000, held=(1,), steps=()):
         self.curriculum = Curriculum(list(steps))
         self.curriculum.held, self.curriculum.is_holding = list(held), bool(held)
-        self.stopped = []
-        self.model = SimpleNamespace(optimizer=SimpleNamespace(slowdown=1.0), stop_growth=self.stopped.append)
-        method = SimpleNamespace(models=lambda: {"thermal": self.model})
-        context = SimpleNamespace(curriculum=self.curriculum, budget=SimpleNamespace(iterations=iterations))
-        super().__init__(RULE, method, context)
-        self.psnr, self.asked, self.iteration = psnr, [], 0
+        self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
+        super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, render=lambda view: 1 / 0)
 
     def reached(self, iteration, loss=0.0):
         self.iteration = iteration
@@ -42,7 +51,11 @@ class Scripted(Settling):
 
     @property
     def rate(self):
-        return self.model.optimizer.slowdown
+        return self.part.rate
+
+    @property
+    def stopped(self):
+        return self.part.stopped
 
 
 def end_of(settling, limit=1000):
@@ -144,28 +157,34 @@ def test_a_restored_state_goes_on_alike(stop, psnrs):
 
 def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene):
     views = list(range(40))
-    assert RULE.hold_out(views) == [5, 15, 25, 35]  # type: ignore[arg-type]
-    assert RULE.hold_out(views[:3]) == []  # type: ignore[arg-type]
-    assert len(RULE.hold_out(list(range(400)))) == RULE.most  # type: ignore[arg-type]
+    assert hold_out(RULE, views) == [5, 15, 25, 35]  # type: ignore[arg-type]
+    assert hold_out(RULE, views[:3]) == []  # type: ignore[arg-type]
+    assert len(hold_out(RULE, list(range(400)))) == RULE.most  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["splat", "tdg", "msmg"])
 def test_methods_stop_by_it(small_gray_scene, name):
-    method, context = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
-    stopping = stopping_of(method, context)
-    assert isinstance(stopping, Settling) and len(context.curriculum.held) == 1
-    log = train(method, 60, stopping=stopping)
+    trainer = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
+    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held) == 1
+    log = train(trainer)
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
-    assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in method.models().values())
+    assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in trainer.gaussians.values())
+
+
+def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
+    """A masked pixel has no part in the PSNR by which a training settles."""
+    trainer = ready_to_train(masked_scene(small_gray_scene), "splat", 60, CONF)
+    (view,) = trainer.context.curriculum.held
+    squares = np.square(trainer.stopping.render(view) - view.thermal)
+    wanted = squares if view.valid is None else squares[view.valid]
+    assert trainer.stopping._held_out_psnrs() == pytest.approx([-10 * np.log10(wanted.mean())])
 
 
 def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
     digests = []
-    for overrides in ((), (CONF,)):
-        method, context = ready_to_train(
-            small_gray_scene, "splat", 30, *overrides, skips=Skips(settling=False, plateau=False)
-        )
-        assert stopping_of(method, context) is None
-        train(method, 30)
-        digests.append(digest(method))
+    for overrides in (("budget.plateau=null",), (CONF, "budget.settling=null", "budget.plateau=null")):
+        trainer = ready_to_train(small_gray_scene, "splat", 30, *overrides)
+        assert trainer.stopping is None
+        train(trainer)
+        digests.append(digest(trainer))
     assert digests[0] == digests[1]

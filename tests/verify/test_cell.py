@@ -50,6 +50,11 @@ def edit(**changes) -> Tampering:
     return act
 
 
+def counts(**gaussians: int) -> dict[str, dict[str, int]]:
+    """Parts of a record that are Gaussians, so many."""
+    return {name: {"gaussians": count} for name, count in gaussians.items()}
+
+
 def with_key(tamper: Tampering) -> Tampering:
     """The tampering, and a key that fits."""
 
@@ -182,8 +187,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "log.csv changed": (rows(lambda t: t.pop(3), "log.csv"), "log.csv has changed", False),
     "time": (edit(seconds__train=0.0001), "seconds.train is 0.0001, log.csv ends at", True),
     "iterations": (edit(iterations=20), "iterations is 20, log.csv ends at 30", True),
-    "count of Gaussians": (edit(gaussians={"thermal": 10, "rgb": 300}), "10 for model.ply, which holds 300", True),
-    "no count of Gaussians": (edit(gaussians={"thermal": 300}), "gaussians has no count for model_rgb.ply", True),
+    "count of Gaussians": (edit(parts=counts(thermal=10, rgb=300)), "10 for model.ply, which holds 300", True),
+    "no count of Gaussians": (edit(parts=counts(thermal=300)), "gaussians has no count for model_rgb.ply", True),
     "a Gaussian less": (write("model.ply", lose_gaussian), "gaussians has 300 for model.ply, which holds 299", True),
     "model cut": (write("model.ply", lambda c: c[:-9]), "model.ply cannot be read: ", True),
     "absurd model": (

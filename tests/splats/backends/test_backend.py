@@ -72,10 +72,11 @@ def test_a_new_backend_renders(double):
 def test_a_new_backend_trains(double, small_gray_scene):
     compile_kernels({1}, instantiate(config("budget=demo").budget), "double")
     assert double.CALLS == [[1], "render", "render"]
-    method, _ = ready_to_train(small_gray_scene, "tdg", 3)
+    trainer = ready_to_train(small_gray_scene, "tdg", 3)
+    method = trainer.method
     method.model.backend = method.backend = "double"
     before = method.model.copy()
-    train(method, 3)
+    train(trainer)
     assert double.CALLS.count("render") == 5
     assert not torch.equal(method.model.gaussians.means, before.means)
 

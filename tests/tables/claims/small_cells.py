@@ -26,8 +26,8 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     }  # fmt: skip
     record.train_scores = {"psnr": 40.0}
     record.seconds = {"train": 100 * less}
-    record.density = {"thermal": {"cloned": round(400 * less), "split": round(600 * less), "pruned": round(500 * less)}}
-    record.gaussians = {"thermal": round(4000 * less), "rgb": 9000}
+    grown = {"cloned": round(400 * less), "split": round(600 * less), "pruned": round(500 * less)}
+    record.parts = {"thermal": {"gaussians": round(4000 * less), **grown}, "rgb": {"gaussians": 9000}}
     for name, value in fields.items():
         setattr(record, name, value)
     place = Path(tempfile.mkdtemp(dir=folder))

@@ -35,7 +35,7 @@ def test_numbers_of_both_cells(tmp_path, name, better, other):
     assert quantity.higher == (better > other or name == "train_psnr")
     for one in cells:
         one.record.scores, one.record.train_scores, one.record.seconds = {}, {}, {}
-        one.record.density, one.record.gaussians = {}, {}
+        one.record.parts = {}
     assert quantity.of(*cells, CLAIM) is None
 
 

@@ -1,4 +1,5 @@
-from tdgbench.training.skips.plateau import Plateau, PlateauRule
+from tdgbench.training.budget import PlateauRule
+from tdgbench.training.plateau import Plateau
 
 
 def stops_at(losses, **rule):

@@ -1,0 +1,104 @@
+"""Parts of a training: networks and streams, and what a part does by default."""
+
+import copy
+import io
+
+import pytest
+import torch
+
+from tdgbench.training.part import Network, Part, RandomStream
+
+
+def mlp() -> torch.nn.Module:
+    torch.manual_seed(0)
+    return torch.nn.Sequential(torch.nn.Linear(3, 8), torch.nn.BatchNorm1d(8), torch.nn.Linear(8, 1))
+
+
+def take_steps(network: Network, first: int, last: int) -> None:
+    """Train a network from an iteration to another one, on inputs that depend on the iteration alone."""
+    for iteration in range(first, last + 1):
+        network.begin(iteration)
+        given = torch.rand(6, 3, generator=torch.Generator().manual_seed(iteration))
+        (network.module(given) - given.sum(dim=1, keepdim=True)).square().mean().backward()
+        assert network.step(iteration) is None
+
+
+def stored(state):
+    """A state as a checkpoint stores and reads it."""
+    file = io.BytesIO()
+    torch.save(state, file)
+    file.seek(0)
+    return torch.load(file, weights_only=True)
+
+
+def bytes_of(network: Network) -> list[bytes]:
+    return [tensor.numpy().tobytes() for tensor in network.module.state_dict().values()]
+
+
+def test_a_network_resumes_to_the_same_bytes():
+    """Weights, moments of Adam, and buffers, which are no parameters."""
+    calm, killed, resumed = (Network(mlp(), 1e-2) for _ in range(3))
+    take_steps(calm, 1, 20)
+    take_steps(killed, 1, 9)
+    assert bytes_of(killed) != bytes_of(calm)
+    resumed.load_state_dict(stored(killed.state_dict()))
+    take_steps(resumed, 10, 20)
+    assert bytes_of(resumed) == bytes_of(calm)
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_a_gradient_that_is_not_finite_is_named_and_no_step_is_taken(value):
+    network = Network(mlp(), 1e-2)
+    take_steps(network, 1, 2)
+    before = bytes_of(network)
+    network.begin(3)
+    network.module[0](torch.rand(6, 3)).sum().backward()
+    network.module[0].bias.grad[2] = value
+    assert network.step(3) == "0.bias" and bytes_of(network) == before
+
+
+def test_a_parameter_that_is_not_finite_is_named():
+    network = Network(mlp(), 1e-2)
+    assert network.not_finite() is None
+    network.module[2].weight.data[0, 3] = torch.nan
+    assert network.not_finite() == "2.weight"
+
+
+def test_gradients_of_an_iteration_are_forgotten_at_the_next_one():
+    network = Network(mlp(), 1e-2)
+    network.module(torch.rand(6, 3)).sum().backward()
+    network.begin(2)
+    before = [parameter.clone() for parameter in network.module.parameters()]
+    assert network.step(2) is None  # of a backward pass that the network had no part in
+    assert all(torch.equal(a, b) for a, b in zip(before, network.module.parameters(), strict=True))
+
+
+def test_a_network_slows_down_and_keeps_the_last_factor():
+    networks = [Network(mlp(), rate, torch.optim.SGD) for rate in (0.1, 0.01)]
+    networks[0].slow_down(0.5)
+    networks[0].slow_down(0.1)
+    for network in networks:
+        take_steps(network, 1, 3)
+    assert bytes_of(networks[0]) == bytes_of(networks[1])
+
+
+def test_a_network_reports_its_size():
+    assert Network(mlp(), 1e-2).report() == {"parameters": 3 * 8 + 8 + 2 * 8 + 8 + 1}
+
+
+def test_a_stream_goes_on_where_it_was():
+    stream, again = RandomStream(5), RandomStream(6)
+    torch.rand(7, generator=stream.generator)
+    again.load_state_dict(stored(stream.state_dict()))
+    assert torch.equal(*(torch.rand(4, generator=one.generator) for one in (stream, again)))
+
+
+def test_a_part_does_nothing_by_default():
+    part = Part()
+    before = copy.deepcopy(vars(part))
+    part.begin(1)
+    part.slow_down(0.5)
+    part.stop_growth(3)
+    part.load_state_dict(part.state_dict())
+    assert part.step(1) is part.not_finite() is None and part.has_recovered(1)
+    assert part.report() == part.state_dict() == {} and vars(part) == before

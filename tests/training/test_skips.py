@@ -1,0 +1,156 @@
+import copy
+
+import pytest
+from hydra.utils import instantiate
+
+from tdgbench.bench.options import check_options
+from tdgbench.training.loop import train
+from tdgbench.training.skips import RULES, SWITCHES, Finished, Skip, Skips, account
+from tests.helpers.configs import config
+from tests.helpers.training import OFTEN, ready_to_train
+
+NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated"]
+LEAN = (
+    "budget=lean", "budget.iterations=60", "budget.density.start=5", "budget.density.every=5", "budget.density.stop=20",
+    "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=10",
+    "budget.settling.checks=1", "budget.settling.gain=50", "budget.settling.fewest=1",
+)  # fmt: skip
+
+
+def test_all_skips_have_names():
+    skips = Skips().all()
+    assert [s.name for s in skips] == NAMES == list(SWITCHES)
+    assert all(s.allowed and not s.taken for s in skips)
+    assert [s.name for s in copy.deepcopy(Skips(gray=False)).all() if not s.allowed] == ["gray"]
+
+
+def test_an_unknown_skip_is_named():
+    with pytest.raises(ValueError, match="there is no skip grey; there are gray, rgb"):
+        Skips(grey=False)
+
+
+def test_configurations():
+    assert list(config().skip) == ["_target_", *NAMES]
+    assert all(skip.allowed for skip in instantiate(config().skip).all())
+    assert not any(skip.allowed for skip in instantiate(config("skip=none").skip).all())
+    off = [skip.name for skip in instantiate(config("skip.gray=false").skip).all() if not skip.allowed]
+    on = [skip.name for skip in instantiate(config("skip=none", "+skip.depth=true").skip).all() if skip.allowed]
+    assert (off, on) == (["gray"], ["depth"])
+
+
+def test_a_skip_is_taken_where_work_is_needless_and_it_is_allowed():
+    gray, rgb, depth = Skip("gray", True), Skip("rgb", True), Skip("depth", False)
+    assert gray.decide(True, "all 40 images are gray", "2 of 3 channels")
+    assert (gray.reason, gray.saved) == ("all 40 images are gray", "2 of 3 channels")
+    assert not rgb.decide(False, "it trains on RGB", "nothing")
+    assert (rgb.taken, rgb.reason, rgb.saved) == (False, "it trains on RGB", "")
+    assert not depth.decide(True, "its weight is 0", "half")
+    assert (depth.taken, depth.reason, depth.saved) == (False, "switched off", "")
+
+
+def test_depth_is_left_out_of_iterations():
+    skips = Skips()
+    assert skips.skip_depth(6, 10) and skips.depth.saved == "depth and its loss in 6 of 10 iterations"
+    assert skips.depth.reason == "the depth loss weighs nothing from iteration 5 on"
+    assert not skips.skip_depth(0, 10, "it always counts") and skips.depth.reason == "it always counts"
+
+
+def accounted(trainer, log) -> dict[str, Skip]:
+    """The account of a training, by the name of the skip or rule."""
+    whole, method = trainer.whole, trainer.method
+    work = [model.work for model in trainer.gaussians.values()]
+    finished = Finished(
+        whole.scene, method.name, "rgb" in method.modalities, whole.budget, log.iterations, trainer.context.curriculum,
+        work,
+    )  # fmt: skip
+    return {skip.name: skip for skip in account(whole.skips, finished)}
+
+
+def after(scene, name="splat", **allowed):
+    trainer = ready_to_train(scene, name, 30, *OFTEN, skips=Skips(**allowed))
+    return accounted(trainer, train(trainer))
+
+
+def test_reasons_and_savings(small_gray_scene, small_scene):
+    gray = after(small_gray_scene)
+    assert list(gray) == [*SWITCHES, *RULES]
+    assert gray["gray"].taken and gray["gray"].saved == "2 of 3 channels"
+    assert not after(small_scene)["gray"].taken
+    assert gray["unseen"].taken and "% of the rows" in gray["unseen"].saved
+    assert gray["plateau"].reason == "the loss went on falling" and not gray["plateau"].taken
+    assert all(skip.reason for skip in gray.values())
+
+
+def test_what_is_switched_off_says_so(small_gray_scene):
+    found = after(small_gray_scene, unseen=False, saturated=False)
+    assert found["unseen"].reason == found["saturated"].reason == "switched off" and not found["unseen"].taken
+
+
+def test_methods_without_depth_or_prior(small_gray_scene):
+    found = after(small_gray_scene)
+    assert found["depth"].reason == "splat has no depth loss" and found["prior"].reason == "splat uses no prior"
+    tdg = after(small_gray_scene, "tdg")
+    assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
+
+
+def test_a_backend_that_does_not_count_pairs_is_not_spoken_for(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "splat", 5)
+    log = train(trainer)
+    work = trainer.gaussians["thermal"].work
+    work.pairs = work.blended = 0
+    saturated = accounted(trainer, log)["saturated"]
+    assert saturated.reason == "the backend does not tell" and not saturated.taken
+
+
+def test_depth_counts_the_iterations_that_were_trained(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "tdg", 30)
+    log = train(trainer)
+    log.iterations = 10  # as if a rule had ended it there
+    depth = accounted(trainer, log)["depth"]
+    assert not depth.taken and depth.reason == "training ended after 10 iterations, all of which need depth"
+
+
+def after_lean(scene, *overrides):
+    trainer = ready_to_train(scene, "splat", 60, *LEAN, *overrides)
+    return accounted(trainer, train(trainer)), trainer
+
+
+def test_the_rules_of_the_lean_budget(small_gray_scene):
+    found, trainer = after_lean(small_gray_scene)
+    work = trainer.gaussians["thermal"].work
+    assert work.withheld > 0 and found["growth"].saved == f"growth of {work.withheld} Gaussians with large gradients"
+    assert "evidence from 10 views a round" in found["growth"].reason
+    assert found["settling"].saved == "22 of 60 iterations"  # it settled at 30; a quarter more, at 1/2 again
+    assert found["pixels"].reason == "25 iterations at 1/2"  # the schedule had left it after 17
+    assert found["pixels"].saved == f"{25 * 0.75 / 38:.0%} of the pixels"
+    assert found["settling"].reason == "1 held-out views gained less than 50 dB from window to window"
+    assert not found["plateau"].taken and found["plateau"].reason == "the budget has no rule for plateau"
+
+
+def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
+    found, _ = after_lean(small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9")
+    assert not found["settling"].taken and "went on getting better" in found["settling"].reason
+
+
+def test_settling_comes_before_a_plateau(small_gray_scene):
+    rule = "budget.plateau={_target_:tdgbench.training.budget.PlateauRule,rounds:1,patience:1,gain:0.9,after:0}"
+    found, _ = after_lean(small_gray_scene, rule)
+    assert found["settling"].taken
+    assert not found["plateau"].taken and found["plateau"].reason == "the rule for settling decided"
+
+
+@pytest.mark.parametrize("name", ["growth", "pixels", "settling"])
+def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
+    found, trainer = after_lean(small_gray_scene, f"budget.{name}=null")
+    assert found[name].reason == f"the budget has no rule for {name}"
+    assert not found[name].allowed and not found[name].taken
+    assert all(found[other].taken for other in {"growth", "pixels", "settling"} - {name})
+    assert (trainer.gaussians["thermal"].significance is None) == (name == "growth")
+    assert (trainer.context.curriculum.steps == []) == (name == "pixels")
+    assert (trainer.context.curriculum.held == []) == (name == "settling")
+
+
+def test_a_rule_is_no_switch():
+    """Whoever switches a rule off as a skip is told the option that does it."""
+    with pytest.raises(ValueError, match="growth is a rule of the budget: budget.growth=null switches it off"):
+        check_options(config("+skip.growth=false"))

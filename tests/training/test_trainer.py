@@ -1,0 +1,195 @@
+"""Trainings in stages: what each one gets, what a checkpoint keeps, and what the frames of a scene are."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from tdgbench.training.budget import PlateauRule
+from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.errors import NonFiniteError
+from tdgbench.training.images import THERMAL
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Method, Stage, Step
+from tdgbench.training.plateau import Plateau
+from tdgbench.training.trainer import Trainer, frames_of
+from tests.helpers.training import digest_of_all as digest
+from tests.helpers.training import ready_to_train
+
+ITERATIONS = 60
+OFTEN = (
+    "budget.density.start=8", "budget.density.every=8", "budget.density.opacity_reset_every=1000", "budget.sh_every=9",
+    "budget.density.grad_threshold=1e-5", "budget.density.round_recovery=0", "budget.plateau=null",
+)  # fmt: skip
+
+
+class KilledError(Exception):
+    pass
+
+
+class CoarseToFine(Method):
+    """3DGS for a third of the iterations, then from its Gaussians on, with a network that scales its images."""
+
+    name = "coarse_to_fine"
+
+    def stages(self) -> list[Stage]:
+        return [
+            Stage("coarse", self.set_up_coarse, self.coarse_step, 1 / 3),
+            Stage("fine", self.set_up_fine, self.fine_step, 2 / 3),
+        ]
+
+    def set_up_coarse(self, context) -> None:
+        self.model, self.views = context.gaussians(), context.views()
+        self.exposure = None
+
+    def coarse_step(self, iteration: int) -> Step:
+        view = self.views.next()
+        return self.compared(self.model.render(view.camera), view)
+
+    def set_up_fine(self, context) -> None:
+        self.start = self.model.copy()
+        self.model = context.gaussians(start=self.start)
+        self.views = context.keep("views", self.views)
+        self.exposure = context.network("exposure", self.exposure_module(), 1e-2)
+
+    def exposure_module(self) -> torch.nn.Module:
+        module = torch.nn.Linear(1, 1)
+        torch.nn.init.ones_(module.weight)
+        torch.nn.init.zeros_(module.bias)
+        return module
+
+    def fine_step(self, iteration: int) -> Step:
+        view = self.views.next()
+        render = self.model.render(view.camera)
+        render.image = self.exposure.module(render.image)
+        return self.compared(render, view)
+
+    def compared(self, render, view) -> Step:
+        target, valid = THERMAL.of(view, render.image.device)
+        loss = (render.image - target).square().mean()
+        return Step(loss, {"thermal": loss.item()}, render, target, valid)
+
+    @torch.no_grad()
+    def render(self, frame, modality="thermal"):
+        return self.model.render(frame.camera, depth=True)
+
+
+def two_stages(scene, *overrides: str) -> Trainer:
+    return ready_to_train(scene, "splat", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
+
+
+def lines(log: TrainingLog):
+    return [(line.iteration, line.loss, line.psnr, line.gaussians) for line in log.lines]
+
+
+def test_a_stage_starts_from_the_gaussians_of_the_one_before(small_gray_scene):
+    trainer, seen = two_stages(small_gray_scene), {}
+
+    def look(log):
+        seen[log.iterations] = trainer.stage.name, trainer.gaussians["thermal"].copy()
+
+    before = len(trainer.gaussians["thermal"])
+    log = train(trainer, on_model=look)
+    assert log.iterations == ITERATIONS and log.ended
+    assert [seen[i][0] for i in (1, 20, 21, 60)] == ["coarse", "coarse", "fine", "fine"]
+    coarse, fine, last = (seen[i][1] for i in (20, 21, 60))
+    assert before < len(coarse) < len(last)  # density control had its schedule in each stage
+    for (name, a), (_, b) in zip(coarse.items(), fine.items(), strict=True):
+        assert sorted(a.flatten(1).tolist() if a.ndim > 1 else a.tolist()) == sorted(
+            b.flatten(1).tolist() if b.ndim > 1 else b.tolist()
+        ), name  # rows have an order of their own
+
+
+def test_parts_of_a_finished_stage_are_kept_and_reported(small_gray_scene):
+    trainer = two_stages(small_gray_scene)
+    assert list(trainer.all_parts()) == ["curriculum", "thermal", "views"]
+    first = trainer.parts
+    train(trainer)
+    assert list(trainer.all_parts()) == [
+        "coarse/curriculum", "coarse/thermal", "curriculum", "thermal", "views", "exposure",
+    ]  # fmt: skip
+    assert trainer.all_parts()["coarse/thermal"] is first["thermal"] and trainer.parts["views"] is first["views"]
+    reports = trainer.reports()
+    assert reports["exposure"] == {"parameters": 2} and "views" not in reports
+    assert reports["thermal"]["gaussians"] > reports["coarse/thermal"]["gaussians"]
+    assert list(trainer.gaussians) == ["thermal"]
+
+
+def test_a_training_killed_in_any_stage_resumes_to_the_same_bytes(small_gray_scene, tmp_path):
+    calm = two_stages(small_gray_scene)
+    wanted = lines(train(calm)), digest(calm)
+    stops, log = [5, 19, 20, 21, 44, 59, ITERATIONS], TrainingLog()
+    for stop in stops:
+        trainer = two_stages(small_gray_scene)
+        checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
+        log = checkpoint.take_up(trainer)
+        assert checkpoint.notes == []
+
+        def killed(log, checkpoint=checkpoint, stop=stop):
+            checkpoint._next = 0.0
+            checkpoint.after_step(log)
+            if log.iterations == stop < ITERATIONS:
+                raise KilledError
+
+        if stop < ITERATIONS:
+            with pytest.raises(KilledError):
+                train(trainer, on_step=killed, log=log)
+        else:
+            train(trainer, on_step=killed, log=log)
+    assert log.resumed == stops[:-1] and (lines(log), digest(trainer)) == wanted
+
+
+def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_fit(small_gray_scene, tmp_path):
+    """A checkpoint in the second stage of a method that has only one now."""
+    trainer = two_stages(small_gray_scene)
+    checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
+    train(trainer, on_step=checkpoint.after_step, log=checkpoint.take_up(trainer))
+    other = ready_to_train(small_gray_scene, "splat", ITERATIONS, *OFTEN)
+    checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
+    assert checkpoint.take_up(other).iterations == 0 and other.number == other.before == 0
+    assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
+
+
+def test_a_failed_load_in_a_later_stage_restarts_the_first_one(small_gray_scene):
+    trainer = two_stages(small_gray_scene)
+    fresh = digest(trainer)
+    trainer.at_stage(1)
+    assert (trainer.number, trainer.stage.name) == (1, "fine")
+    trainer.restart()
+    assert (trainer.number, trainer.before) == (0, 0) and digest(trainer) == fresh
+    for number in (-1, 2):
+        with pytest.raises(ValueError, match=f"there is no stage {number}"):
+            trainer.at_stage(number)
+
+
+def test_a_rule_of_the_budget_ends_each_stage(small_gray_scene):
+    """Iterations of a stage that ended early are not given to the next one."""
+    trainer = two_stages(small_gray_scene, "budget.density.start=1000")
+    trainer.stopping = Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=0), views=5)
+    log = train(trainer)
+    assert trainer.before == 10 and log.iterations == 10 + 40 and trainer.stopping is None
+
+
+def test_a_gradient_of_a_network_that_is_not_finite_names_part_and_parameter(small_gray_scene, monkeypatch):
+    trainer = two_stages(small_gray_scene)
+    module = CoarseToFine().exposure_module()
+    module.weight.register_hook(lambda grad: grad * torch.nan)
+    monkeypatch.setattr(trainer.method, "exposure_module", lambda: module)
+    with pytest.raises(NonFiniteError, match="gradient of exposure weight is not finite"):
+        train(trainer)
+
+
+def test_frames_are_numbered_and_timed_in_the_order_of_names(small_scene):
+    frames = frames_of(small_scene)
+    assert list(frames) == sorted(view.name for view in small_scene.views)
+    assert [frame.index for frame in frames.values()] == list(range(len(frames)))
+    times = [frame.time for frame in frames.values()]
+    assert times[0] == 0.0 and times[-1] == 1.0 and times == sorted(times)
+
+
+def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    view = small_gray_scene.train[1]
+    small = type(view)(view.name, view.camera.resized(24, 18), view.load_thermal)
+    frame = trainer.frame(small)
+    assert frame.camera is small.camera and frame.index == trainer.frame(view).index
