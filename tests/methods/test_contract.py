@@ -1,0 +1,130 @@
+"""What every method must do, as nerfbaselines tests its own: a new one gets this test by its YAML file.
+
+It is set up, trained, killed, resumed to the same bytes; its cell is run, stored, rendered again and scored; it goes.
+"""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import read_all, read_each
+from tdgbench.bench.setup import set_up
+from tdgbench.scenes import Scene
+from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.trainer import Trainer
+from tdgbench.verify.cell import verify_cell
+from tests.helpers.configs import QUICK, config
+from tests.helpers.page import Page
+from tests.helpers.paths import ROOT
+from tests.helpers.training import digest_of_all
+
+ITERATIONS = 36
+KILLED_AFTER = (1, 17, 18, 30)  # 18: the first of two equal stages is over
+OFTEN = (
+    "budget.density.start=5", "budget.density.every=5", "budget.sh_every=10",
+    "budget.density.opacity_reset_every=12", "budget.density.reset_recovery=1", f"budget.iterations={ITERATIONS}",
+)  # fmt: skip
+SHIPPED = sorted(path.stem for path in (ROOT / "conf/method").glob("*.yaml"))
+WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
+
+
+@pytest.fixture
+def configured(tmp_path, monkeypatch, data_root):
+    """Return the configuration of a method, of `conf/method/` or of a worked example, with further overrides."""
+    pages = []
+
+    def configure(name: str, *overrides: str) -> DictConfig:
+        known = name if name in SHIPPED else "splat"
+        cfg = config(f"method={known}", "scene=turntable", *QUICK, *OFTEN, *overrides)
+        cfg.data.root, cfg.results = str(data_root), str(tmp_path / "results")
+        if name not in SHIPPED:
+            pages.extend(Page(page, tmp_path, monkeypatch) for page in ("method", "parts"))
+            cfg.method = OmegaConf.load(tmp_path / f"yaml/method/{name}.yaml")
+        return cfg
+
+    yield configure
+    for page in pages:
+        page.forget_modules()
+
+
+class KilledError(Exception):
+    pass
+
+
+def resumed(cfg: DictConfig, scene: Scene, path: Path) -> tuple[Trainer, TrainingLog]:
+    """Train with a checkpoint after every iteration, killed some times on the way."""
+    for stop in (*KILLED_AFTER, None):
+        trainer = set_up(cfg, scene, compiles=False).trainer
+        checkpoint = Checkpoint(path, {}, 0.0)
+        log = checkpoint.take_up(trainer)
+        assert not checkpoint.notes
+
+        def write(log: TrainingLog, checkpoint=checkpoint, stop=stop) -> None:
+            checkpoint._next = 0.0  # however long writing takes
+            checkpoint.after_step(log)
+            if log.iterations == stop:
+                raise KilledError
+
+        try:
+            log = train(trainer, on_step=write, log=log)
+        except KilledError:
+            continue
+    return trainer, log
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name):
+    cfg = configured(name)
+    calm = set_up(cfg, small_gray_scene, compiles=False).trainer
+    log = train(calm)
+    assert log.ended and log.iterations == ITERATIONS
+    trainer, again = resumed(cfg, small_gray_scene, tmp_path / "a.pt")
+    assert again.resumed == list(KILLED_AFTER)
+    assert [line.loss for line in again.lines] == [line.loss for line in log.lines]
+    assert digest_of_all(trainer) == digest_of_all(calm)
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
+    cfg = configured(name)
+    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+    assert outcome.status == "ok", outcome.message
+    ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
+    assert record.method == cfg.method.name and record.scores["psnr"] > 5 and record.gaussians["thermal"] > 0
+    assert verify_cell(folder) == []
+    assert run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS)).status == "kept"
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    folder.rmdir()
+    assert read_all(Path(cfg.results) / cfg.name) == []
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+def test_a_trainer_that_is_let_go_leaves_nothing(configured, small_gray_scene, name):
+    trainer = set_up(configured(name), small_gray_scene, compiles=False).trainer
+    train(trainer)
+    rows = weakref.ref(trainer.gaussians["thermal"].state._values)
+    del trainer
+    gc.collect()
+    assert rows() is None
+
+
+def test_the_parts_of_another_method_are_refused(configured, small_gray_scene):
+    """A cell whose stored parts were exchanged is told, and not rendered with half of them."""
+    cfg = configured("rig")
+    run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+    ((folder, _),) = read_each(Path(cfg.results) / cfg.name)
+    torch.save({"other": {}}, folder / "parts.pt")
+    assert any("does not hold the parts of rig" in problem for problem in verify_cell(folder))
+    (folder / "parts.pt").write_bytes(b"\x80\x04cos\nsystem\n")
+    assert any("does not hold the parts of rig" in problem for problem in verify_cell(folder))
