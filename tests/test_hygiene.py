@@ -5,6 +5,7 @@ import contextlib
 import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,19 @@ def imported_modules(path: Path) -> set[str]:
                 with contextlib.suppress(SyntaxError):
                     pending.append(ast.parse(node.value))
     return found
+
+
+def test_there_is_no_circle():
+    """No module imports itself by way of others, nor for its types alone."""
+    paths = [path for package in ("tdgbench", "methods") for path in (ROOT / package).rglob("*.py")]
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+    imports: dict[str, set[str]] = {}
+    for name, path in names.items():
+        found = imported_modules(path)
+        packages = {one.rpartition(".")[0] for one in found - set(names)}  # of a function or class
+        modules = (found | packages) & set(names)
+        imports[name] = {one for one in modules if not any(other.startswith(f"{one}.") for other in modules)} - {name}
+    list(TopologicalSorter(imports).static_order())  # raises CycleError, naming the circle
 
 
 def test_no_test_module_is_imported():
