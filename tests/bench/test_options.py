@@ -47,6 +47,7 @@ WRONG = [
     ("camera.estimate=3", "camera.estimate=3: must be true or false"),
     ("+camera.nosuch=3", "camera.nosuch=3: is no option; there are estimate"),
     ("skip.gray=3", "skip.gray=3: must be true or false"),
+    ("+skip.growth=false", "skip: growth is a rule of the budget: budget.growth=null switches it off"),
     ("+skip.night=true", "skip: there is no skip night; there are gray, rgb"),
     ("method.method.lambda_depth=inf", "method.method.lambda_depth=inf: must be finite"),
     ("method.method.lambda_ssim=1.5", "method.method.lambda_ssim=1.5: must be at most 1"),

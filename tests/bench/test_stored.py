@@ -10,7 +10,7 @@ from methods.splat import Splat
 from tdgbench.bench import cell
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of, short_name
-from tdgbench.bench.record import read_all, schema_problems
+from tdgbench.bench.record import SCHEMA, read_all, schema_problems
 from tdgbench.bench.run import CellRun
 from tests.helpers.cells import fails, hidden, statuses
 
@@ -79,7 +79,7 @@ def spoil_with_fifo(path):
         lambda path: path.write_text("[" * 100_000),
         lambda path: path.write_text("[1]"),
         lambda path: path.write_text(path.read_text().replace('"ok"', '"fine"')),
-        lambda path: path.write_text(path.read_text().replace('"schema": 1', '"schema": 7')),
+        lambda path: path.write_text(path.read_text().replace(f'"schema": {SCHEMA}', '"schema": 7')),
         spoil_with_folder,
         spoil_with_fifo,
     ],

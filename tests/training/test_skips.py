@@ -3,7 +3,6 @@ import copy
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.options import check_options
 from tdgbench.training.loop import train
 from tdgbench.training.skips import RULES, SWITCHES, Finished, Skip, Skips, account
 from tests.helpers.configs import config
@@ -148,9 +147,3 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert (trainer.gaussians["thermal"].significance is None) == (name == "growth")
     assert (trainer.context.curriculum.steps == []) == (name == "pixels")
     assert (trainer.context.curriculum.held == []) == (name == "settling")
-
-
-def test_a_rule_is_no_switch():
-    """Whoever switches a rule off as a skip is told the option that does it."""
-    with pytest.raises(ValueError, match=r"growth is a rule of the budget: budget\.growth=null switches it off"):
-        check_options(config("+skip.growth=false"))
