@@ -25,7 +25,7 @@ from tdgbench.training.loop import train
 
 METHODS = ("msmg", "tdg")
 GROWTH = 10  # times the sparse points: Gaussians of the upper end
-WARM_UP, AT_A_TIME = 5, 10  # steps
+AT_A_TIME = 10  # steps
 TRAINING_VIEWS = 8  # of the timed training: few, so that priors of the others are not estimated
 
 
@@ -109,11 +109,12 @@ def _part(scene: Scene, growth: int) -> Scene:
 
 def _step_ms(cfg: DictConfig, scene: Scene, seconds: float) -> tuple[float, int]:
     """Milliseconds of a training step, and the number of Gaussians of the thermal model."""
-    method = set_up(cfg, scene).method
-    train(method, WARM_UP)
+    cfg.budget.iterations = AT_A_TIME
+    trainer = set_up(cfg, scene).trainer
+    train(trainer)
     spent, steps = 0.0, 0
     while spent < seconds:
         start = time.perf_counter()
-        train(method, AT_A_TIME)  # from iteration 1 again: density control, which begins later, is never reached
+        train(trainer)  # from iteration 1 again: density control, which begins later, is never reached
         spent, steps = spent + time.perf_counter() - start, steps + AT_A_TIME
-    return 1e3 * spent / steps, len(method.models()["thermal"])
+    return 1e3 * spent / steps, len(trainer.gaussians["thermal"])
