@@ -55,8 +55,9 @@ class Trainer:
 
     @property
     def gaussians(self) -> dict[str, SplatModel]:
-        """The Gaussians by name, also of finished stages."""
-        return {name: part for name, part in self.all_parts().items() if isinstance(part, SplatModel)}
+        """The Gaussians by name, also of finished stages, unless a later one trains others of the name."""
+        parts = self.all_parts().items()
+        return {name: part for name, part in parts if isinstance(part, SplatModel) and "/" not in name}
 
     def advance(self, iterations: int) -> bool:
         """Start the next stage after so many iterations in this one; False if it was the last."""

@@ -7,12 +7,13 @@ import torch
 
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.context import frames_of
 from tdgbench.training.errors import NonFiniteError
 from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.plateau import Plateau
-from tdgbench.training.trainer import Trainer, frames_of
+from tdgbench.training.trainer import Trainer
 from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 
@@ -191,5 +192,5 @@ def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "splat", 3)
     view = small_gray_scene.train[1]
     small = type(view)(view.name, view.camera.resized(24, 18), view.load_thermal)
-    frame = trainer.frame(small)
-    assert frame.camera is small.camera and frame.index == trainer.frame(view).index
+    frame = trainer.context.frame(small)
+    assert frame.camera is small.camera and frame.index == trainer.context.frame(view).index
