@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +13,21 @@ import pandas as pd
 import pytest
 import torch
 from hydra.utils import instantiate
-from rich.console import Console
 
 from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.cell import run_cell
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, read_all
-from tdgbench.bench.setup import set_up
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.scenes import Scene
 from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
-from tdgbench.training.skips import Skips
 from tests.helpers.configs import QUICK, config
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.page import PAGES, Page
 from tests.helpers.paths import ROOT
 
 TESTED = {
-    "method", "prior", "dataset", "experiment", "density-rule", "metric", "skip", "backend", "table-column",
+    "method", "prior", "dataset", "experiment", "density-rule", "metric", "backend", "table-column",
     "render-channel",
 }  # fmt: skip
 
@@ -239,36 +233,6 @@ def test_backend(page, data_root):
     with pytest.raises(ValueError, match="backend half takes float32 tensors"):
         rasterization(*(tensor.double() for tensor in given), *camera, backend="half")
     assert load_backend("half").why_not() is None
-
-
-def test_skip(page, data_root, small_gray_scene):
-    skip = page("skip")
-    skip.extend_packages()
-    line = skip.files["conf/skip/default.yaml"]
-    options = {**config().skip, line.split(":")[0]: line.split()[1] == "true"}
-    from repeating import Repeating
-
-    first, *others = small_gray_scene.train
-    scene = replace(small_gray_scene, train=[first, first, first, *others])
-
-    def trained_views(allowed: dict[str, object]):
-        training = set_up(
-            config("method=splat", "budget=demo"), scene, method=Repeating(0.2, 0.0, "paper", 1.0),
-            skips=instantiate(allowed), compiles=False,
-        )  # fmt: skip
-        return training.method.views._views, training.context.skips.repeats
-
-    views, decided = trained_views(options)
-    assert views == [first, *others] and (decided.taken, decided.saved) == (True, "2 views")
-    views, decided = trained_views({**options, "repeats": False})
-    assert views == scene.train and (decided.taken, decided.reason) == (False, "switched off")
-    assert [one.name for one in Skips().all()].index("repeats") == 4
-
-    cfg = config("method=splat", "scene=turntable", f"data.root={data_root}", f"results={skip.folder}", *QUICK)
-    assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
-    (record,) = read_all(skip.folder / "single")
-    noted = next(one for one in record.skips if one["name"] == "repeats")
-    assert (noted["taken"], noted["reason"]) == (False, "splat does not look for repeated views")
 
 
 def test_render_channel(page, small_results, monkeypatch):
