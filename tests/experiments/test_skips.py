@@ -4,6 +4,7 @@ import pytest
 from tdgbench.bench.record import Record, read_all
 from tdgbench.experiments.matrix import MatrixCell, run_cells, table_of
 from tdgbench.experiments.skips import NAMES, SkipAblation, axes, numbers, summary, variants, with_changes
+from tdgbench.training.skips import RULES, SWITCHES
 from tests.helpers.configs import SMALL, config
 
 
@@ -35,7 +36,10 @@ def test_cells_of_every_variant(tmp_path, data_root, capsys):
     skips = {s["name"]: s for s in records["all"].skips}
     assert skips["gray"]["taken"] and skips["gray"]["saved"] == "2 of 3 channels"
     assert not skips["rgb"]["taken"] and skips["rgb"]["reason"] == "switched off"
-    assert all(s["reason"] == "switched off" for s in records["none"].skips)
+    off = {s["name"]: s["reason"] for s in records["none"].skips}
+    assert list(off) == list(NAMES)
+    assert all(off[name] == "switched off" for name in SWITCHES)
+    assert all(off[name] == f"the budget has no rule for {name}" for name in RULES)
     assert [cell.outcome.status for cell in run_cells(cfg, axes(cfg))] == ["kept"] * 4
 
 

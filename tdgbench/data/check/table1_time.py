@@ -23,10 +23,11 @@ from tdgbench.scenes import PointCloud, Scene
 from tdgbench.scenes.registry import SCENES
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import train
+from tdgbench.training.part import Stopping
 
 METHODS = ("msmg", "tdg")
 GROWTH = 10  # times the sparse points: Gaussians of the upper end
-AT_A_TIME = 10  # steps
+WARM_UP, AT_A_TIME = 5, 10  # steps
 TRAINING_VIEWS = 8  # of the timed training: few, so that priors of the others are not estimated
 
 
@@ -91,12 +92,23 @@ def _part(scene: Scene, growth: int) -> Scene:
 
 def _step_ms(cfg: DictConfig, scene: Scene, seconds: float) -> tuple[float, int]:
     """Milliseconds of a training step, and the number of Gaussians of the thermal model."""
-    cfg.budget.iterations = AT_A_TIME
     trainer = set_up(cfg, scene).trainer
-    train(trainer)  # to warm up
+    trainer.stopping = _After(WARM_UP)
+    train(trainer)
+    trainer.stopping = _After(AT_A_TIME)
     spent, steps = 0.0, 0
     while spent < seconds:
         start = time.perf_counter()
         train(trainer)  # from iteration 1 again: density control, which begins later, is never reached
         spent, steps = spent + time.perf_counter() - start, steps + AT_A_TIME
     return 1e3 * spent / steps, len(trainer.gaussians["thermal"])
+
+
+class _After(Stopping):
+    """Ends a training after so many iterations, whose schedules are those of a longer one."""
+
+    def __init__(self, iterations: int) -> None:
+        self.iterations = iterations
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        return iteration >= self.iterations
