@@ -1,7 +1,7 @@
-"""Hooks of the documentation's site (mkdocs.yml): README.md and its siblings are pages, and links into the sources work.
+"""Hooks of the documentation's site (mkdocs.yml): README.md and its siblings are pages, links into the sources work.
 
-On GitHub, links of the pages are paths in the repository. The site consists of `docs/` alone, so that every file or folder
-outside that a page links to gets a page that shows it.
+On GitHub, links of the pages are paths in the repository. The site consists of `docs/` alone, so that every file or
+folder outside that a page links to gets a page that shows it.
 """
 
 from __future__ import annotations

@@ -55,7 +55,11 @@ def draw() -> None:
 
     blur = gaussian_filter(truth, (3, 3, 0))
     level = psnr(blur, truth)
-    same = {"offset": with_psnr(truth, np.ones_like(truth), level), "blur": blur, "noise": with_psnr(truth, noise, level)}
+    same = {
+        "offset": with_psnr(truth, np.ones_like(truth), level),
+        "blur": blur,
+        "noise": with_psnr(truth, noise, level),
+    }
     titles = {f"{what}: {psnr(i, truth):.1f} dB, SSIM {ssim(i, truth, 'zero'):.2f}": i for what, i in same.items()}
     panels("ssim.png", {"ground truth": truth} | titles)
 

@@ -12,7 +12,9 @@ from tests.helpers.paths import ROOT
 
 def test_the_program_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.S | re.M)
+    blocks = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.S | re.M
+    )
     assert len(blocks) == 8
     names: dict = {}
     for block in blocks:
