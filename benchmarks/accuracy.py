@@ -13,7 +13,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from tdgbench.experiments.error_time.clouds import Cloud, Result, on_backend, random_cloud, render
+from benchmarks.common.clouds import Cloud, Result, on_backend, random_cloud, render
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu import pool
 

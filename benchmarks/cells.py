@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tdgbench.experiments.error_time.timing import interleave
+from benchmarks.common.timing import interleave
 from tdgbench.experiments.stamp import FILE
 from tdgbench.resources import PACKAGE
 from tdgbench.scenes import Camera, Scene, View

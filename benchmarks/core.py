@@ -18,9 +18,9 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
+from benchmarks.common.clouds import leaves_of, random_cloud, render, trained_cloud, view_of
+from benchmarks.common.timing import interleave, median_ms, time_pass
 from tdgbench.bench.backend_check.compare import Cloud
-from tdgbench.experiments.error_time.clouds import leaves_of, random_cloud, render, trained_cloud, view_of
-from tdgbench.experiments.error_time.timing import interleave, median_ms, time_pass
 from tdgbench.splats.backends import fast_backends
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tdgbench.experiments.error_time.timing import interleave
+from benchmarks.common.timing import interleave
 from tdgbench.scenes.colmap import read_model
 
 LIMIT = 1.2

@@ -17,9 +17,9 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from benchmarks.common.clouds import random_cloud
+from benchmarks.common.timing import median_ms
 from tdgbench.bench.record import Record
-from tdgbench.experiments.error_time.clouds import random_cloud
-from tdgbench.experiments.error_time.timing import median_ms
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool

@@ -32,7 +32,7 @@ TOOLS = {
     "data": Tool(
         (
             ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),
-            ("check DIR", "which scenes are there, whole, aligned; how long Table 1 will take"),
+            ("check DIR", "which scenes are there, whole and aligned"),
             ("prepare DIR OUT", "make a scene of camera files: temperatures, COLMAP model, undistorted images"),
         ),
         "tdgbench.data.command",

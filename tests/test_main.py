@@ -41,7 +41,7 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
         "budget=demo",
         "budget.iterations=12",
     ),
-    "error_time": ("job.parts=[growth]", "job.largest=1600", "job.width=48", "job.height=36", "job.repetitions=1"),
+    "error_time": ("job.scenes=[turntable]", "job.samples=2", "budget.iterations=12"),
 }
 
 

@@ -6,7 +6,6 @@ A check that cannot be made is a problem as well, and ends no other check.
 """
 
 from tdgbench.verify.cell import verify_cell
-from tdgbench.verify.command import main
-from tdgbench.verify.experiment import verify
+from tdgbench.verify.experiment import main, verify
 
 __all__ = ["main", "verify", "verify_cell"]

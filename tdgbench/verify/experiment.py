@@ -1,13 +1,16 @@
-"""Verify all cells of an experiment."""
+"""`tdgbench verify`: all cells of experiments."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, record_files
 from tdgbench.scoring.modality import THERMAL
+from tdgbench.terminal import say
+from tdgbench.text import one_line
 from tdgbench.verify.cell import verify_cell
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.stored_cell import read_cell
@@ -15,13 +18,33 @@ from tdgbench.verify.stored_cell import read_cell
 OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
 
 
-@dataclass(frozen=True)
-class Verification:
+class Verification(NamedTuple):
     """Number of cells, how many of them are finished, and every problem in words."""
 
     cells: int
     finished: int
     problems: list[str]
+
+
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status: 1 with a problem, without a finished cell, or without records."""
+    description = "Check results against their records: hashes, renders, scores, counts."
+    parser = argparse.ArgumentParser(prog="tdgbench verify", description=description)
+    parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>")
+    status = 0
+    for experiment in parser.parse_args(arguments).experiment:
+        try:
+            found = verify_experiment(experiment)
+        except (ValueError, OSError) as error:
+            say(one_line(f"tdgbench verify: {error}"), stderr=True)
+            status = 1
+            continue
+        for problem in found.problems:
+            say(one_line(problem), "problem:")
+        unfinished = "" if found.finished else ", none of them finished"
+        say(one_line(f"{experiment}: {found.cells} cells{unfinished}, {len(found.problems)} problems"))
+        status |= bool(found.problems) or not found.finished
+    return status
 
 
 def verify(experiment: Path) -> tuple[int, list[str]]:

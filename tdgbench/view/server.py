@@ -13,13 +13,16 @@ import viser
 
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.frustums import thumbnails
-from tdgbench.view.pace import Pace
 from tdgbench.view.poses import camera_of, up_direction
 from tdgbench.view.renderer import Renderer
 from tdgbench.view.requests import Job, Requests
 from tdgbench.view.session import Session, Shown, Wanted
 
 FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
+TARGET_SECONDS = 1 / 24  # per picture of a moving camera
+SMALLEST = 0.25  # of the full size
+LARGEST_STEP = 1.5  # by which the size changes from one picture to the next
+MIN_SIDE = 16  # px
 
 
 class Viewer:
@@ -77,6 +80,28 @@ class Viewer:
         wanted.session.show(frame, job.is_fine)
         if not job.is_fine:
             self._pace.took(time.perf_counter() - start)
+
+
+class Pace:
+    """Scale of the pictures of a moving camera, from the times that earlier ones took."""
+
+    def __init__(self) -> None:
+        self.scale = 0.5
+
+    def coarse(self, width: int, height: int) -> tuple[int, int]:
+        """Size in px of the next picture in motion, whose full size is width × height."""
+        return max(MIN_SIDE, round(width * self.scale)), max(MIN_SIDE, round(height * self.scale))
+
+    def took(self, seconds: float) -> None:
+        """Learn from the time of a picture in motion.
+
+        >>> pace = Pace()
+        >>> pace.took(4 * TARGET_SECONDS)
+        >>> round(pace.scale, 3)
+        0.333
+        """
+        change = (TARGET_SECONDS / max(seconds, 1e-6)) ** 0.5  # time grows with the number of pixels
+        self.scale = min(1.0, max(SMALLEST, self.scale * min(LARGEST_STEP, max(1 / LARGEST_STEP, change))))
 
 
 @contextlib.contextmanager

@@ -115,10 +115,10 @@ def test_the_options_of_every_experiment_are_allowed(name):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("job.repetitions=0", "job.repetitions=0: must be at least 1"),
-        ("job.parts=[speed]", "job.parts[0]=speed: must be kernels, training or growth"),
+        ("job.samples=1", "job.samples=1: must be at least 2"),
+        ("job.scenes=orbit", "job.scenes=orbit: must be a list"),
         ("job.runs=[{label: a, method: tdg, share: inf}]", "job.runs[0].share=inf: must be finite"),
-        ("+job.speed=1", "job.speed=1: is no option; there are methods, parts"),
+        ("+job.speed=1", "job.speed=1: is no option; there are methods, scenes"),
     ],
 )
 def test_an_option_of_an_experiment_that_is_not_allowed(override, message):

@@ -9,14 +9,13 @@ from rich.table import Table
 
 from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck
-from tdgbench.data.check.table1_time import Table1Time
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
 
 COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 
 
-def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) -> None:
+def print_table(root: Path, checks: list[SceneCheck]) -> None:
     """Print one row per scene, then problems and notes, one line each."""
     table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
     for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges, px", "status"):
@@ -29,7 +28,6 @@ def print_table(root: Path, checks: list[SceneCheck], time: Table1Time | str) ->
             say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
         for note in check.notes:
             say(f"{check.name}: {one_line(note)}", "note", "dim")
-    say(time if isinstance(time, str) else time.text)
     usable = sum(check.status == "ok" for check in checks)
     say(f"{usable} of {len(checks)} scenes can be used")
 
@@ -55,23 +53,21 @@ def _row(check: SceneCheck) -> list[str]:
 
 
 def _range(check: SceneCheck) -> str:
-    """What image values 0 and 1 are."""
+    """Return what image values 0 and 1 are, in words."""
     if check.counts is not None:
         return f"counts {check.counts[0]} to {check.counts[1]}"
     return "n/a" if check.temperature is None else f"{check.temperature[0]:.1f} to {check.temperature[1]:.1f} °C"
 
 
-def as_json(root: Path, checks: list[SceneCheck], time: Table1Time | str, is_paper: bool) -> str:
-    """The check as JSON with stable keys, described in docs/data.md."""
+def as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
+    """Return the check as JSON with stable keys, described in docs/data.md."""
     return json.dumps(
         {
-            "format": 1,
+            "format": 2,
             "root": str(root),
             "scenes_of": "paper" if is_paper else "folder",
             "usable": all(check.status == "ok" for check in checks),
             "scenes": [_scene_json(check) for check in checks],
-            "table1_hours": None if isinstance(time, str) else list(time.hours),
-            "table1": time if isinstance(time, str) else time.text,
         },
         indent=1,
     )

@@ -63,7 +63,6 @@ class SceneCheck:
     offset: Offset | Untrusted | None = None
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    scene: Scene | None = None  # if it can be used
 
 
 @dataclass(frozen=True)
@@ -130,9 +129,8 @@ def _examine(dataset: Dataset, check: SceneCheck) -> None:
         with _as_problem(check):
             _ = scene.extent
         _read_rgb(scene, check)
-        check.scene = scene
     if check.problems:
-        check.status, check.scene = "broken", None
+        check.status = "broken"
     check.problems = check.problems[:MOST_PROBLEMS]
 
 

@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 import errno
+import glob
+import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path, PurePosixPath
 
+import gdown
+
 from tdgbench.bench.lock import file_lock
 from tdgbench.data.get.archives import File, files_of, readable, stem
-from tdgbench.data.get.download import download, partial_files
-from tdgbench.data.get.listing import ZENODO, Listing, Package, chosen, list_files, sort_out
+from tdgbench.data.get.listing import (
+    AGENT,
+    FAILURES,
+    TIMEOUT,
+    ZENODO,
+    Listing,
+    Package,
+    RemoteFile,
+    chosen,
+    list_files,
+    reason_of,
+    sort_out,
+)
 from tdgbench.data.get.scenes import Found, SceneRecord, by_scene, found_scenes
 from tdgbench.data.get.sources import BadFileError, GetError, Source
-from tdgbench.data.progress import amount, step
+from tdgbench.data.progress import Count, amount, step
 from tdgbench.files import whole_folder
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 DOWNLOADS = ".get"  # folder of downloads in the folder of the data set; hidden, so that it is no scene
+RETRIES = 5  # after a cut connection; gdown waits longer and longer between them
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -135,6 +151,49 @@ def _fetch_package(job: Job, package: Package) -> int:
     if not job.keep and not left:
         _remove(job, package)
     return placed
+
+
+def download(file: RemoteFile, target: Path, report: Count) -> None:
+    """Download a file through gdown to `target`, unless it is there, and check its MD5 if that is published.
+
+    gdown continues partial files and tries again after a cut connection; pooch begins each file anew.
+    report: called with the number of bytes that are there. Raises GetError, OSError; BadFileError, with both sums, if
+    the content is not what was published: it is discarded then.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for part in partial_files(target):
+        if file.size is not None and part.stat().st_size >= file.size:  # gdown would ask for what follows
+            part.replace(target)
+    if not target.is_file():
+        _fetch_file(file, target, report)
+    if file.identity.startswith("md5:"):
+        with target.open("rb") as content:
+            found = f"md5:{hashlib.file_digest(content, 'md5').hexdigest()}"
+        if found != file.identity:
+            target.unlink()
+            raise BadFileError(
+                f"{file.path} is damaged: its {found}, published is {file.identity}; it was discarded: run the command "
+                "again, which downloads it anew"
+            )
+
+
+def partial_files(target: Path) -> list[Path]:
+    """What gdown keeps of an unfinished download."""
+    return list(target.parent.glob(f"{glob.escape(target.name)}????????.part"))
+
+
+def _fetch_file(file: RemoteFile, target: Path, report: Count) -> None:
+    agent = AGENT if file.size is not None else None  # Google answers only browsers, as which gdown poses
+    try:
+        gdown.download(
+            url=file.address, output=str(target), quiet=True, use_cookies=False, resume=True, timeout=TIMEOUT,
+            retries=RETRIES, user_agent=agent, progress=lambda there, _: report(there),
+        )  # fmt: skip
+    except FAILURES as error:
+        raise GetError(
+            f"{file.path} cannot be fetched: {reason_of(error)}; what is there is kept, and the same command goes on "
+            "from it (--force begins anew)"
+        ) from error
 
 
 def _put_in_place(job: Job, package: Package) -> tuple[int, list[Path]]:

@@ -1,1 +1,1 @@
-"""Run time against error: of kernels, of training, and how cost grows."""
+"""Quality of the test views against training time: curves, and what each step adds to the speed-up."""

@@ -1,39 +1,42 @@
-"""`+experiment=error_time`: measure kernels, training and growth of cost; write tables and pictures."""
+"""`+experiment=error_time` and `+experiment=budgets`: quality of the test views against the time of trainings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
+import numpy as np
 import pandas as pd
 import torch
-from omegaconf import DictConfig
-from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
-from rich.console import Console
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from pydantic import BaseModel, Field, PositiveFloat
 
-from tdgbench import terminal
-from tdgbench.bench.options import OptionError
-from tdgbench.bench.signature import Problem
-from tdgbench.experiments.error_time import growth, kernels, training
-from tdgbench.experiments.error_time.clouds import Cloud, random_cloud, trained_cloud
-from tdgbench.experiments.error_time.draw import draw_curves, draw_growth, draw_pareto
+from tdgbench.bench.scores import score_views
+from tdgbench.bench.setup import loader_of, set_up
+from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by, milestones
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.show import show
 from tdgbench.files import write_text
+from tdgbench.scenes import Scene
+from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.terminal import console, say
+from tdgbench.training.budget import Budget
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Method
+from tdgbench.training.skips import Skips
 
-KERNEL_COLUMNS = {  # those on the terminal, and their titles there
-    "setting": "setting", "forward_ms": "fwd ms", "both_ms": "+ bwd ms", "both_ratio": "ratio", "image_error": "image",
-    "depth_error": "depth", "gradient_error": "gradient", "non_dominated": "best",
-}  # fmt: skip
 
+class Run(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=True):
+    """A training of the chain: a method, overrides of its options, and its share of the budget's iterations.
 
-class RunOptions(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
-    """A link of the chain of trainings: see `training.Run`."""
+    budget: its name in `job.budgets`; None: that of the configuration.
+    """
 
     label: str
     method: str
@@ -47,53 +50,38 @@ class ErrorTimeOptions:
     """Options in `cfg.job`; `conf/experiment/error_time.yaml` says what they are."""
 
     methods: dict[str, Any]
-    parts: Annotated[list[Literal["kernels", "training", "growth"]], Field(min_length=1)]
-    counts: list[PositiveInt]
-    width: PositiveInt
-    height: PositiveInt
-    repetitions: PositiveInt
-    slow: bool
-    model: str | None
     scenes: list[str | None]
     samples: Annotated[int, Field(ge=2)]
-    runs: list[RunOptions]
-    largest: PositiveInt
+    runs: list[Run]
     budgets: dict[str, Any] = field(default_factory=dict)
     chain: bool = True
 
 
 class ErrorTime(Experiment):
-    """Run time against error."""
+    """Training time against the error of the test views."""
 
     options = ErrorTimeOptions
     sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "method": "job.runs"}
 
     def start(self, cfg: DictConfig) -> None:
         """Raises PriorUnavailableError if a training needs a prior that is not available."""
-        if "kernels" in cfg.job.parts and not cfg.job.counts and cfg.job.model is None:
-            problem = "needs job.counts, numbers of Gaussians, or job.model, for its part `kernels`"
-            raise OptionError([Problem("job.parts", problem, cfg.job.parts)])
-        if "training" in cfg.job.parts:
-            for one in training.runs_of(cfg):
-                cell = cfg.copy()
-                cell.method = cfg.job.methods[one.method]
-                prepare_prior(cell)
+        for run in runs_of(cfg):
+            cell = cfg.copy()
+            cell.method = cfg.job.methods[run.method]
+            prepare_prior(cell)
 
     def run(self, cfg: DictConfig) -> None:
-        """Measure the parts in `cfg.job.parts`. Raises SystemExit(1) if a training failed."""
+        """Sample the curves, write and print the tables. Raises SystemExit(1) if a training failed."""
         self.check(cfg)
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
-        console, folder = terminal.console(), Path(cfg.results) / cfg.name
+        folder = Path(cfg.results) / cfg.name
         folder.mkdir(parents=True, exist_ok=True)
-        failed = 0
-        if "kernels" in cfg.job.parts:
-            _measure_kernels(cfg, folder, console)
-        if "training" in cfg.job.parts:
-            failed = _measure_training(cfg, folder, console)
-        if "growth" in cfg.job.parts:
-            _measure_growth(cfg, folder, console)
-        terminal.say(f"tables and pictures: {folder}")
+        curves, failed = sample_all(cfg)
+        _write(curves, folder / "curves.csv")
+        if not curves.empty:
+            _compare(curves, [run.label for run in runs_of(cfg)], folder, is_chain=bool(cfg.job.get("chain", True)))
+        say(f"tables and pictures: {folder}")
         if failed:
             raise SystemExit(1)
 
@@ -104,70 +92,100 @@ class Budgets(ErrorTime):
     sets: ClassVar[Mapping[str, str]] = {**ErrorTime.sets, "budget": "job.budgets.NAME.KEY=VALUE or job.runs"}
 
 
-def _measure_kernels(cfg: DictConfig, folder: Path, console: Console) -> None:
-    job = cfg.job
-    size = f"{job.width}×{job.height}"
-    clouds: dict[str, Cloud] = {
-        f"{count:,} random, {size}": random_cloud(int(count), int(job.width), int(job.height)) for count in job.counts
-    }
-    if job.model is not None:
-        clouds["trained"] = trained_cloud(Path(job.model), Path(cfg.data.root))
-    table = kernels.measure(clouds, int(job.repetitions), bool(job.slow))
-    table["non_dominated"] = False
-    for _, rows in table.groupby("scene", sort=False):
-        table.loc[rows.index, "non_dominated"] = kernels.non_dominated(rows, "both_ms", "gradient_error")
-    _write(table, folder / "kernels.csv")
-    for scene, rows in table.groupby("scene", sort=False):
-        columns = rows[list(KERNEL_COLUMNS)].rename(columns=KERNEL_COLUMNS)
-        show(columns, console, f"{scene}: errors against float64")
-    draw_pareto(table, folder / "pareto.png")
+def runs_of(cfg: DictConfig) -> list[Run]:
+    """Return the chain in `cfg.job.runs`. Raises ValueError for a method or budget that is not in `cfg.job`."""
+    budgets = cfg.job.get("budgets", {})
+    runs: list[Run] = []
+    for options in cfg.job.runs:
+        run = Run.model_validate(OmegaConf.to_container(options, resolve=True))
+        if run.method not in cfg.job.methods:
+            raise ValueError(f"run {run.label!r}: no method {run.method!r} among {', '.join(cfg.job.methods)}")
+        if run.budget is not None and run.budget not in budgets:
+            raise ValueError(f"run {run.label!r}: no budget {run.budget!r} among {', '.join(budgets)}")
+        if run.label in [other.label for other in runs]:
+            raise ValueError(f"two runs have the label {run.label!r} in job.runs")
+        runs.append(run)
+    return runs
 
 
-def _measure_training(cfg: DictConfig, folder: Path, console: Console) -> int:
-    """Measure the training curves; return the number of failed trainings."""
+def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
+    """Return the curves of all scenes and runs, and the number of failed runs; these do not stop the others."""
+    curves, failed = [], 0
+    for scene in cfg.job.scenes:
+        for run in runs_of(cfg):
+            try:
+                curve = sample_curve(cfg, scene, run, int(cfg.job.samples))
+            except Exception as error:
+                failed += 1
+                say(f"{scene}, {run.label}: {type(error).__name__}: {error}", "failed:")
+                continue
+            curves.append(curve)
+            end = curve.iloc[-1]
+            reached = f"{end.psnr:.2f} dB after {end.iteration} iterations and {end.seconds:.1f} s"
+            say(f"{end.scene}, {run.label}: {reached}")
+    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS]
+    return (pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)), failed
 
-    def report(scene: str, label: str, result: pd.DataFrame | Exception) -> None:
-        if isinstance(result, Exception):
-            message = f"{scene}, {label}: {type(result).__name__}: {result}"
-            terminal.say(message, "failed:")
+
+def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
+    """Train one link and score the test views at `samples` iterations, evenly spaced on a logarithmic scale, and at the
+    end, which may come before the budget's.
+
+    A sample right after density control waits until the models have recovered, so that each point of the curve is a
+    model as it would be saved. The clock stops while views are scored.
+    """
+    cfg = cfg.copy()
+    cfg.scene, cfg.method = scene_name, cfg.job.methods[run.method]
+    if run.budget is not None:
+        cfg.budget = cfg.job.budgets[run.budget]
+    skips: Skips = instantiate(cfg.skip)
+    scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
+    cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
+    unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, run.options))
+    trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips)
+    scorer: Scorer = instantiate(cfg.metrics)
+    sampled = _sampled_iterations(trainer.whole.budget, samples)
+    rows: list[dict[str, Any]] = []
+
+    def sample(log: TrainingLog) -> None:
+        if log.iterations not in sampled and not log.ended:
             return
-        last = result.iloc[-1]
-        terminal.say(f"{scene}, {label}: {last.psnr:.2f} dB after {last.iteration} iterations and {last.seconds:.1f} s")
+        scores = mean_scores(score_views(trainer, scene, scorer, response))
+        gaussians = sum(len(model) for model in trainer.gaussians.values())
+        rows.append(
+            {
+                "scene": scene.name,
+                "label": run.label,
+                "iteration": log.iterations,
+                "seconds": log.seconds,
+                "processor_seconds": log.processor_seconds,
+                "gaussians": gaussians,
+                **{m: scores[m] for m in CURVE_METRICS},
+            }
+        )
 
-    curves, failed = training.sample_all(cfg, report)
-    _write(curves, folder / "curves.csv")
-    if not curves.empty:
-        labels = [one.label for one in training.runs_of(cfg)]
-        _compare_trainings(curves, labels, folder, console)
-        if cfg.job.get("chain", True):
-            _attribute(curves, labels, folder, console)
-        draw_curves(curves, folder / "curves.png")
-    return failed
+    train(trainer, on_model=sample)
+    return pd.DataFrame(rows)
 
 
-def _compare_trainings(curves: pd.DataFrame, labels: list[str], folder: Path, console: Console) -> None:
-    """Write milestones; write and print the time saved against the first training."""
-    savings = training.faster_by(curves, labels[0], labels[1:])
-    _write(training.milestones(curves), folder / "milestones.csv")
+def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
+    """Return the iterations to sample: logarithmically spaced, each moved on until the models have recovered."""
+    end, rules = budget.iterations, budget.density
+    even = np.geomspace(min(20, end), end, samples).round().astype(int)
+    return {next(i for i in range(first, end + 1) if rules.has_recovered(i, end)) for first in even}
+
+
+def _compare(curves: pd.DataFrame, labels: list[str], folder: Path, is_chain: bool) -> None:
+    """Write milestones and the figure; write and print the time saved, and what each step of a chain contributes."""
+    savings = faster_by(curves, labels[0], labels[1:])
+    _write(milestones(curves), folder / "milestones.csv")
     _write(savings, folder / "faster.csv")
-    show(savings, console, f"time saved against {labels[0]}")
-
-
-def _attribute(curves: pd.DataFrame, labels: list[str], folder: Path, console: Console) -> None:
-    """Write and print what each step of a chain contributes."""
-    contributions = training.attribution(curves, labels)
-    _write(contributions, folder / "attribution.csv")
-    show(contributions, console, f"contribution of each step after {labels[0]} to the speed-up")
-
-
-def _measure_growth(cfg: DictConfig, folder: Path, console: Console) -> None:
-    job = cfg.job
-    table = growth.measure(int(job.largest), int(job.width), int(job.height), int(job.repetitions))
-    fitted = growth.exponents(table)
-    _write(table, folder / "growth.csv")
-    _write(fitted, folder / "growth_exponents.csv")
-    show(fitted, console, "cost ∝ size^exponent")
-    draw_growth(table, fitted, folder / "growth.png")
+    show(savings, console(), f"time saved against {labels[0]}")
+    if is_chain:
+        contributions = attribution(curves, labels)
+        _write(contributions, folder / "attribution.csv")
+        show(contributions, console(), f"contribution of each step after {labels[0]} to the speed-up")
+    draw_curves(curves, folder / "curves.png")
 
 
 def _write(table: pd.DataFrame, target: Path) -> None:

@@ -78,7 +78,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CaseResult:
     """One row of the table."""
 
     family: str
@@ -91,7 +91,7 @@ class Verdict:
     seconds: float
 
 
-def judge(case: Case, backend: str) -> Verdict:
+def run_case(case: Case, backend: str) -> CaseResult:
     """Run a case on a backend. An exception is an observation."""
     start, share = time.perf_counter(), None
     try:
@@ -106,4 +106,4 @@ def judge(case: Case, backend: str) -> Verdict:
             share = case.expected.share(observed)
             passed = share <= 1  # false for NaN
     seconds = round(time.perf_counter() - start, 3)
-    return Verdict(case.family, case.name, backend, str(case.expected), str(observed), passed, share, seconds)
+    return CaseResult(case.family, case.name, backend, str(case.expected), str(observed), passed, share, seconds)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ FAMILY = "gradients"
 STEP = 1e-6
 WITHOUT_THRESHOLDS = Blending(min_alpha=1e-9, min_transmittance=0.0)  # thresholds have no derivative
 RANDOM_SCENES = 40
+SMALLEST, LARGEST = (1, 1, 1), (60, 50, 40)  # Gaussians, width, height
+DEGREES = (None, 0, 1, 2, 3)
 
 
 def cases() -> list[Case]:
@@ -61,47 +63,21 @@ def _differences(name: str, degree: int | None) -> Callable[[str], Observed]:
     return run
 
 
-@dataclass(frozen=True)
-class Draw:
-    """Numbers that define a random scene."""
-
-    gaussians: int
-    seed: int
-    width: int
-    height: int
-    log_scale: float
-    degree: int | None
-
-
-SMALLEST = Draw(1, 0, 1, 1, -8.0, None)
-LARGEST = Draw(60, 2**20, 50, 40, 2.0, 3)
-
-
-def draws(count: int) -> list[Draw]:
-    """Random scenes between two limits: first SMALLEST and LARGEST, then each number once at each of its limits."""
+def random_scenes() -> Iterator[Cloud]:
+    """Yield random clouds in images of random size; the first is the smallest, the second the largest."""
     rng = np.random.default_rng(0)
-    found = [SMALLEST, LARGEST]
-    for name in ("gaussians", "width", "height", "log_scale", "degree"):
-        found += [replace(_draw(rng), **{name: getattr(limit, name)}) for limit in (SMALLEST, LARGEST)]
-    return (found + [_draw(rng) for _ in range(count)])[:count]
-
-
-def _draw(rng: np.random.Generator) -> Draw:
-    def whole(name: str) -> int:
-        return int(rng.integers(getattr(SMALLEST, name), getattr(LARGEST, name), endpoint=True))
-
-    return Draw(
-        whole("gaussians"), whole("seed"), whole("width"), whole("height"),
-        float(rng.uniform(SMALLEST.log_scale, LARGEST.log_scale)), (None, 0, 1, 2, 3)[rng.integers(5)],
-    )  # fmt: skip
+    for number in range(RANDOM_SCENES):
+        drawn = [int(rng.integers(low, high, endpoint=True)) for low, high in zip(SMALLEST, LARGEST, strict=True)]
+        count, width, height = {0: SMALLEST, 1: LARGEST}.get(number, drawn)
+        scene = cloud(count, number, width, height, DEGREES[number % len(DEGREES)])
+        scene.scales = scene.scales * math.exp(rng.uniform(-8.0, 2.0))
+        yield scene
 
 
 def _random_scenes(backend: str) -> Observed:
-    """The worst error over random scenes; NaN if any is."""
+    """Return the worst error over random scenes; NaN if any is."""
     worst = {"image": 0.0, "gradients": 0.0}
-    for drawn in draws(RANDOM_SCENES):
-        scene = cloud(drawn.gaussians, drawn.seed, drawn.width, drawn.height, drawn.degree)
-        scene.scales = scene.scales * torch.tensor(drawn.log_scale).exp()
-        errors = compared(scene, backend, drawn.seed).numbers
+    for number, scene in enumerate(random_scenes()):
+        errors = compared(scene, backend, number).numbers
         worst = {n: math.nan if math.isnan(errors[n] + old) else max(errors[n], old) for n, old in worst.items()}
     return Observed("the worst", worst)

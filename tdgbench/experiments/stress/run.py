@@ -16,7 +16,7 @@ from rich.markup import escape
 
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.stress import clouds, gradients, losses, training
-from tdgbench.experiments.stress.case import Case, Verdict, judge
+from tdgbench.experiments.stress.case import Case, CaseResult, run_case
 from tdgbench.experiments.stress.small import SmallTraining
 from tdgbench.files import write_text
 from tdgbench.report.figures import save_figure
@@ -46,12 +46,12 @@ class Stress(Experiment):
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
 
-        def report(verdict: Verdict) -> None:
-            mark = "[green]as expected[/green]" if verdict.passed else "[red]SURPRISE[/red]"
-            title = f"{verdict.family}: {verdict.case} [{verdict.backend}]"
-            out.print(f"{escape(title):<72}{mark}  {escape(verdict.seen)}", highlight=False, soft_wrap=True)
-            if not verdict.passed:
-                say(f"    expected {verdict.expected}")
+        def report(result: CaseResult) -> None:
+            mark = "[green]as expected[/green]" if result.passed else "[red]SURPRISE[/red]"
+            title = f"{result.family}: {result.case} [{result.backend}]"
+            out.print(f"{escape(title):<72}{mark}  {escape(result.seen)}", highlight=False, soft_wrap=True)
+            if not result.passed:
+                say(f"    expected {result.expected}")
 
         table = run_suite(cfg, cfg.job.cases, report)
         folder = Path(cfg.results) / cfg.name
@@ -77,21 +77,21 @@ def backends_of(case: Case) -> list[str]:
     return fast_backends() if case.every_backend else ["once"]
 
 
-def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[Verdict], None]) -> pd.DataFrame:
+def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[CaseResult], None]) -> pd.DataFrame:
     """One row per case and backend; with `chosen`, only cases whose family or name contains it.
 
-    report: called with each verdict. Raises ValueError if no case is chosen.
+    report: called with each result. Raises ValueError if no case is chosen.
     """
-    verdicts = []
+    results = []
     with tempfile.TemporaryDirectory() as folder:
         for case in all_cases(cfg, Path(folder)):
             if chosen is None or chosen in case.family or chosen in case.name:
                 for backend in backends_of(case):
-                    verdicts.append(judge(case, backend))
-                    report(verdicts[-1])
-    if not verdicts:
+                    results.append(run_case(case, backend))
+                    report(results[-1])
+    if not results:
         raise ValueError(f"no stress case has {chosen!r} in its family or name")
-    return pd.DataFrame(map(asdict, verdicts))
+    return pd.DataFrame(map(asdict, results))
 
 
 def draw(table: pd.DataFrame, target: Path) -> None:

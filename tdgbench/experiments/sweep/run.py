@@ -1,28 +1,47 @@
-"""A sweep: one cell per job; afterwards tables, pictures and a report of all cells in the experiment's folder."""
+"""A sweep: one cell per job; afterwards tables, pictures and a report of all cells in the experiment's folder.
+
+A job writes its cell's outcome for the summary at the end. No failure ends the sweep.
+"""
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
+from hydra.conf import HydraConf
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from pydantic import TypeAdapter
 
+from tdgbench.bench.cell import run_cell
+from tdgbench.bench.options import check_method_name
 from tdgbench.bench.outcome import Outcome
-from tdgbench.bench.plan import number_of_jobs
-from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.sweep.job import read_outcomes, run_job
+from tdgbench.bench.plan import number_of_jobs, plan_of_job
+from tdgbench.bench.progress import CellProgress
+from tdgbench.experiments.experiment import Experiment, in_words
+from tdgbench.experiments.sweep import cells
 from tdgbench.experiments.sweep.plan import plan_sweep
+from tdgbench.files import write_text
+from tdgbench.splats.cpu import pool
+from tdgbench.terminal import console, say
+
+OUTCOME = "outcome.json"
+BASIC_LAUNCHER = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"  # one job after the other
+_SCHEMA = TypeAdapter(Outcome)
 
 
 class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
 
     def start(self, cfg: DictConfig) -> None:
-        cells = plan_sweep(cfg)
-        if cells.without_data == cells.total:  # no job has anything to do
-            _finish(cfg, [Outcome("missing", "")] * cells.total)
+        count = plan_sweep(cfg)
+        if count.without_data == count.total:  # no job has anything to do
+            _finish(cfg, [Outcome("missing", "")] * count.total)
 
     def run(self, cfg: DictConfig) -> None:
-        run_job(cfg)
+        """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
+        _run_job(cfg)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
         _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
@@ -32,3 +51,93 @@ def _finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     from tdgbench.experiments.sweep.finish import finish  # pandas, SciPy's statistics, Matplotlib: 75 MB of memory
 
     finish(cfg, outcomes)
+
+
+def _run_job(cfg: DictConfig) -> None:
+    hydra = HydraConfig.get()
+    outcome = _outcome(cfg, hydra)
+    folder = Path(hydra.runtime.output_dir)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
+    except OSError as error:
+        say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
+    if outcome.status != "missing":
+        say(outcome.line, stderr=True)
+    workers = cells_at_once(hydra.launcher, pool.available_cores())
+    if outcome.status in ("ok", "failed") and workers is not None:
+        sweep = Path(hydra.sweep.dir)
+        left = cells.progress(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
+        if left:
+            say(f"{cfg.name}: {left}", stderr=True)
+
+
+def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
+    """Outcome of the job's cell; a job that describes no cell has failed."""
+    overrides = list(hydra.overrides.task)
+    title = " ".join(overrides)
+    try:
+        plan = plan_of_job(Path(hydra.sweep.dir))
+        title = plan.title(overrides)
+        check_method_name(cfg, hydra.runtime.choices.get("method"))
+        if cfg.threads is None:
+            cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
+        return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
+    except Exception as error:
+        return Outcome("failed", title or "the cell", in_words(error))
+
+
+def worker_threads(launcher: DictConfig, cores: int) -> int | None:
+    """Threads of one cell, so that the cells that a launcher runs at once share the cores; None: all cores.
+
+    launcher: joblib configures the number of workers (negative: one per core), submitit and ray the cores per worker.
+
+    >>> worker_threads(DictConfig({"n_jobs": 2}), cores=8)
+    4
+    """
+    if launcher.get("ray") is not None:
+        return max(1, int(launcher.ray.remote.get("num_cpus", 1)))
+    if launcher.get("cpus_per_task") is not None:
+        return int(launcher.cpus_per_task)
+    if launcher.get("n_jobs") is not None:
+        workers = cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
+        return max(1, cores // workers)
+    return None
+
+
+def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
+    """Number of cells that a launcher runs at once; None where a queue decides, so that no end can be foreseen.
+
+    >>> cells_at_once(DictConfig({"n_jobs": 2}), cores=8)
+    2
+    """
+    if launcher.get("n_jobs") is not None:
+        return cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
+    return 1 if launcher.get("_target_") == BASIC_LAUNCHER else None
+
+
+def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
+    """Outcomes of the jobs of a run or sweep, in the order of the jobs.
+
+    jobs: their number, where it is known. One that left no readable outcome has failed.
+    """
+    found = numbered_outcomes(hydra_folder)
+    silent = sorted(set(range(jobs or 0)) - set(found))[: max(0, (jobs or 0) - len(found))]
+    found |= {number: Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}") for number in silent}
+    return [found[number] for number in sorted(found)]
+
+
+def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:
+    """Outcomes of the jobs that have ended, by number; that of a single run has the number -1."""
+    return {_number(path): _read(path) for path in hydra_folder.rglob(OUTCOME)}
+
+
+def _number(path: Path) -> int:
+    return int(path.parent.name) if path.parent.name.isdigit() else -1
+
+
+def _read(path: Path) -> Outcome:
+    try:
+        return _SCHEMA.validate_json(path.read_bytes())
+    except (OSError, ValueError) as error:
+        return Outcome("failed", f"job {path.parent.name}", f"{path} is no outcome: {str(error).splitlines()[0]}")

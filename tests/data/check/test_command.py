@@ -1,28 +1,23 @@
 import json
-import re
 
 import numpy as np
-import pytest
 from PIL import Image
 
-from tdgbench.data.check.table1_time import Table1Time, table1_time
 from tests.helpers.command import tdgbench_here
-from tests.helpers.layouts import write_rgbt_scenes, write_thermoscenes, write_ti_nsd
+from tests.helpers.layouts import write_rgbt_scenes, write_thermoscenes
 from tests.helpers.paths import ROOT
-
-WITHOUT_TIME = ("--time", "0")
 
 
 def test_table(tmp_path, small_gray_scene):
     name = "a_scene_whose_name_is_longer_than_what_a_table_of_eighty_columns_would_leave_to_it"
     write_rgbt_scenes(small_gray_scene, tmp_path / "data" / name)
-    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    run = tdgbench_here(tmp_path, "data", "check", "data")
     assert run.returncode == 0, run.stderr
     (row,) = [line for line in run.stdout.splitlines() if line.startswith(f"│ {name} │")]  # not cut
     assert [cell.strip() for cell in row.strip("│").split("│")] == [
         name, "RGBT-Scenes", "10", "8 + 2", "48×36", "1", "n/a", "0.0 %", "n/a", "ok",
     ]  # fmt: skip
-    assert "1 of 1 scenes can be used" in run.stdout and "time of Table 1: n/a (--time 0)" in run.stdout
+    assert "1 of 1 scenes can be used" in run.stdout
     assert f"checking {name}" in run.stderr
 
 
@@ -35,56 +30,31 @@ def test_the_range_has_a_unit(tmp_path, small_gray_scene):
         levels = np.asarray(Image.open(path)).astype(np.uint16)
         levels[:2], levels[-2:] = 0, 255  # the ends of the range, in every view
         Image.fromarray(5500 + levels).save(path)
-    out = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME).stdout
+    out = tdgbench_here(tmp_path, "data", "check", "data").stdout
     assert "│ counts 5500 to 5755 │" in out and "│ 14.0 to 50.0 °C " in out
-    content = json.loads(tdgbench_here(tmp_path, "data", "check", "data", "--json", *WITHOUT_TIME).stdout)
+    content = json.loads(tdgbench_here(tmp_path, "data", "check", "data", "--json").stdout)
     raw, warm = content["scenes"]
     assert (raw["counts"], raw["temperature_degC"]) == ([5500, 5755], None)
     assert (warm["counts"], warm["temperature_degC"]) == (None, [14.0, 50.0])
 
 
 def test_missing_and_broken_scenes_are_status_1(tmp_path, small_gray_scene):
-    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    run = tdgbench_here(tmp_path, "data", "check", "data")
     assert run.returncode == 1 and run.stdout.count("missing ") == 2 * 14 and "0 of 14 scenes can be used" in run.stdout
     folder = write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "a[bold]b")
     (folder / "temperature.json").write_text("{}", encoding="utf-8")
-    run = tdgbench_here(tmp_path, "data", "check", "data", *WITHOUT_TIME)
+    run = tdgbench_here(tmp_path, "data", "check", "data")
     assert run.returncode == 1 and "Traceback" not in run.stderr
     assert "broken a[bold]b: " in run.stdout and "temperature.json must hold" in run.stdout
 
 
 def test_json_has_the_documented_keys(tmp_path, small_gray_scene):
     write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "RGBT-Scenes" / "Truck")
-    run = tdgbench_here(tmp_path, "data", "check", "data", "--json", *WITHOUT_TIME)
+    run = tdgbench_here(tmp_path, "data", "check", "data", "--json")
     content = json.loads(run.stdout)
-    assert run.returncode == 1 and content["format"] == 1 and content["scenes_of"] == "paper" and not content["usable"]
+    assert run.returncode == 1 and content["format"] == 2 and content["scenes_of"] == "paper" and not content["usable"]
     truck = next(scene for scene in content["scenes"] if scene["name"] == "Truck")
     assert (truck["status"], truck["views"], truck["views_published"], truck["sizes_px"]) == ("ok", 10, 73, [[48, 36]])
     page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
     for key in (*content, *truck):
         assert f"`{key}`" in page, f"docs/data.md does not describe {key}"
-
-
-def test_time_is_unknown_without_what_a_training_needs(tmp_path, small_gray_scene):
-    folder = write_ti_nsd(small_gray_scene, tmp_path / "thermal_only")
-    run = tdgbench_here(tmp_path, "data", "check", str(folder), "--time", "1")
-    assert run.returncode == 0 and "time of Table 1: n/a: no scene with RGB images" in run.stdout
-
-
-@pytest.mark.parametrize("wrong", ["-1", "1e9", "nan", "soon"])
-def test_wrong_time(tmp_path, wrong):
-    run = tdgbench_here(tmp_path, "data", "check", ".", f"--time={wrong}")
-    assert run.returncode == 2 and "--time" in run.stderr
-
-
-def test_time_of_table_1(small_gray_scene):
-    begun = []
-    answer = table1_time(small_gray_scene, 0.05, begun.append)
-    assert isinstance(answer, Table1Time), answer
-    steps = re.findall(r"(msmg|tdg) (\d+) to (\d+) ms × (\d+) steps", answer.text)
-    assert len(begun) == 2 and [(name, count) for name, _, _, count in steps] == [("msmg", "30000"), ("tdg", "10000")]
-    assert "300 and 3000 Gaussians" in answer.text
-    for end in (0, 1):
-        rounded = 14 * sum(int(step[1 + end]) * int(step[3]) for step in steps) / 3.6e6
-        assert answer.hours[end] == pytest.approx(rounded, abs=14 * 0.5 * 40000 / 3.6e6)
-    assert f"{answer.hours[0]:.1f} to {answer.hours[1]:.1f} hours" in answer.text

@@ -1,36 +1,158 @@
+import math
+from itertools import pairwise
+
 import pandas as pd
 import pytest
 
-from tdgbench.bench.options import OptionError
-from tdgbench.experiments.error_time.run import ErrorTime
+from tdgbench.experiments.error_time import run as error_time
+from tdgbench.experiments.error_time.curves import attribution, faster_by, milestones, quality_at, seconds_to
+from tdgbench.experiments.error_time.run import ErrorTime, runs_of, sample_all, sample_curve
+from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
 
 
-def test_tables_and_pictures(tmp_path, data_root, capsys):
-    ErrorTime().run(
-        config(
-            "+experiment=error_time", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=30",
-            "job.samples=3", "job.scenes=[turntable]", "job.counts=[1000]", "job.width=48", "job.height=36",
-            "job.repetitions=1", "job.largest=1600",
-        )
+def curve(label, seconds, psnr, iterations=None):
+    return pd.DataFrame(
+        {
+            "scene": "s", "label": label, "iteration": iterations or [100 * (i + 1) for i in range(len(psnr))],
+            "seconds": seconds, "gaussians": 1, "psnr": psnr, "ssim": 0.5, "lpips": None, "depth_abs_rel": 0.1,
+        }
     )  # fmt: skip
+
+
+SLOW = curve("slow", [10.0, 20.0, 40.0], [20.0, 24.0, 26.0])
+FAST = curve("fast", [5.0, 10.0, 20.0], [21.0, 25.0, 27.0])
+SHORT = curve("short", [5.0, 8.0], [21.0, 24.0])
+CURVES = pd.concat([SLOW, FAST, SHORT], ignore_index=True)
+
+
+def test_times_and_qualities_lie_between_samples():
+    assert seconds_to(SLOW, 22.0) == pytest.approx(15.0)
+    assert seconds_to(SLOW, 19.0) == 10.0 and math.isnan(seconds_to(SLOW, 26.5))
+    assert quality_at(SLOW, 30.0) == pytest.approx(25.0)
+    assert quality_at(SLOW, 100.0) == 26.0 and math.isnan(quality_at(SLOW, 5.0))
+
+
+def test_milestones():
+    table = milestones(CURVES).set_index("label")
+    assert table.loc["slow", "seconds to 22 dB"] == pytest.approx(15.0)
+    assert table.loc["fast", "dB at 40.0 s (slow)"] == 27.0 and table.loc["short", "end_psnr"] == 24.0
+
+
+def test_shares_of_the_speed_up_add_up():
+    table = attribution(CURVES, ["slow", "fast", "short"])
+    assert list(table["factor"]) == [pytest.approx(2.0), pytest.approx(2.5)]
+    assert table["share"].sum() == pytest.approx(1.0) and table["saved"].iloc[-1] == pytest.approx(0.8)
+    assert attribution(CURVES, ["slow", "missing"]).empty
+
+
+def test_faster_at_equal_iterations_quality_and_time():
+    table = faster_by(CURVES, "slow", ["fast", "short", "missing"]).set_index("label")
+    assert list(table.index) == ["fast", "short"]
+    assert table.loc["fast", "whole runs"] == pytest.approx(0.5)
+    assert table.loc["fast", "that quality (dB)"] == 26.0
+    assert table.loc["fast", "equal quality"] == pytest.approx(1 - 15 / 40)
+    assert table.loc["fast", "dB more at equal time"] == pytest.approx(27 - 24)
+    assert table.loc["short", "equal iterations"] == pytest.approx(1 - 8 / 20)
+
+
+def experiment(data_root, *overrides):
+    return config(
+        "+experiment=error_time", *SMALL, f"data.root={data_root}", "budget.iterations=20", "job.samples=3",
+        "job.scenes=[turntable]", *overrides,
+    )  # fmt: skip
+
+
+def test_a_curve_is_sampled_along_a_training(data_root):
+    cfg = experiment(data_root)
+    runs = runs_of(cfg)
+    assert [run.method for run in runs] == ["msmg", "thermal", "thermal", "thermal", "tdg", "tdg"]
+    found = sample_curve(cfg, "turntable", runs[-1], 3)
+    assert list(found["iteration"]) == [7]  # a third of 20: fewer than the first sample
+    found = sample_curve(cfg, "turntable", runs[2], 3)
+    assert found["iteration"].iloc[-1] == 20 and found["seconds"].is_monotonic_increasing
+    assert found["psnr"].between(5, 60).all() and found["depth_abs_rel"].between(0, 1).all()
+
+
+def test_views_are_scored_with_the_contrast_that_is_trained_on(data_root, monkeypatch):
+    original, scored = error_time.score_views, []
+
+    def watched(method, scene, *rest):
+        scored.append(scene)
+        return original(method, scene, *rest)
+
+    monkeypatch.setattr(error_time, "score_views", watched)
+    cfg = experiment(data_root, "contrast.training=percentile")
+    sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
+    assert scored[0].temperature is None  # percentile loses it
+
+
+def test_views_are_scored_as_the_camera_shows_them(data_root, monkeypatch):
+    ready, original, shown = error_time.set_up, error_time.score_views, ImageResponse(offsets={"view000": 0.1})
+    monkeypatch.setattr(error_time, "set_up", lambda *args, **named: ready(*args, **named)._replace(response=shown))
+    given = []
+    monkeypatch.setattr(error_time, "score_views", lambda *args: given.append(args[3]) or original(*args))
+    cfg = experiment(data_root)
+    sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
+    assert given and all(response is shown for response in given)
+
+
+def test_each_link_changes_one_thing(data_root):
+    cfg = experiment(data_root)
+    chain = [{**cfg.job.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
+    for one in chain:
+        one.pop("_target_")
+        one.update({"weight": 1.0, "lambda_depth": 0.0, "decay_end": 0.0} | one)
+    changes = [{k for k in before if k in after and before[k] != after[k]} for before, after in pairwise(chain)]
+    assert changes[1:] == [{"weight"}, {"smooth"}, {"lambda_depth", "decay_end"}, {"share"}]
+
+
+def test_points_of_a_curve_are_models_that_could_be_saved(data_root):
+    often = ("budget.density.start=4", "budget.density.every=4", "budget.density.opacity_reset_every=1000")
+    cfg = experiment(data_root, *often, "budget.iterations=40", "job.samples=20")
+    found = sample_curve(cfg, "turntable", runs_of(cfg)[-2], 20)
+    assert set(found["iteration"]) == {20, 24, 28, 32, 36, 40}
+
+
+def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch, capsys):
+    original = sample_curve
+
+    def failing(cfg, scene, run, samples):
+        if run.method == "msmg":
+            raise RuntimeError("no")
+        return original(cfg, scene, run, samples)
+
+    monkeypatch.setattr(error_time, "sample_curve", failing)
+    curves, failed = sample_all(experiment(data_root))
+    assert failed == 1 and curves["label"].nunique() == 5
+    assert "failed: turntable, MSMG: RuntimeError: no" in capsys.readouterr().out
+
+
+def test_a_run_has_the_budget_that_it_names(data_root):
+    cfg = config("+experiment=budgets", f"data.root={data_root}", *SMALL)
+    cfg.job.budgets.lean.iterations, cfg.job.budgets.paper.iterations = 4, 3
+    lengths = {
+        run.label: sample_curve(cfg, "turntable", run, 2)["iteration"].max()
+        for run in runs_of(cfg)
+        if run.budget != "short"
+    }
+    assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
+    with pytest.raises(ValueError, match="run 'x': no budget 'long' among paper, short, lean"):
+        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg, budget: long}]"))
+    with pytest.raises(ValueError, match="two runs have the label 'x'"):
+        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
+
+
+def test_an_unknown_method_is_named(data_root):
+    with pytest.raises(ValueError, match="no method 'splat' among msmg, thermal, tdg"):
+        runs_of(experiment(data_root, "job.runs=[{label: x, method: splat}]"))
+
+
+def test_tables_and_pictures(tmp_path, data_root, capsys):
+    ErrorTime().run(experiment(data_root, f"results={tmp_path}", "budget.iterations=30"))
     folder = tmp_path / "error_time"
-    tables = ("kernels", "curves", "milestones", "attribution", "faster", "growth", "growth_exponents")
-    for name in tables:
+    for name in ("curves", "milestones", "attribution", "faster"):
         assert len(pd.read_csv(folder / f"{name}.csv")) > 0, name
-    for name in ("pareto", "curves", "growth"):
-        assert (folder / f"{name}.png").stat().st_size > 5000
+    assert (folder / "curves.png").stat().st_size > 5000
     printed = capsys.readouterr().out
     assert "contribution of each step after MSMG" in printed and "time saved against MSMG" in printed
-    assert pd.read_csv(folder / "kernels.csv")["non_dominated"].any()
-
-
-def test_a_part_that_does_not_exist_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"job\.parts\[0\]=speed: must be kernels, training or growth"):
-        ErrorTime().run(config("+experiment=error_time", f"results={tmp_path}", "job.parts=[speed]"))
-
-
-def test_kernels_need_gaussians(tmp_path):
-    cfg = config("+experiment=budgets", f"results={tmp_path}", "job.parts=[kernels]")
-    with pytest.raises(OptionError, match=r"job\.counts, numbers of Gaussians, or job\.model"):
-        ErrorTime().start(cfg)

@@ -2,11 +2,11 @@ import math
 
 import pytest
 
-from tdgbench.experiments.stress.case import Case, Close, Observed, Raises, UnexpectedError, judge, require
+from tdgbench.experiments.stress.case import Case, Close, Observed, Raises, UnexpectedError, require, run_case
 
 
 def verdict(expected, act):
-    return judge(Case("family", "name", expected, lambda backend: act()), "cpu")
+    return run_case(Case("family", "name", expected, lambda backend: act()), "cpu")
 
 
 def fail(error):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.experiments.stress import clouds
-from tdgbench.experiments.stress.case import Case, UnexpectedError, judge
+from tdgbench.experiments.stress.case import Case, UnexpectedError, run_case
 from tdgbench.experiments.stress.run import Stress, all_cases, backends_of, run_suite
 from tdgbench.splats.backends import fast_backends
 from tests.helpers.configs import config
@@ -25,8 +25,8 @@ def cases(data_root, tmp_path_factory):
 
 @pytest.mark.parametrize(("index", "backend"), RUNS, ids=[f"{CASES[i].family}: {CASES[i].name}-{b}" for i, b in RUNS])
 def test_case(cases, index, backend):
-    verdict = judge(cases[index], backend)
-    assert verdict.passed, f"expected {verdict.expected}, observed {verdict.seen}"
+    result = run_case(cases[index], backend)
+    assert result.passed, f"expected {result.expected}, observed {result.seen}"
 
 
 def test_there_are_119_cases_with_different_names():

@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from tdgbench.bench.cell import Outcome
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import read_all
-from tdgbench.experiments.sweep.job import OUTCOME, read_outcomes, worker_threads
+from tdgbench.experiments.sweep.run import OUTCOME, read_outcomes, worker_threads
 from tests.helpers.command import command_here
 from tests.helpers.configs import QUICK
 

@@ -1,6 +1,6 @@
 import pytest
 
-from tdgbench.experiments.error_time.timing import interleave, median_ms
+from benchmarks.common.timing import interleave, median_ms
 
 
 def test_candidates_take_turns_after_a_warm_up():

@@ -1,18 +1,21 @@
-"""Growth of the cost of a forward and backward pass with Gaussians, pixels, channels and views: fitted exponents."""
+"""`python -m benchmarks.growth`: growth of cost with Gaussians, pixels, channels and views: fitted exponents."""
 
 from __future__ import annotations
 
+import argparse
 import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
+from matplotlib.figure import Figure
 
-from tdgbench.experiments.error_time.clouds import NAMES, Cloud, random_cloud
-from tdgbench.experiments.error_time.timing import interleave, median_ms
+from benchmarks.common.clouds import NAMES, Cloud, random_cloud
+from benchmarks.common.timing import interleave, median_ms
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import scratch
 
@@ -20,7 +23,7 @@ AXES = ("gaussians", "pixels", "channels", "views")
 
 
 def measure(largest: int, width: int, height: int, repetitions: int) -> pd.DataFrame:
-    """One row per axis and size: ms, and working memory in MB. Depth is not rendered."""
+    """Return one row per axis and size: ms, and working memory in MB. Depth is not rendered."""
     base = random_cloud(largest, width, height)
     cases: dict[tuple[str, int], tuple[Cloud, int, int]] = {}
     for part in (16, 8, 4, 2, 1):
@@ -43,7 +46,7 @@ def measure(largest: int, width: int, height: int, repetitions: int) -> pd.DataF
 
 
 def exponents(table: pd.DataFrame) -> pd.DataFrame:
-    """cost ∝ size^exponent, by least squares in logarithms: one row per axis."""
+    """Fit cost ∝ size^exponent by least squares in logarithms; return one row per axis."""
     rows = []
     for axis, points in table.groupby("axis", sort=False):
         logs = np.log(points[["size", "ms", "memory_mb"]].to_numpy(float))
@@ -87,3 +90,40 @@ def _working_memory(run: Callable[[], float]) -> float:
         return tracemalloc.get_traced_memory()[1] / 1e6
     finally:
         tracemalloc.stop()
+
+
+def draw(table: pd.DataFrame, fitted: pd.DataFrame, target: Path) -> None:
+    """Draw time and memory against size, one panel per axis."""
+    figure = Figure(figsize=(3.4 * len(AXES), 3), layout="constrained")
+    slopes = fitted.set_index("axis")
+    for panel, axis in zip(figure.subplots(1, len(AXES)), AXES, strict=True):
+        rows = table[table["axis"] == axis]
+        panel.loglog(rows["size"], rows["ms"], "o-", label=f"ms, exponent {slopes.loc[axis, 'time']:.2f}")
+        panel.loglog(rows["size"], rows["memory_mb"], "s--", label=f"MB, exponent {slopes.loc[axis, 'memory']:.2f}")
+        panel.set_xlabel(axis)
+        panel.grid(linewidth=0.3)
+        panel.legend(fontsize=7)
+    figure.savefig(target, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.growth", description=__doc__)
+    parser.add_argument("--largest", type=int, default=80_000, help="number of Gaussians")
+    parser.add_argument("--size", default="320x240", help="width x height, px")
+    parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    width, height = (int(n) for n in args.size.split("x"))
+    table = measure(args.largest, width, height, args.repetitions)
+    fitted = exponents(table)
+    args.out.mkdir(parents=True, exist_ok=True)
+    table.to_csv(args.out / "growth.csv", index=False)
+    fitted.to_csv(args.out / "growth_exponents.csv", index=False)
+    draw(table, fitted, args.out / "growth.png")
+    print("cost ∝ size^exponent")
+    print(fitted.to_string(index=False, float_format="{:.2f}".format))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,7 +1,9 @@
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.error_time.growth import AXES, exponents, measure
+from benchmarks import growth
+from benchmarks.growth import AXES, exponents, measure
+from tests.helpers.command import program_here
 
 
 def test_exponents_of_power_laws():
@@ -16,3 +18,11 @@ def test_every_axis_is_measured():
     assert (table["ms"] > 0).all() and (table["memory_mb"] > 0).all()
     gaussians = table[table["axis"] == "gaussians"]["memory_mb"]
     assert gaussians.iloc[-1] > gaussians.iloc[0], gaussians.tolist()
+
+
+def test_runs_small(tmp_path):
+    small = ["--largest", "1600", "--size", "48x36", "--repetitions", "1", "--out", str(tmp_path)]
+    run = program_here(growth.main, tmp_path, "growth", *small)
+    assert run.returncode == 0, run.stderr[-2000:]
+    assert set(pd.read_csv(tmp_path / "growth_exponents.csv")["axis"]) == set(AXES)
+    assert (tmp_path / "growth.png").stat().st_size > 5000

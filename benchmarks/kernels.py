@@ -1,27 +1,33 @@
-"""Kernels: milliseconds of a forward pass, and of forward and backward, against errors of image, depth and gradients.
+"""`python -m benchmarks.kernels`: time of the splat core's settings against their errors of image, depth and gradients.
 
-The settings of one scene take turns in one process. The oracle is plain torch in float64, tile by tile.
+Milliseconds are of a forward pass, and of forward and backward. The settings of one cloud take turns in one process.
+The oracle is plain torch in float64, tile by tile.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
+from benchmarks.common.clouds import Result, on_backend, random_cloud, render, trained_cloud
+from benchmarks.common.timing import interleave, median_ms, time_pass
 from tdgbench.bench.backend_check.compare import Cloud
-from tdgbench.experiments.error_time.clouds import Result, on_backend, render
-from tdgbench.experiments.error_time.timing import interleave, median_ms, time_pass
 from tdgbench.splats.backends import fast_backends
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import pool
 
 BASELINE = "cpu"
+MARKERS = "osD^vP*X"
+DRAWN_ZERO = 1e-9  # an error of zero is drawn here
 PARTS: tuple[Literal["forward", "both"], ...] = ("forward", "both")
 
 
@@ -35,7 +41,7 @@ class Setting:
 
 
 def settings(slow: bool) -> dict[str, Setting]:
-    """Settings by name; plain torch only with `slow`."""
+    """Return the settings by name; plain torch only with `slow`."""
     chosen = {
         BASELINE: Setting(),
         "cpu, 1 thread": Setting(threads=1),
@@ -54,19 +60,20 @@ def settings(slow: bool) -> dict[str, Setting]:
 
 
 def measure(clouds: dict[str, Cloud], repetitions: int, slow: bool) -> pd.DataFrame:
-    """One row per scene and setting: median ms, their ratios to the baseline, and errors.
+    """Return one row per scene and setting: median ms, their ratios to the baseline, and errors.
 
     image_error, depth_error: root mean square over pixels, relative to the largest value. gradient_error: norm of the
     difference over the norm, the largest of the five parameters.
     """
     rows = [row for scene, cloud in clouds.items() for row in _measure_scene(scene, cloud, repetitions, slow)]
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    masks = [non_dominated(group, "both_ms", "gradient_error") for _, group in table.groupby("scene", sort=False)]
+    return table.assign(non_dominated=pd.concat(masks))
 
 
 def _measure_scene(scene: str, cloud: Cloud, repetitions: int, slow: bool) -> list[dict[str, Any]]:
-    weights = torch.randn(
-        cloud.height, cloud.width, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64
-    )  # fmt: skip
+    g = torch.Generator().manual_seed(0)
+    weights = torch.randn(cloud.height, cloud.width, 5, generator=g, dtype=torch.float64)
     want, oracle_ms = _oracle(cloud, torch.float64, weights)
     runs: dict[str, Callable[[], float]] = {}
     ms: dict[str, float] = {}
@@ -143,3 +150,56 @@ def _timed(cloud: Cloud, setting: Setting, part: Literal["forward", "both"]) -> 
             pool.set_threads(before)
 
     return with_threads
+
+
+def draw(table: pd.DataFrame, target: Path) -> None:
+    """Draw time against error, logarithmic, one panel per scene; non-dominated settings are joined and named."""
+    scenes, settings_drawn = table["scene"].unique(), table["setting"].unique()
+    figure = Figure(figsize=(5 * len(scenes) + 2.4, 4.6), layout="constrained")
+    panels = figure.subplots(1, len(scenes), squeeze=False)[0]
+    for axes, scene in zip(panels, scenes, strict=True):
+        rows = table[table["scene"] == scene].assign(error=lambda t: t["gradient_error"].clip(lower=DRAWN_ZERO))
+        front = rows[rows["non_dominated"]].sort_values("both_ms")
+        axes.loglog(front["both_ms"], front["error"], color="tab:red", linewidth=1, zorder=1)
+        for i, setting in enumerate(settings_drawn):
+            point = rows[rows["setting"] == setting]
+            marker, color = MARKERS[i % len(MARKERS)], f"C{i % 10}"
+            axes.scatter(point["both_ms"], point["error"], s=26, marker=marker, color=color, label=setting, zorder=2)
+        for row in front.itertuples():
+            axes.annotate(row.setting, (row.both_ms, row.error), fontsize=7, xytext=(4, 4), textcoords="offset points")
+        axes.set(xlabel="forward + backward, ms", ylabel=f"error of the gradients (0 is drawn at {DRAWN_ZERO:g})")
+        axes.set_title(scene, fontsize=9)
+        axes.grid(linewidth=0.3)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center", fontsize=7)
+    figure.savefig(target, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.kernels", description=__doc__)
+    parser.add_argument("--counts", type=int, nargs="*", default=[20_000, 100_000])
+    parser.add_argument("--size", default="320x240", help="width x height, px")
+    parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--torch", action="store_true", help="also plain torch, at seconds per call")
+    parser.add_argument("--model", type=Path, help="model.ply of a cell, rendered from a test view of --data")
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
+    args = parser.parse_args()
+    if (args.model is None) != (args.data is None):
+        parser.error("--model and --data go together")
+    if not args.counts and args.model is None:
+        parser.error("needs --counts, or --model and --data")
+    torch.set_num_threads(1)
+    width, height = (int(n) for n in args.size.split("x"))
+    clouds = {f"{n:,} random, {width}×{height}": random_cloud(n, width, height) for n in args.counts}
+    if args.model is not None:
+        clouds["trained"] = trained_cloud(args.model, args.data)
+    table = measure(clouds, args.repetitions, args.torch)
+    args.out.mkdir(parents=True, exist_ok=True)
+    table.to_csv(args.out / "kernels.csv", index=False)
+    draw(table, args.out / "kernels.png")
+    print(table.drop(columns="gaussians").to_string(index=False, float_format=lambda number: f"{number:.3g}"))
+
+
+if __name__ == "__main__":
+    main()

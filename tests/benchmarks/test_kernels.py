@@ -1,8 +1,10 @@
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.error_time.clouds import random_cloud
-from tdgbench.experiments.error_time.kernels import BASELINE, measure, non_dominated, settings
+from benchmarks import kernels
+from benchmarks.common.clouds import random_cloud
+from benchmarks.kernels import BASELINE, measure, non_dominated, settings
+from tests.helpers.command import program_here
 
 
 @pytest.fixture(scope="module")
@@ -29,3 +31,14 @@ def test_errors_are_those_of_the_settings(table):
 def test_non_dominated():
     table = pd.DataFrame({"t": [1.0, 2.0, 3.0, 2.0, 1.0], "e": [4.0, 2.04, 1.0, 3.0, 4.0]})
     assert list(non_dominated(table, "t", "e")) == [True, True, True, False, True]
+
+
+def test_runs_small(tmp_path):
+    small = ["--counts", "500", "--size", "48x36", "--repetitions", "1", "--out", str(tmp_path)]
+    run = program_here(kernels.main, tmp_path, "kernels", *small)
+    assert run.returncode == 0, run.stderr[-2000:]
+    table = pd.read_csv(tmp_path / "kernels.csv")
+    assert table["non_dominated"].any() and list(table["setting"]) == list(settings(slow=False))
+    assert (tmp_path / "kernels.png").stat().st_size > 5000
+    nothing = program_here(kernels.main, tmp_path, "kernels", "--counts")
+    assert nothing.returncode == 2 and "--counts, or --model and --data" in nothing.stderr

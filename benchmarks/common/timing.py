@@ -9,8 +9,8 @@ from typing import Literal, TypeVar
 
 import torch
 
+from benchmarks.common.clouds import device_of, leaves_of, view_of
 from tdgbench.bench.backend_check.compare import Cloud
-from tdgbench.experiments.error_time.clouds import device_of, leaves_of, view_of
 from tdgbench.splats.blending import AS_3DGS, Blending
 
 Key = TypeVar("Key")

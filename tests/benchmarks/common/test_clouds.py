@@ -1,6 +1,6 @@
 import torch
 
-from tdgbench.experiments.error_time.clouds import leaves_of, random_cloud, render, trained_cloud
+from benchmarks.common.clouds import leaves_of, random_cloud, render, trained_cloud
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.ply import save_ply
 from tdgbench.splats.render import render_view
