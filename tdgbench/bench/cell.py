@@ -12,10 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from tdgbench.bench import failures, stored
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.memory import PeakMemory
+from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress

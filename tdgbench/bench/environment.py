@@ -10,7 +10,7 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-from tdgbench.bench.gpu import describe_gpu
+from tdgbench.bench.machine import describe_gpu
 from tdgbench.resources import PACKAGE
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -24,7 +24,6 @@ HASHED = (  # folders and files
     "tdgbench/training",
     "tdgbench/scoring",
     "tdgbench/thermal",
-    "tdgbench/bench/response.py",
     "tdgbench/bench/setup.py",
     "methods",
 )

@@ -11,8 +11,16 @@ from omegaconf import DictConfig, ListConfig, Node, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
-from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, not_finite, signature_problems
-from tdgbench.bench.suggest import choices, option_meant
+from tdgbench.bench.signature import (
+    STRICT,
+    UNKNOWN,
+    Problem,
+    choices,
+    model_problems,
+    not_finite,
+    option_meant,
+    signature_problems,
+)
 from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
 from tdgbench.training.skips import RULES, SWITCHES

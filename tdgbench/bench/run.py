@@ -23,9 +23,8 @@ from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
-from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
-from tdgbench.bench.setup import SetupObserver, loader_of, set_up
+from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.bench.training_log import TensorBoardLog, write_log
 from tdgbench.files import whole_folder

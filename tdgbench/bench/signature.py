@@ -1,7 +1,8 @@
 """Check options against the signature of what they configure: a class named by `_target_`, or a dataclass of options.
 
 The annotations say what is allowed: `Literal["paper", "reference"]`, `PositiveInt`, `Annotated[float, Field(le=1)]`.
-Types that YAML does not have are not checked. No number may be infinite or NaN.
+Types that YAML does not have are not checked. No number may be infinite or NaN. A mistyped option comes with those that
+it may have meant.
 """
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ import inspect
 import json
 import math
 import types
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from omegaconf import OmegaConf
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
+
+from tdgbench.resources import conf_folder
 
 SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -185,3 +190,67 @@ def _path(name: str, parts: tuple[int | str, ...]) -> str:
     for part in parts:
         name = f"{name}[{part}]" if isinstance(part, int) else f"{name}.{part}" if name else str(part)
     return name
+
+
+NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options of others
+
+
+def option_meant(option: str) -> str:
+    """`; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
+
+    An option of other choices than the configured one comes with these.
+
+    >>> option_meant("iterations")
+    '; did you mean budget.iterations?'
+    >>> option_meant("bugdet.iterations")
+    '; did you mean budget.iterations?'
+    >>> option_meant("budget.growth.z")
+    '; it belongs to budget=lean'
+    >>> option_meant("colour")
+    ''
+    """
+    known, last = option_names(), option.rpartition(".")[2]
+    if known.get(option):
+        return f"; it belongs to {', '.join(known[option])}"
+    alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
+    return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """`; did you mean …?` with the known words that are spelled alike; empty if there is none.
+
+    >>> meant("tgd", ["tdg", "msmg"])
+    '; did you mean tdg?'
+    """
+    alike = get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {alike[0]}?" if alike else ""
+
+
+def choices(group: str) -> list[str]:
+    """Built-in choices of a group of options.
+
+    >>> choices("metrics")
+    ['3dgs', 'standard']
+    """
+    return sorted(path.stem for path in (conf_folder() / group).glob("*.yaml"))
+
+
+@cache
+def option_names() -> dict[str, list[str]]:
+    """Dotted names of all options in conf/, with the choices that have them; none for options that are always there."""
+    folder, names = conf_folder(), dict[str, list[str]]()
+    for path in sorted(folder.rglob("*.yaml")):
+        groups = path.relative_to(folder).parts[:-1]
+        if groups[:1] not in [(one,) for one in NO_OPTIONS]:
+            content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+            for name in _names(content, "".join(f"{group}." for group in groups)):
+                names.setdefault(name, []).extend([f"{'/'.join(groups)}={path.stem}"] if groups else [])
+    return names
+
+
+def _names(content: Any, prefix: str) -> Iterator[str]:
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key in ("defaults", "hydra", "_target_"):
+            continue
+        yield f"{prefix}{key}"
+        yield from _names(value, f"{prefix}{key}.")

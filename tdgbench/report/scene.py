@@ -82,7 +82,7 @@ class _Strip:
 
     def _depth(self) -> dict[str, Any]:
         depth, camera = views.depth_of(self.cell.folder, self.view)
-        others = list(read_cameras(self.cell.folder / "cameras.json", "train").values())
+        others = list(read_cameras(self.cell.folder)["train"].values())
         covered = views.coverage(depth, camera, others)
         known = depth[np.isfinite(depth)]
         low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)

@@ -11,11 +11,10 @@ import pandas as pd
 
 from tdgbench.bench.record import Record
 from tdgbench.tables import methods
-from tdgbench.tables.build import ABLATION_KEYS
+from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.results import first_points, split_notes
-from tdgbench.tables.tables import Tables
 from tdgbench.tables.verdicts import UNDECIDED, comparable, in_words, load_margins
 
 SOURCES = {  # of depth priors, in words

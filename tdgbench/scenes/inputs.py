@@ -121,6 +121,21 @@ def check_view_name(name: str, where: str) -> str:
     return name
 
 
+def check_scene_name(name: str) -> str:
+    """Return a scene's name. Raises SceneError for one that results cannot have."""
+    utf8_name(Path(name))
+    if is_hidden(name):
+        raise SceneError(f"the scene {name} begins with a dot, as hidden folders do; rename its folder")
+    if not name.strip() or not name.isprintable():
+        raise SceneError(f"the scene {name!r} has a name that cannot be printed; rename its folder")
+    return name
+
+
+def is_hidden(name: str) -> bool:
+    """Return whether a folder is hidden, so no scene: half of the commands would find results of hidden folders."""
+    return name.startswith(".")
+
+
 def _reason(path: Path, error: OSError) -> str:
     if isinstance(error, FileNotFoundError) and path.is_symlink():
         return "it links to nothing; replace the link by the file"

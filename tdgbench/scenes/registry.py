@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_folder, listed
-from tdgbench.scenes.names import is_hidden
+from tdgbench.scenes.inputs import is_folder, is_hidden, listed
 
 GROUPS = {
     "day": "Day light conditions",

@@ -5,7 +5,8 @@ findings.txt says in sentences what they hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -24,12 +25,29 @@ from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
-from tdgbench.tables.statistics import compare, intervals, over_seeds
-from tdgbench.tables.tables import Tables
+from tdgbench.tables.statistics import Comparison, compare, intervals, over_seeds
 from tdgbench.tables.verdicts import Verdict, verdict
 
 INITS = ("random", "colmap")  # of the paper's Table 2
 ABLATION_KEYS = ["method", "init", "metric"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """The tables of an experiment. difference and papers are None where nothing is published for these scenes."""
+
+    kind: str  # main, ablation or readings
+    main: pd.DataFrame
+    latex: str
+    difference: pd.DataFrame | None
+    folder: Path
+    records: list[Record]  # the cells behind the tables
+    findings: list[str]  # in sentences
+    problems: list[str]  # what could not be read
+    comparisons: Sequence[Comparison] = ()  # of methods with their baselines
+    papers: pd.DataFrame | None = None  # spread between papers
+    readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
+    effects: pd.DataFrame | None = None
 
 
 def build_tables(experiment: Path) -> Tables:

@@ -9,11 +9,11 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from tdgbench.tables.between_papers import FOLLOWS, OFF, UNKNOWN
+from tdgbench.tables.build import Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, mask_notes, split_notes
-from tdgbench.tables.tables import Tables
 from tdgbench.tables.verdicts import in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tdgbench.bench import memory
-from tdgbench.bench.memory import PeakMemory
+from tdgbench.bench.machine import PeakMemory
 from tdgbench.splats.cpu import scratch
 from tdgbench.splats.cpu.scratch import Workspace
 from tests.helpers.paths import ROOT
@@ -15,7 +15,7 @@ from tests.helpers.paths import ROOT
 MEGABYTES = 200
 SCRIPT = f"""
 import json, time
-from tdgbench.bench.memory import SAMPLE_SECONDS, PeakMemory
+from tdgbench.bench.machine import SAMPLE_SECONDS, PeakMemory
 
 def grow_and_shrink():
     block = bytearray({MEGABYTES} * 1024 * 1024)

@@ -4,7 +4,7 @@ from rich.console import Console
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.response import prepare
+from tdgbench.bench.setup import prepare
 from tests.helpers.configs import SMALL, config
 
 STILL = (

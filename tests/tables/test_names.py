@@ -8,11 +8,10 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from tdgbench.tables.build import build_tables
+from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.latex import escape
 from tdgbench.tables.measures import AVERAGE
 from tdgbench.tables.show import show
-from tdgbench.tables.tables import Tables
 from tdgbench.text import from_csv, one_line
 from tests.helpers.names import NAMES
 from tests.helpers.records import write

@@ -14,8 +14,7 @@ from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
-from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, limits
-from tdgbench.scenes.synthetic.thermal_files import levels
+from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth
 
 ROOM = 1.0  # °C between the values and the ends of the range
@@ -43,14 +42,14 @@ class DriftingDataset:
     def explain_missing(self, names: list[str]) -> str:
         return self.inner.explain_missing(names)
 
-    def describe(self, name: str | int | None) -> Description:
+    def describe(self, name: str | None) -> Description:
         description = self.inner.describe(name)
         return replace(description, dataset=f"{description.dataset}_drifting", group="")
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         return self.outline(name).read()
 
-    def outline(self, name: str | int | None) -> Outline:
+    def outline(self, name: str | None) -> Outline:
         inner, title = outline_of(self.inner, name), self.describe(name).dataset
 
         def read() -> Scene:
@@ -59,7 +58,7 @@ class DriftingDataset:
 
         return Outline(replace(inner.scene, dataset=title, fingerprint=self._fingerprint(inner.scene)), read)
 
-    def truth(self, name: str | int | None) -> CameraTruth:
+    def truth(self, name: str | None) -> CameraTruth:
         """The true camera of a scene."""
         return drifting(self.inner.load(name), self.errors, self.seed, self.noise_degC)[1]
 

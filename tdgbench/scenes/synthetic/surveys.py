@@ -16,7 +16,7 @@ import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Patches, Spot, Waves
 from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Hills, Rectangle, Solid
-from tdgbench.scenes.synthetic.world import World
+from tdgbench.scenes.synthetic.render import World
 
 GROUND = (  # pairs of colours
     ((0.36, 0.46, 0.22), (0.50, 0.55, 0.30)), ((0.52, 0.42, 0.30), (0.40, 0.31, 0.22)),

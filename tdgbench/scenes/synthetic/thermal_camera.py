@@ -138,6 +138,15 @@ def limits(degC: np.ndarray) -> tuple[float, float]:
     return float(low), max(float(high), float(low) + 1e-3)
 
 
+def levels(degC: np.ndarray, low: float, high: float) -> np.ndarray:
+    """8-bit values (H, W) of temperatures (H, W), 0 and 255 for `low` and `high`.
+
+    >>> levels(np.array([[9.0, 10.0, 15.0, 30.0]]), 10, 20)
+    array([[  0,   0, 128, 255]], dtype=uint8)
+    """
+    return np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)
+
+
 def _walk(views: int, rng: np.random.Generator, set_back: int = 0) -> np.ndarray:
     """Smooth random walk (views,) of mean 0 and largest deviation 1. set_back: views after which it starts again."""
     curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_array, read_json
-from tdgbench.scenes.synthetic.rig import Rig
+from tdgbench.scenes.synthetic.capture import TrueRig
 from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
 
 FOLDER = "camera"  # inside the scene's
@@ -72,12 +72,12 @@ def read_truth(scene: Path) -> CameraTruth:
     return CameraTruth(list(views), camera)
 
 
-def write_rig(scene: Path, rig: Rig) -> None:
+def write_rig(scene: Path, rig: TrueRig) -> None:
     """Write `camera/rig.json`, beside the errors of the camera."""
     (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
 
 
-def read_rig(scene: Path) -> Rig:
+def read_rig(scene: Path) -> TrueRig:
     """The true rig of a made scene. Raises SceneError for a scene without one, or with a damaged file.
 
     scene: its folder.
@@ -86,6 +86,6 @@ def read_rig(scene: Path) -> Rig:
     if not is_there(path):
         raise SceneError(f"{scene} states no rig; made scenes do, if their thermal camera is not the given one")
     try:
-        return Rig(**read_json(path))
+        return TrueRig(**read_json(path))
     except (ValueError, TypeError) as error:
         raise SceneError(f"{path} is damaged ({error!r}); make the scene again") from error

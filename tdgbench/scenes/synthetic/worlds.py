@@ -12,8 +12,8 @@ import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Spot, Waves
 from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Solid, Sphere
+from tdgbench.scenes.synthetic.render import World
 from tdgbench.scenes.synthetic.surveys import SURVEYS
-from tdgbench.scenes.synthetic.world import World
 
 BRICK, MORTAR = (0.62, 0.30, 0.22), (0.72, 0.68, 0.62)
 WOOD, DARK_WOOD = (0.65, 0.47, 0.28), (0.38, 0.25, 0.14)

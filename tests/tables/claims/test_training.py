@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.bench.record import Record
 from tdgbench.tables.cell import Cell
-from tdgbench.tables.claims.training import first_at, loss_rise, progress, psnr_drop
+from tdgbench.tables.claims.quantities import first_at, loss_rise, progress, psnr_drop
 
 CLAIM = {"level": 0.5, "window": 0.1}
 
