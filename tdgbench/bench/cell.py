@@ -115,7 +115,7 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
     if run is None:
         return message
     stage = run.current
-    failure = failures.describe(error, stage)
+    failure = failures.failure_of(error, stage)
     try:
         if not run.record.dataset:
             with suppress(Exception, SystemExit):

@@ -45,7 +45,7 @@ def of_environment(error: BaseException) -> bool:
     return isinstance(error, PriorUnavailableError) or _environment_kind(error) is not None
 
 
-def describe(error: BaseException, stage: str) -> Failure:
+def failure_of(error: BaseException, stage: str) -> Failure:
     """The failure of a cell in a stage, for its record; to be called while the error is handled."""
     training = error if isinstance(error, TrainingError) else None
     return Failure(

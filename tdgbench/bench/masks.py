@@ -23,12 +23,12 @@ def masked_share(views: Iterable[View]) -> float:
     return masked / max(pixels, 1)
 
 
-def in_words(masked: Mapping[str, float]) -> str:
+def masked_in_words(masked: Mapping[str, float]) -> str:
     """The shares of masked pixels of a record as a sentence; empty if nothing is masked.
 
-    >>> in_words({"train": 0.125, "test": 0.1})
+    >>> masked_in_words({"train": 0.125, "test": 0.1})
     '12.5 % of the training and 10.0 % of the test pixels have no thermal value; they count in no loss and no score'
-    >>> in_words({"train": 0.0, "test": 0.0})
+    >>> masked_in_words({"train": 0.0, "test": 0.0})
     ''
     """
     train, test = masked.get("train", 0.0), masked.get("test", 0.0)

@@ -16,9 +16,9 @@ from tdgbench.bench.signature import (
     UNKNOWN,
     Problem,
     choices,
-    model_problems,
     not_finite,
     option_meant,
+    pydantic_problems,
     signature_problems,
 )
 from tdgbench.scenes.options import Contrast
@@ -221,7 +221,7 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
     try:
         _Options.model_validate({k: v for k, v in plain.items() if k != "hydra"})
     except ValidationError as error:
-        return model_problems(error, "")
+        return pydantic_problems(error, "")
     return []
 
 

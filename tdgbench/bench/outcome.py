@@ -61,7 +61,7 @@ def finished(record: Record, message: str) -> Outcome:
     return Outcome("ok", record.title, message, scores_in_words(record), seconds)
 
 
-def finished_cells(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
+def finished_records(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
     """The results of these cells in an experiment's folder, which may hold those of earlier runs, too."""
     titles = {outcome.title for outcome in outcomes if outcome.status in COMPLETE}
     return [record for record in read_all(experiment) if record.failure is None and record.title in titles]

@@ -72,11 +72,11 @@ def read_views(path: Path) -> dict[str, Row]:
         if name in found:
             raise ValueError(f"it has two rows of {name}")
         places = zip(rows[0][1:], row[1:], strict=True)
-        found[name] = {m: None if text == "n/a" else finite_number(text, f"{m} of {name}") for m, text in places}
+        found[name] = {m: None if text == "n/a" else finite_field(text, f"{m} of {name}") for m, text in places}
     return found
 
 
-def finite_number(text: str, what: str) -> float:
+def finite_field(text: str, what: str) -> float:
     """A number from a CSV field. Raises ValueError, naming it by `what`, if it is none or not finite."""
     try:
         value = float(text)

@@ -84,7 +84,7 @@ def set_up(
     response, scored, is_changed = IDEAL, scene, cfg.contrast.training != "none"
     if camera.estimate:
         with observer.stage("camera"):
-            scene, facts, notes, response = prepare(scene)
+            scene, facts, notes, response = correct_scene(scene)
             if is_changed:  # the camera never showed the changed images
                 scene, response = in_one_range(scene, response), IDEAL
         observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
@@ -185,7 +185,7 @@ class CameraOptions:
     rig: bool = False  # learn where it is, and its lens, with the Gaussians: `tdgbench.training.rig`
 
 
-class Prepared(NamedTuple):
+class CorrectedScene(NamedTuple):
     """A scene to train on, facts for the record, notes, response for renders."""
 
     scene: Scene
@@ -194,16 +194,16 @@ class Prepared(NamedTuple):
     response: ImageResponse = IDEAL
 
 
-def prepare(scene: Scene) -> Prepared:
+def correct_scene(scene: Scene) -> CorrectedScene:
     """Estimate the camera and correct the training views; where it cannot be estimated, images stay as they are."""
     found = estimate_camera(scene)
     if isinstance(found, Unknown):
         notes = [f"camera: images stay as they are: {found.reason}"]
-        return Prepared(scene, {"unknown": found.reason}, notes)
+        return CorrectedScene(scene, {"unknown": found.reason}, notes)
     before = len(scene.notes)
     scene, response = corrected(scene, found)
     notes = [f"camera: {note}" for note in scene.notes[before:]]
-    return Prepared(scene, _estimated(found), notes, response)
+    return CorrectedScene(scene, _estimated(found), notes, response)
 
 
 def _estimated(camera: ThermalCamera) -> Facts:

@@ -88,11 +88,11 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
     try:
         _adapter(hint).validate_python(value)
     except ValidationError as error:
-        return model_problems(error, name)
+        return pydantic_problems(error, name)
     return list(not_finite(value, name))
 
 
-def model_problems(error: ValidationError, name: str) -> list[Problem]:
+def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
     """Problems that pydantic found in the options below `name`."""
     return [_problem(one, name) for one in error.errors(include_url=False)]
 

@@ -114,7 +114,7 @@ class OnnxPrior:
         return PriorUnavailableError("onnx", str(error), "name a network's file: prior.estimator.model=FILE")
 
     @cached_property
-    def _network(self) -> Network:
+    def _network(self) -> OnnxNetwork:
         try:
             path = regular_file(self._path)
         except SceneError as error:
@@ -140,7 +140,7 @@ class OnnxPrior:
         return network_of(session, path, self.output)
 
 
-class Network(NamedTuple):
+class OnnxNetwork(NamedTuple):
     """A network that is ready to run, and what it takes and gives."""
 
     session: Any  # onnxruntime.InferenceSession
@@ -153,7 +153,7 @@ class Network(NamedTuple):
     dtype: type[np.floating[Any]]
 
 
-def network_of(session: Any, path: Path, output: str | None) -> Network:
+def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
     inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
     described = ", ".join(f"{one.name}: {one.type} {list(one.shape)}" for one in inputs)
@@ -172,7 +172,7 @@ def network_of(session: Any, path: Path, output: str | None) -> Network:
     is_last = places[0] == 3
     height, width = (sides[1], sides[2]) if is_last else (sides[2], sides[3])
     channels = int(shape[places[0]])
-    return Network(
+    return OnnxNetwork(
         session, inputs[0].name, output or outputs[0], channels, is_last, height, width, TYPES[inputs[0].type]
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "scene": name,
         "view": view or "n/a",
         "methods": [strip.section(methods.label(column)) for strip, column in zip(strips, first, strict=True)],
-        "masked": masks.in_words(next(iter(first.values())).record.masked),
+        "masked": masks.masked_in_words(next(iter(first.values())).record.masked),
         "temperature": None if temperature is None else [f"{t:g}" for t in temperature],
         "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,

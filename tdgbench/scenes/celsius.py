@@ -20,12 +20,12 @@ from tdgbench.scenes.images import read_pixels
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
+    ImageSource,
     Kept,
     Measured,
-    Source,
     ThermalImages,
     decide_channels,
-    read_mask,
+    read_hidden,
     resample,
 )
 from tdgbench.scenes.options import ReadOptions
@@ -112,7 +112,7 @@ class _Scaling(NamedTuple):
 
 
 def measured_images(
-    sources: Mapping[str, Source],
+    sources: Mapping[str, ImageSource],
     read: Reader,
     train: list[str],
     options: ReadOptions,
@@ -163,7 +163,7 @@ def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit
     return fillers
 
 
-def _make(source: Source, scaling: _Scaling) -> Measured:
+def _make(source: ImageSource, scaling: _Scaling) -> Measured:
     one = scaling.read(source.path)
     return _scaled(_measure(one.values, _invalid(one, scaling.fillers), source), scaling)
 
@@ -173,13 +173,13 @@ def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
     return impossible(one.values) if one.is_masked else fillers.mask(one.values, one.block)
 
 
-def _measure(values: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
+def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> Measured:
     """Values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
-    hidden = read_mask(source, values[..., None])
+    hidden = read_hidden(source, values[..., None])
     return Measured(*resample(values[..., None], invalid if hidden is None else invalid | hidden, source))
 
 
-def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source], unit: Unit) -> TemperatureRange:
+def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, ImageSource], unit: Unit) -> TemperatureRange:
     try:
         samples = (sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
         return robust_range(samples, unit.steps)

@@ -14,9 +14,9 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
-from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
+from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.measured import Source, ThermalImages, resample
+from tdgbench.scenes.measured import ImageSource, ThermalImages, resample
 from tdgbench.scenes.options import Description, ReadOptions
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
 from tdgbench.scenes.splits import split_names
@@ -59,7 +59,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     masks = find_optional(folder / "masks", "masks")
     cameras = {name: _camera(found.posed[name], options) for name in names}
     sources = {
-        name: Source(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
+        name: ImageSource(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
         for name in names
     }
     views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
@@ -99,7 +99,7 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     )  # fmt: skip
 
 
-def _radiometric_files(folder: Path, found: Found) -> dict[str, Path]:
+def _radiometric_files(folder: Path, found: SceneFiles) -> dict[str, Path]:
     """Files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
     if found.in_celsius:
         return found.thermal
@@ -171,11 +171,11 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
 
 
-def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -> View:
+def _make_view(folder: Path, source: ImageSource, camera: Camera, rgb: Path | None) -> View:
     """A view without its thermal image and mask."""
     name = source.posed.name
     degC = _truth(folder, TRUE, name)
-    photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
+    photo = None if rgb is None else ImageSource(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
         camera=camera,
@@ -197,7 +197,7 @@ def _refuse(name: str) -> np.ndarray:
     raise SceneError(f"the thermal image of view {name} has not been read: this is an outline of its scene")
 
 
-def _load_rgb(source: Source) -> np.ndarray:
+def _load_rgb(source: ImageSource) -> np.ndarray:
     """RGB image of a view as float32 (height, width, 3)."""
     image, _ = resample(read_image(source.path), None, source)
     if image.shape[2] == 1:

@@ -38,7 +38,7 @@ def read_radiometry(path: Path) -> Radiometry | None:
     return _read(path, "min", "max")
 
 
-def read_bounds(path: Path) -> Radiometry | None:
+def read_temperature_bounds(path: Path) -> Radiometry | None:
     """Read ThermoScenes' `temperature_bounds.json`; None if there is no such file. Raises SceneError.
 
     Source of the keys, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.

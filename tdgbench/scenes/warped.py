@@ -36,7 +36,7 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R 601, as OpenCV reads
 
 
 @dataclass(frozen=True)
-class Pictures:
+class WarpedPictures:
     """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
 
     unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. arrays:

@@ -25,8 +25,8 @@ from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
-from tdgbench.tables.statistics import Comparison, compare, intervals, over_seeds
-from tdgbench.tables.verdicts import Verdict, verdict
+from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
+from tdgbench.tables.verdicts import ScoreVerdict, verdict
 
 INITS = ("random", "colmap")  # of the paper's Table 2
 ABLATION_KEYS = ["method", "init", "metric"]
@@ -44,7 +44,7 @@ class Tables:
     records: list[Record]  # the cells behind the tables
     findings: list[str]  # in sentences
     problems: list[str]  # what could not be read
-    comparisons: Sequence[Comparison] = ()  # of methods with their baselines
+    comparisons: Sequence[MethodComparison] = ()  # of methods with their baselines
     papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
@@ -71,7 +71,7 @@ def _main(results: Results, experiment: Path) -> Tables:
     main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-    comparisons = [compare(main, pair) for pair in methods.pairs()]
+    comparisons = [compare_methods(main, pair) for pair in methods.pairs()]
     cells = reading_cells(records) if plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
@@ -133,14 +133,16 @@ def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> 
 
 
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The differences with our std and number of seeds, the fields of each Verdict, and other papers' numbers."""
+    """The differences with our std and number of seeds, the fields of each ScoreVerdict, and other papers' numbers."""
     merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
     judged = [
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
-    found = pd.DataFrame(judged, columns=list(Verdict._fields), index=merged.index).rename(columns={"word": "verdict"})
+    found = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index).rename(
+        columns={"word": "verdict"}
+    )
     found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
     return with_others(pd.concat([merged, found], axis=1))
 

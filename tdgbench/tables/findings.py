@@ -15,7 +15,7 @@ from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.results import NO_RECORD
-from tdgbench.tables.statistics import Comparison
+from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
@@ -26,7 +26,7 @@ SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 def findings_of_methods(
     main: pd.DataFrame,
     difference: pd.DataFrame | None,
-    comparisons: Iterable[Comparison],
+    comparisons: Iterable[MethodComparison],
     effects: pd.DataFrame | None,
 ) -> list[str]:
     """The findings of a main table, one sentence each, in one line each; none where nothing is compared."""
@@ -81,7 +81,7 @@ def claims_in_words(claims: pd.DataFrame) -> list[str]:
     return found
 
 
-def _comparison(comparison: Comparison, main: pd.DataFrame) -> Iterable[str]:
+def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:
     """A method against its baseline: scenes, averages, training time."""
     pair, paired, speed = comparison
     both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]

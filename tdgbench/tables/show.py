@@ -14,14 +14,14 @@ from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, mask_notes, split_notes
-from tdgbench.tables.verdicts import in_words
+from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
-def show(tables: Tables, console: Console) -> None:
+def show_tables(tables: Tables, console: Console) -> None:
     """Print the main table and its differences from the published one; `show_findings` follows."""
     if tables.kind == "ablation":
         _show_ablation(tables, console)
@@ -42,7 +42,7 @@ def show(tables: Tables, console: Console) -> None:
         for metric, group in tables.difference[known].groupby("metric", sort=False):
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
-            _say(console, f"{text}; {in_words(group)}")
+            _say(console, f"{text}; {verdicts_in_words(group)}")
     if tables.papers is not None:
         show_papers(tables.papers, console)
 

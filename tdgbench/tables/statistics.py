@@ -97,7 +97,7 @@ def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
     return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
 
 
-class Comparison(NamedTuple):
+class MethodComparison(NamedTuple):
     """A method against its baseline. paired: from `paired_tests`. speed: from `speed_table`."""
 
     pair: MethodPair
@@ -105,9 +105,9 @@ class Comparison(NamedTuple):
     speed: pd.DataFrame
 
 
-def compare(main: pd.DataFrame, pair: MethodPair) -> Comparison:
+def compare_methods(main: pd.DataFrame, pair: MethodPair) -> MethodComparison:
     """Compare the two methods of a main table."""
-    return Comparison(pair, paired_tests(main, pair), speed_table(main, pair))
+    return MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair))
 
 
 def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:

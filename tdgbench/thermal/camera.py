@@ -18,7 +18,7 @@ from tdgbench.thermal.pattern import line_map
 from tdgbench.thermal.polynomials import evaluate
 
 
-class Response(NamedTuple):
+class ViewResponses(NamedTuple):
     """Offset and gain of each view, (V,)."""
 
     offsets: np.ndarray
@@ -108,11 +108,11 @@ class Unknown:
     reason: str
 
 
-def in_gauge(response: Response) -> Response:
+def in_gauge(response: ViewResponses) -> ViewResponses:
     """The same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
 
-    >>> in_gauge(Response(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
+    >>> in_gauge(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])
     """
     gains = response.gains / response.gains.mean()
-    return Response(response.offsets - gains * response.offsets.mean(), gains)
+    return ViewResponses(response.offsets - gains * response.offsets.mean(), gains)

@@ -12,7 +12,7 @@ from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
-from tdgbench.thermal.polynomials import basis
+from tdgbench.thermal.polynomials import legendre_basis
 from tdgbench.thermal.priors import Drift, Widths, places
 from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 
@@ -116,7 +116,7 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
         point=seen.point,
         view=seen.view,
         slope=scale * seen.slope,
-        terms=basis(*shares.T),
+        terms=legendre_basis(*shares.T),
         patch=(seen.view * PATCHES + down) * PATCHES + across,
         column=seen.x.astype(int),
         row=seen.y.astype(int),

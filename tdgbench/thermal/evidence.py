@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tdgbench.thermal.camera import Response
+from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.fit import Data, Fit, System, Terms, deviation, predict
 
 LEAST = 1e-9  # variance of a direction, in those of the prior
@@ -38,7 +38,7 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
     theta[free] += axes @ kept
     temperatures = _temperatures(data, theta, found)
     residuals = data.value - predict(data, theta, temperatures, found.reference)
-    response = Response(theta[: data.views], theta[data.views : 2 * data.views])
+    response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return replace(
         found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
         after=deviation(residuals), known=lambda: known,

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
-from tdgbench.thermal.camera import Response
+from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.priors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
@@ -81,14 +81,14 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
+    """Responses of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
     covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
     the mean of their point; after: of the residuals. known: gives (F,), what the values tell of each direction of the
     F estimated parameters, as inverse variances in those of the prior.
     """
 
-    response: Response
+    response: ViewResponses
     vignette: np.ndarray
     temperatures: np.ndarray
     reference: float
@@ -127,7 +127,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
         if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * deviation(residuals):
             break
     inflated = residuals * _inflation(robust, data)
-    response = Response(theta[: data.views], theta[data.views : 2 * data.views])
+    response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
         partial(system.covariance, inflated, data, precision, free), before, deviation(residuals),

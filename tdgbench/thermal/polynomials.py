@@ -12,10 +12,10 @@ DEGREE = 4
 TERMS = [(i, total - i) for total in range(1, DEGREE + 1) for i in range(total + 1)]  # degrees in x and y
 
 
-def basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def legendre_basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Values (N, K) of the polynomials at positions (N,) as shares of the image's width and height, in [0, 1].
 
-    >>> basis(np.array([0.5]), np.array([0.5])).round(2)[0, :5].tolist()
+    >>> legendre_basis(np.array([0.5]), np.array([0.5])).round(2)[0, :5].tolist()
     [0.0, 0.0, -1.12, 0.0, -1.12]
     """
     along_x, along_y = along(x), along(y)

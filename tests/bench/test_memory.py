@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench import memory
+from tdgbench.bench import machine
 from tdgbench.bench.machine import PeakMemory
 from tdgbench.splats.cpu import scratch
 from tdgbench.splats.cpu.scratch import Workspace
@@ -46,7 +46,7 @@ def test_scratch_memory_of_the_cell_before_is_given_back():
     assert left == 0
     if second.mb is not None:
         Workspace().take("test", MEGABYTES * 2**20, np.uint8)[:] = 1
-        assert memory._read("VmRSS") > second.mb + 0.8 * MEGABYTES
+        assert machine._read("VmRSS") > second.mb + 0.8 * MEGABYTES
 
 
 def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
@@ -64,7 +64,7 @@ def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
 
 
 def test_reports_nothing_where_the_platform_does_not(monkeypatch, tmp_path):
-    monkeypatch.setattr(memory, "STATUS", tmp_path / "nothing")
+    monkeypatch.setattr(machine, "STATUS", tmp_path / "nothing")
     with PeakMemory() as peak:
         pass
     assert peak.mb is None

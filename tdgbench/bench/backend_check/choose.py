@@ -36,7 +36,7 @@ COMPARED = (*NAMES, "means2d")  # density control reads the last one
 LONGEST_REASON = 300  # characters
 
 
-class Choice(NamedTuple):
+class AutoBackend(NamedTuple):
     """What `auto` stands for."""
 
     backend: str
@@ -44,7 +44,7 @@ class Choice(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class BackendCheck:
     """Outcome of a check. Errors are the largest ones so far, relative; NaN where one is not finite."""
 
     reason: str = ""  # why the backend must not train; empty if it may
@@ -60,7 +60,7 @@ def training_backend(name: str) -> str:
 
 
 @cache
-def auto() -> Choice:
+def auto() -> AutoBackend:
     """What `auto` stands for in this process."""
     choice = choose(check)
     if choice.line:
@@ -68,18 +68,18 @@ def auto() -> Choice:
     return choice
 
 
-def choose(run: Callable[[str], Verdict]) -> Choice:
+def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
     """The backend to train with. run: checks a backend on the current GPU.
 
     Without a GPU it is the CPU's, with nothing to say. Where GPUs differ, every model has to pass.
     """
     if not torch.cuda.is_available():
-        return Choice(AUTO["cpu"])
+        return AutoBackend(AUTO["cpu"])
     backend = AUTO[GPU]
     models = {torch.cuda.get_device_name(i): i for i in reversed(range(torch.cuda.device_count()))}
     reason = load_backend(backend).why_not()
     if reason is not None:
-        return Choice(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
+        return AutoBackend(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
     say(
         "checking gsplat against the reference; its first use compiles kernels for minutes",
         "note:",
@@ -91,12 +91,12 @@ def choose(run: Callable[[str], Verdict]) -> Choice:
         with torch.cuda.device(index):
             verdict = run(backend)
         if verdict.reason:
-            return Choice(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
+            return AutoBackend(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
         lines.append(f"{name} trains: {_acceptance(verdict)}")
-    return Choice(backend, "; ".join(lines))
+    return AutoBackend(backend, "; ".join(lines))
 
 
-def check(backend: str) -> Verdict:
+def check(backend: str) -> BackendCheck:
     """Compare a backend with the reference, each scene several times. Never raises an Exception: that is a verdict."""
     start = time.perf_counter()
     worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
@@ -106,7 +106,7 @@ def check(backend: str) -> Verdict:
             reason = reason or _compare(name, make(), backend, worst)
     except Exception as error:
         reason = shortened(message(error), LONGEST_REASON)
-    return Verdict(reason, **worst, seconds=round(time.perf_counter() - start, 1))
+    return BackendCheck(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 
 def scenes() -> dict[str, Callable[[], Cloud]]:
@@ -163,7 +163,7 @@ def _extremes() -> Cloud:
     return scene
 
 
-def _acceptance(verdict: Verdict) -> str:
+def _acceptance(verdict: BackendCheck) -> str:
     sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
     return (
         f"gsplat {installed_version()} agrees with the reference (image within {verdict.image:.0e} of "
@@ -172,7 +172,7 @@ def _acceptance(verdict: Verdict) -> str:
     )
 
 
-def _refusal(backend: str, verdict: Verdict) -> str:
+def _refusal(backend: str, verdict: BackendCheck) -> str:
     return (
         f"gsplat {installed_version()} did not pass its check: {verdict.reason} (checked in {verdict.seconds:g} s; "
         f"backend={backend} trains with it all the same)"

@@ -19,7 +19,7 @@ from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.view import NEAR_PLANE
 
 NAMES = ("means", "quats", "scales", "opacities", "colors")
-IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 5e-5, 2e-4  # of a float32 backend's `Errors`
+IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 5e-5, 2e-4  # of a float32 backend's errors
 MOVED = 1e-4  # relative change of the thresholds that reveals undecided pixels
 SMALL = 1e-4  # share of the largest gradient that smaller gradients are measured against
 
@@ -52,7 +52,7 @@ class Rendered(NamedTuple):
     gradients: dict[str, Tensor]  # of a weighted sum of `image`, by the names in NAMES and `means2d` (N, 2)
 
 
-class Errors(NamedTuple):
+class BackendErrors(NamedTuple):
     """Largest errors of a pixel, relative to its channel's range (at least 1), and of a gradient, to its norm."""
 
     image: float
@@ -68,13 +68,13 @@ class Expected:
     scale: Tensor  # (D + 2,): range of each channel
     undecided: Tensor  # (H, W) bool: pixels that a rounding error could flip
 
-    def errors(self, got: Rendered, names: Sequence[str] = NAMES) -> Errors:
-        """Errors of what a backend computed with these weights. names: of the gradients to compare."""
+    def errors(self, got: Rendered, names: Sequence[str] = NAMES) -> BackendErrors:
+        """Return the errors of what a backend computed with these weights. names: of the gradients to compare."""
         image = ((got.image - self.rendered.image).abs() / self.scale).amax(dim=-1)
         want = {name: self.rendered.gradients[name] for name in names}
         floor = SMALL * torch.stack([gradient.norm() for gradient in want.values()]).max()
         gradients = [_relative(got.gradients[name], gradient, floor) for name, gradient in want.items()]
-        return Errors(_largest(torch.where(self.undecided, 0.0, image)), _largest(torch.stack(gradients)))
+        return BackendErrors(_largest(torch.where(self.undecided, 0.0, image)), _largest(torch.stack(gradients)))
 
 
 def cloud(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ImageEntry, Tables
+from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ImageEntry, ModelTables
 
 FEWEST = 10  # observations of a view from which it is judged
 FAR = 0.05  # median error of a wrong view, × diagonal of the image
 NEAR = 0.02  # median error of a good view stays below; COLMAP drops observations that are 4 px off, some 0.005
 
 
-def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
+def check_agreement(model: ModelTables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
     """Notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
 
     poses: world to camera (3, 4) by image id. cameras: as in the model, with distortion, by camera id.
@@ -21,7 +21,7 @@ def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[i
     return [*_missing_points(model, points[0]), *_reprojection(model, points, poses, cameras)]
 
 
-def _missing_points(model: Tables, ids: np.ndarray) -> list[str]:
+def _missing_points(model: ModelTables, ids: np.ndarray) -> list[str]:
     """A note if images show points that the model does not hold (ids (P,), ascending)."""
     shown = np.concatenate([image.point_ids for image in model.images.values()])
     shown = shown[shown != NO_POINT]
@@ -40,7 +40,7 @@ def _missing_points(model: Tables, ids: np.ndarray) -> list[str]:
 
 
 def _reprojection(
-    model: Tables,
+    model: ModelTables,
     points: tuple[np.ndarray, np.ndarray],
     poses: dict[int, np.ndarray],
     cameras: dict[int, pycolmap.Camera],
@@ -74,7 +74,7 @@ def _reprojection(
     return []
 
 
-def _all_points(model: Tables) -> tuple[np.ndarray, np.ndarray]:
+def _all_points(model: ModelTables) -> tuple[np.ndarray, np.ndarray]:
     """Ids (P,), ascending, and positions (P, 3)."""
     order = np.argsort(model.points.ids)
     return model.points.ids[order], model.points.xyz[order]

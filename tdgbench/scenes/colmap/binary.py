@@ -16,11 +16,11 @@ from tdgbench.scenes.colmap.tables import (
     SENSORS,
     CameraEntry,
     DamagedModelError,
-    Frame,
+    FrameEntry,
     ImageEntry,
     Points,
-    Pose,
-    Rig,
+    PoseEntry,
+    RigEntry,
     Sensor,
     camera_models,
     to_compare,
@@ -124,7 +124,7 @@ def read_images(path: Path) -> list[ImageEntry]:
         point_ids = points["point"].copy()
         compared = to_compare(point_ids)
         found.append(
-            ImageEntry(image_id, Pose.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
+            ImageEntry(image_id, PoseEntry.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
         )  # fmt: skip
     return found
 
@@ -165,12 +165,12 @@ def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
     return np.array(starts, np.int64)
 
 
-def read_rigs(path: Path) -> list[Rig]:
+def read_rigs(path: Path) -> list[RigEntry]:
     """Rows of rigs.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("rig", 2 * UINT.size):
         (rig_id,) = file.take(UINT)
-        sensors: dict[Sensor, Pose | None] = {}
+        sensors: dict[Sensor, PoseEntry | None] = {}
         for index in range(file.count(UINT, "sensors", SENSOR.size)):
             sensor = file.sensor()
             if sensor in sensors:
@@ -178,12 +178,12 @@ def read_rigs(path: Path) -> list[Rig]:
             has_pose = file.take(FLAG)[0] if index > 0 else 0
             if has_pose not in (0, 1):
                 raise file.damaged(f"{file.row} has {has_pose} where 0 or 1 says whether a sensor has a pose")
-            sensors[sensor] = Pose.of(file.take(POSE)) if has_pose else None
-        found.append(Rig(rig_id, sensors))
+            sensors[sensor] = PoseEntry.of(file.take(POSE)) if has_pose else None
+        found.append(RigEntry(rig_id, sensors))
     return found
 
 
-def read_frames(path: Path) -> list[Frame]:
+def read_frames(path: Path) -> list[FrameEntry]:
     """Rows of frames.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("frame", FRAME.size + UINT.size):
@@ -192,5 +192,5 @@ def read_frames(path: Path) -> list[Frame]:
         for _ in range(file.count(UINT, "data ids", DATA.size)):
             sensor = file.sensor()
             data.append((sensor, file.take(COUNT)[0]))
-        found.append(Frame(frame_id, rig_id, Pose.of(pose), data))
+        found.append(FrameEntry(frame_id, rig_id, PoseEntry.of(pose), data))
     return found

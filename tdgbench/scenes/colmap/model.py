@@ -13,7 +13,7 @@ from tdgbench.scenes.colmap import binary, text
 from tdgbench.scenes.colmap.agreement import check_agreement
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
 from tdgbench.scenes.colmap.references import camera_poses, check_points
-from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, Points, Tables, by_id
+from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ModelTables, Points, by_id
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import check_view_name, is_there
 from tdgbench.scenes.scene import Camera, PointCloud
@@ -80,7 +80,7 @@ FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
 NEEDED = ("cameras", "images", "points3D")
 
 
-def read_tables(folder: Path) -> Tables:
+def read_tables(folder: Path) -> ModelTables:
     """Read a model's files. Raises SceneError naming the file and the remedy."""
     suffix = next((s for s in FORMATS if all(is_there(folder / (name + s)) for name in NEEDED)), None)
     if suffix is None:
@@ -92,7 +92,7 @@ def read_tables(folder: Path) -> Tables:
     if is_there(rigs) != is_there(frames):
         there, absent = (rigs, frames) if is_there(rigs) else (frames, rigs)
         raise DamagedModelError(there, f"{absent.name} is missing beside it")
-    return Tables(
+    return ModelTables(
         folder,
         suffix,
         by_id(cameras, reader.read_cameras(cameras), "camera"),

@@ -17,11 +17,11 @@ from tdgbench.scenes.colmap.tables import (
     SENSORS,
     CameraEntry,
     DamagedModelError,
-    Frame,
+    FrameEntry,
     ImageEntry,
     Points,
-    Pose,
-    Rig,
+    PoseEntry,
+    RigEntry,
     Sensor,
     camera_models,
     to_compare,
@@ -157,7 +157,7 @@ def read_images(path: Path) -> list[ImageEntry]:
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         head = _Line(path, at, text)
-        image_id, pose, camera_id = head.integer(), Pose.of(head.floats(7)), head.integer()
+        image_id, pose, camera_id = head.integer(), PoseEntry.of(head.floats(7)), head.integer()
         head.word()
         name = text.split(maxsplit=9)[9].strip()
         points = _Line(path, at + 1, lines[at] if at < len(lines) else "")
@@ -252,34 +252,34 @@ def _tracks(rows: list[str]) -> tuple[np.ndarray, np.ndarray]:
     return words // 2, numbers.astype(np.uint32)
 
 
-def read_rigs(path: Path) -> list[Rig]:
+def read_rigs(path: Path) -> list[RigEntry]:
     """Rows of rigs.txt. Raises SceneError."""
     found = []
     for line in _lines(path):
         rig_id, count = line.integer(), line.integer()
-        sensors: dict[Sensor, Pose | None] = {}
+        sensors: dict[Sensor, PoseEntry | None] = {}
         for index in range(min(count, line.left())):
             sensor = line.sensor()
             if sensor in sensors:
                 raise line.damaged(f"has {sensor.type} {sensor.id} twice")
             has_pose = index > 0 and line.integer(1) == 1
-            sensors[sensor] = Pose.of(line.floats(7)) if has_pose else None
+            sensors[sensor] = PoseEntry.of(line.floats(7)) if has_pose else None
         if len(sensors) < count:
             raise line.damaged(f"counts {count} sensors, but has {len(sensors)}")
         line.end()
-        found.append(Rig(rig_id, sensors))
+        found.append(RigEntry(rig_id, sensors))
     _complete(path, found)
     return found
 
 
-def read_frames(path: Path) -> list[Frame]:
+def read_frames(path: Path) -> list[FrameEntry]:
     """Rows of frames.txt. Raises SceneError."""
     found = []
     for line in _lines(path):
-        frame_id, rig_id, pose, count = line.integer(), line.integer(), Pose.of(line.floats(7)), line.integer()
+        frame_id, rig_id, pose, count = line.integer(), line.integer(), PoseEntry.of(line.floats(7)), line.integer()
         if line.left() != 3 * count:
             raise line.damaged(f"counts {count} data ids, but has {line.left() / 3:g}")
         data = [(line.sensor(), line.integer(2**64 - 1)) for _ in range(count)]
-        found.append(Frame(frame_id, rig_id, pose, data))
+        found.append(FrameEntry(frame_id, rig_id, pose, data))
     _complete(path, found)
     return found

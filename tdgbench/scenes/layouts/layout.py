@@ -15,7 +15,7 @@ from tdgbench.scenes.temperature import Radiometry
 
 
 @dataclass(frozen=True)
-class Found:
+class SceneFiles:
     """What a layout found in the folder of a scene; paths, poses and splits are by view name."""
 
     posed: dict[str, RegisteredImage]
@@ -42,7 +42,7 @@ class Layout:
     title: str  # as results and messages name it
     looks: str  # inside the folder of a scene, in one line
     fits: Callable[[Path], bool]  # whether a folder has this layout; raises SceneError if that cannot be told
-    find: Callable[[Path], Found]  # raises SceneError naming the file and the remedy
+    find: Callable[[Path], SceneFiles]  # raises SceneError naming the file and the remedy
     published: Callable[[str], TemperatureRange | None] = _none_published  # °C of gray images, by a scene's name
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_folder, is_there, listed
-from tdgbench.scenes.layouts.layout import Found, Layout, find_files, find_model
+from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model
 from tdgbench.scenes.registry import registered
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import FILE, read_radiometry
@@ -56,7 +56,7 @@ def _fits(folder: Path) -> bool:
     return is_folder(folder / WARPED)
 
 
-def _find(folder: Path) -> Found:
+def _find(folder: Path) -> SceneFiles:
     if not _fits(folder):
         raise SceneError(f"{folder} has no {WARPED}/ folder; the layout is {LAYOUT.looks}")
     arrays, shipped = find_files(folder / WARPED, (".npy",))
@@ -72,7 +72,7 @@ def _find(folder: Path) -> Found:
         unwarped = {name: path for name, path in found.items() if name in pictures}
     photos = _rgb_folder(folder)
     model = find_model(folder, MODELS, TITLE)
-    return Found(
+    return SceneFiles(
         model.posed,
         model.points,
         {**pictures, **arrays},

@@ -29,7 +29,7 @@ SPLITS = ("train", "val", "test")
 
 
 @dataclass(frozen=True)
-class Frame:
+class TransformsFrame:
     """A frame of transforms.json. Paths are relative to its folder."""
 
     posed: RegisteredImage
@@ -41,7 +41,7 @@ class Frame:
 class Transforms:
     """Content of a transforms.json, frames by view name."""
 
-    frames: dict[str, Frame]
+    frames: dict[str, TransformsFrame]
     lists: dict[str, list[str]]  # view names by split, of SPLITS
     points: Path | None  # of a .ply file, relative to its folder
     applied_transform: np.ndarray | None  # (4, 4), from the original world to that of the frames
@@ -51,7 +51,7 @@ def read_transforms(path: Path) -> Transforms:
     """Read a transforms.json. Raises SceneError naming the frame and the remedy."""
     content = _content(path)
     cameras: dict[CameraEntry, Any] = {}
-    frames: dict[str, Frame] = {}
+    frames: dict[str, TransformsFrame] = {}
     for number, frame in enumerate(content["frames"]):
         where = f"{path}: frame {number}"
         if not isinstance(frame, dict):
@@ -67,7 +67,7 @@ def read_transforms(path: Path) -> Transforms:
         pinhole, _, undistortion = cameras[entry]
         camera = Camera(pinhole.K, _pose(frame, where), pinhole.width, pinhole.height)
         thermal = frame.get("thermal_file_path")
-        frames[name] = Frame(
+        frames[name] = TransformsFrame(
             RegisteredImage(name, check_camera(camera, where), undistortion),
             file,
             None if thermal is None else _inside(thermal, "thermal_file_path", where),

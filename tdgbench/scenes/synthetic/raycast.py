@@ -58,7 +58,7 @@ class Rectangle:
 
 
 @dataclass(frozen=True)
-class Box:
+class Cuboid:
     """A box turned by `yaw` (radians) about the vertical axis."""
 
     center: tuple[float, float, float]

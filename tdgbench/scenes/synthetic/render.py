@@ -81,7 +81,7 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
     return color, degC, depth
 
 
-def render(
+def render_world(
     world: World, camera: Camera, supersampling: int = 2, rig: TrueRig | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres.

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Patches, Spot, Waves
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Hills, Rectangle, Solid
+from tdgbench.scenes.synthetic.raycast import Cuboid, Cylinder, Hills, Rectangle, Solid
 from tdgbench.scenes.synthetic.render import World
 
 GROUND = (  # pairs of colours
@@ -97,12 +97,12 @@ def _wall(seed: int) -> World:
     for row, z in enumerate((1.3, 3.0, 4.7)):
         for column in range(4):
             glass = Material(*GLASS, wave(2 + 10 * row + column, 1.8), rng.uniform(13.0, 19.0), 2.0)
-            objects.append((Box((2.1 * (column - 1.5), 0.0, z), (0.5, 0.08, 0.55)), glass))
+            objects.append((Cuboid((2.1 * (column - 1.5), 0.0, z), (0.5, 0.08, 0.55)), glass))
     for number, x in enumerate((-4.2, -0.2, 2.2)):
         pipe = Material(STEEL, GLASS[1], wave(40 + number, 1.5), rng.uniform(22.0, 27.0), 2.0)
         objects.append((Cylinder((x, -0.12, -3.0), 0.07, 12.0), pipe))
     cable = Material(STEEL, GLASS[0], wave(50, 1.5), 9.0, 1.5)
-    objects.append((Box((0.0, -0.04, 2.15), (40.0, 0.04, 0.04)), cable))
+    objects.append((Cuboid((0.0, -0.04, 2.15), (40.0, 0.04, 0.04)), cable))
     cameras = _lines((0, -4.0, 3.0), np.array([2.8, 0, 0]), np.array([0, 0, 1.4]), np.array([0, 4.0, 0]))
     return World("", False, objects, cameras, (4.0, 32.0), 0.95, (0.3, -0.8, 0.5), length=2 * 2.8 + 4.0 / 0.95)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Spot, Waves
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Solid, Sphere
+from tdgbench.scenes.synthetic.raycast import Cuboid, Cylinder, Rectangle, Solid, Sphere
 from tdgbench.scenes.synthetic.render import World
 from tdgbench.scenes.synthetic.surveys import SURVEYS
 
@@ -70,7 +70,7 @@ def _orbit(seed: int) -> World:
             Material(WOOD, DARK_WOOD, wave(3, 1.5), 20.0, 2.5, spots=(Spot((0.5, 0.2, 0.5), (0.4, 0.4, 0.4), 9.0),)),
         ),
         (
-            Box((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
+            Cuboid((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
             Material(STEEL, PAINT, wave(4, 2.0), 29.0, 3.0, spots=(Spot((-0.35, 0.1, 0.9), (0.2, 0.2, 0.2), 8.0),)),
         ),
         (Sphere((0.45, 0.25, 0.78), 0.28), Material(CERAMIC, GLAZE, wave(5, 2.0), 40.0, 2.0, -6.0)),
@@ -93,7 +93,7 @@ def _night(seed: int) -> World:
             Material(BRICK, MORTAR, wave(3, 1.2), 11.0, 2.5, 0.8, (leak,)),
         ),
         (
-            Box((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
+            Cuboid((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
             Material(PAINT, STEEL, wave(4, 1.4), 18.0, 2.5, spots=(Spot((-0.5, 0.5, 0.6), (0.4, 0.4, 0.3), 16.0),)),
         ),
         (Cylinder((0.9, 0.6, 0.0), 0.35, 1.3), Material(STEEL, STAIN, wave(5, 1.6), 24.0, 2.0, 5.0)),
@@ -116,8 +116,8 @@ def _turntable(seed: int) -> World:
             Material(STEEL, STAIN, wave(3, 1.8), 38.0, 2.0, 9.0, (Spot((0.4, 0.3, 0.2), (0.3, 0.3, 0.2), 8.0),)),
         ),
         (Sphere((0.0, 0.0, 0.95), 0.38), Material(CERAMIC, GLAZE, wave(4, 1.6), 33.0, 4.0)),
-        (Box((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
-        (Box((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
+        (Cuboid((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
+        (Cuboid((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
     ]  # fmt: skip
     return World("360", False, objects, _ring(2.8, 1.4, (0, 0, 0.5), 2 * np.pi), (14.0, 50.0), 0.95)
 
@@ -132,8 +132,8 @@ def _facade(seed: int) -> World:
     window = Material((0.25, 0.32, 0.38), (0.45, 0.52, 0.58), wave(2, 1.2), 17.0, 2.0, 0.8)
     objects: list[tuple[Solid, Material]] = [
         (Rectangle((0, 0.0, 1.8), (6.0, 0, 0), (0, 0, 4.0)), wall),
-        (Box((-0.7, 0.0, 2.1), (0.45, 0.12, 0.6)), window),
-        (Box((0.6, -0.05, 1.2), (0.4, 0.25, 0.35)), Material(STEEL, PAINT, wave(3, 1.6), 24.0, 3.0, 3.0)),
+        (Cuboid((-0.7, 0.0, 2.1), (0.45, 0.12, 0.6)), window),
+        (Cuboid((0.6, -0.05, 1.2), (0.4, 0.25, 0.35)), Material(STEEL, PAINT, wave(3, 1.6), 24.0, 3.0, 3.0)),
         (Cylinder((1.35, -0.5, 0.2), 0.16, 2.0), Material(STEEL, STAIN, wave(4, 1.6), 30.0, 2.0, -3.0)),
         (Sphere((-0.35, -0.6, 0.85), 0.25), Material(CERAMIC, GLAZE, wave(5, 1.8), 8.0, 2.0, 2.0)),
     ]

@@ -19,7 +19,7 @@ from PIL import Image
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors, TrueRig
-from tdgbench.scenes.synthetic.render import World, look_at, render
+from tdgbench.scenes.synthetic.render import World, look_at, render_world
 from tdgbench.scenes.synthetic.thermal_camera import Encoding, TrueCamera, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
 from tdgbench.scenes.temperature import FILE
@@ -69,10 +69,10 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
         names, images = [], []
         for index, place in enumerate(cameras):
             name = f"view{index:03d}"
-            rgb, degC, depth = render(world, place)
+            rgb, degC, depth = render_world(world, place)
             surface = depth
             if shot.errors.rig != TrueRig():
-                _, degC, depth = render(world, place, rig=shot.errors.rig)
+                _, degC, depth = render_world(world, place, rig=shot.errors.rig)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
             Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
             noise = rng.normal(0, shot.errors.noise_degC, degC.shape)

@@ -18,7 +18,7 @@ from tdgbench.tables.claims.evidence import (
     FAILS,
     HOLDS,
     UNDECIDED,
-    Evidence,
+    ClaimEvidence,
     Finding,
     MissingError,
     evidence_of,
@@ -31,7 +31,7 @@ __all__ = [
     "evidence_of", "load_claims",
 ]  # fmt: skip
 
-Check = Callable[[dict[str, Any], Evidence], Finding]
+Check = Callable[[dict[str, Any], ClaimEvidence], Finding]
 OF_TABLES: tuple[Check, ...] = (
     main_table.relative_gain,
     main_table.averages,
@@ -73,7 +73,7 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
     return claims
 
 
-def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def check_claim(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
@@ -89,7 +89,7 @@ def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(found.verdict, "; ".join(part for part in parts if part))
 
 
-def check_all(claims: list[dict[str, Any]], published: Evidence, ours: Evidence | None) -> pd.DataFrame:
+def check_all(claims: list[dict[str, Any]], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
     """One row per claim: id, said, where, and for the published table and for ours the verdict and its grounds."""
     rows = []
     for claim in claims:

@@ -33,7 +33,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ClaimEvidence:
     """A main table (method, dataset, group, scene, metric, value, bold) and an ablation (method, init, metric, value).
 
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
@@ -59,7 +59,7 @@ class Evidence:
         return set(self.main["dataset"]) - {""} <= set(DATASETS.values())
 
 
-def evidence_of(experiments: Iterable[Path]) -> Evidence:
+def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     """Our evidence: every cell of the experiments that has scores.
 
     Cells with overrides of a method's or a prior's settings do not count: they are not the method as its YAML has it.
@@ -75,7 +75,7 @@ def evidence_of(experiments: Iterable[Path]) -> Evidence:
     chosen = as_published(cells)
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
     rows = scene_rows([replace(cell.record, variant="") for cell in chosen], plan)
-    return Evidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
+    return ClaimEvidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
 
 
 def as_published(cells: Sequence[Cell]) -> list[Cell]:

@@ -11,13 +11,13 @@ import pandas as pd
 
 from tdgbench.tables import measures, methods
 from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, Evidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
-from tdgbench.tables.published import half_unit
+from tdgbench.tables.published import printed_half_unit
 from tdgbench.tables.results import with_bold
 
 
-def _value(evidence: Evidence, method: str, scene: str, metric: str) -> float:
+def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
     table = evidence.main
     chosen = (table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)
     values = table[chosen]["value"].dropna()
@@ -26,7 +26,7 @@ def _value(evidence: Evidence, method: str, scene: str, metric: str) -> float:
     return float(values.iloc[0])
 
 
-def _pair(evidence: Evidence, scene: str, metric: str) -> tuple[float, float]:
+def _pair(evidence: ClaimEvidence, scene: str, metric: str) -> tuple[float, float]:
     """The value of the paper's method, and its baseline's."""
     new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
     return new, old
@@ -38,7 +38,7 @@ def _labels() -> tuple[str, str]:
     return new, old
 
 
-def _tolerance(evidence: Evidence, metric: str, scene: str) -> float:
+def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
     """How far a value may be from what was printed."""
     return measures.half_unit(metric, scene) if evidence.printed else 0.0
 
@@ -48,19 +48,19 @@ def _gain(new: float, old: float, metric: str) -> float:
     return measures.measure(metric).sign * 100 * (new - old) / old
 
 
-def _gain_range(evidence: Evidence, metric: str, new: float, old: float) -> tuple[float, float]:
+def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) -> tuple[float, float]:
     """The least and the greatest gain that the printed numbers allow."""
     tolerance = _tolerance(evidence, metric, OVERALL)
     gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
     return min(gains), max(gains)
 
 
-def relative_gain(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
     low, high = _gain_range(evidence, metric, new, old)
-    half = half_unit(percent)
+    half = printed_half_unit(percent)
     fits = low <= float(percent) + half and high >= float(percent) - half
     places = digits(metric, OVERALL)
     grounds = f"{old:.{places}f} → {new:.{places}f} is {_gain(new, old, metric):+.3f} %"
@@ -69,41 +69,43 @@ def relative_gain(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def averages(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def averages(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
     values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
-    fits = all(abs(value - float(claim[method])) <= half_unit(claim[method]) for method, value in values.items())
+    fits = all(
+        abs(value - float(claim[method])) <= printed_half_unit(claim[method]) for method, value in values.items()
+    )
     grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def better_average(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def average_gains(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
     return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
 
 
-def minutes_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Training takes `minutes` less on average."""
     _of_paper(evidence)
     new, old = _pair(evidence, evidence.overall, HOURS.name)
-    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + half_unit(claim["minutes"])
+    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim["minutes"])
     saved = 60 * (old - new)
     return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
 
 
-def percent_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def percent_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Training takes `percent` less time on average."""
     new, old = _pair(evidence, evidence.overall, HOURS.name)
     low, high = _gain_range(evidence, HOURS.name, new, old)
-    half = half_unit(claim["percent"])
+    half = printed_half_unit(claim["percent"])
     fits = low <= float(claim["percent"]) + half and high >= float(claim["percent"]) - half
     return Finding(HOLDS if fits else FAILS, f"{_gain(new, old, HOURS.name):.1f} %")
 
 
-def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
+def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
     single = evidence.main[~evidence.main["scene"].isin((AVERAGE, OVERALL))]
     if dataset is not None:
         single = single[single["dataset"] == dataset]
@@ -113,7 +115,7 @@ def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
     return scenes
 
 
-def better_scenes(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
     exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
@@ -126,7 +128,7 @@ def better_scenes(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
 
-def better_mostly(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The paper's method is better in more than half of all scenes × metrics. Equal (printed) values are no gain."""
     better, equal, total = _wins(claim, evidence)
     grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
@@ -134,7 +136,7 @@ def better_mostly(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
-def mixed(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Each method is better somewhere among the data set's scenes × metrics."""
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
@@ -142,7 +144,7 @@ def mixed(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_labels()[0]} is {counts}")
 
 
-def within(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """At every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
     for scene in _scenes(evidence, claim["dataset"]):
@@ -155,7 +157,7 @@ def within(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if over else HOLDS, grounds)
 
 
-def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Every method of the ablation loses at least `drop` dB of PSNR from random points."""
     drops = {}
     for method in claim["methods"]:
@@ -167,7 +169,7 @@ def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, grounds)
 
 
-def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The ablation's numbers from COLMAP points are the main table's averages over all scenes."""
     if not evidence.printed:
         raise MissingError("our tables are made of the same cells")
@@ -180,7 +182,7 @@ def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else "the same in both tables")
 
 
-def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
+def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The averages are those of the rows."""
     table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
     rounding = [
@@ -198,7 +200,7 @@ def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else f"all {len(found)} follow, within rounding")
 
 
-def bold_follows(_claim: dict[str, Any], evidence: Evidence) -> Finding:
+def bold_follows(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """The better value of each row is bold."""
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
@@ -208,13 +210,13 @@ def bold_follows(_claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if places else HOLDS, ", ".join(places) if places else "every mark follows")
 
 
-def _of_paper(evidence: Evidence) -> None:
+def _of_paper(evidence: ClaimEvidence) -> None:
     """Raise MissingError unless the evidence is of the paper's scenes, which the claimed number is for."""
     if not evidence.is_of_paper:
         raise MissingError("a number for the paper's scenes, which these are not")
 
 
-def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
+def _wins(claim: dict[str, Any], evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
     """Scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
     better, equal, total = [], [], 0
     for scene in _scenes(evidence, claim["dataset"]):
@@ -228,7 +230,7 @@ def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, st
     return better, equal, total
 
 
-def _by_init(evidence: Evidence, method: str, metric: str) -> pd.Series:
+def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
     """The ablation's values by init. Raises MissingError without an ablation."""
     if evidence.ablation is None:
         raise MissingError("no ablation over the first points")

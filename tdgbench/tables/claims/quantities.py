@@ -99,7 +99,7 @@ def _metric(metric: str) -> Quantity:
     return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
 
-def progress(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
+def time_to_level(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
     """Iterations (or seconds) until each run first has one level of training PSNR.
 
     The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
@@ -174,8 +174,10 @@ QUANTITIES: dict[str, Quantity] = {
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
     "gaussians": Quantity("Gaussians at the end", _of_each(_gaussians), ratio=True),
-    "iterations_to_level": Quantity("iterations to the level", partial(progress, column="iteration"), ratio=True),
-    "seconds_to_level": Quantity("seconds to the level", partial(progress, column="seconds"), ratio=True, timed=True),
+    "iterations_to_level": Quantity("iterations to the level", partial(time_to_level, column="iteration"), ratio=True),
+    "seconds_to_level": Quantity(
+        "seconds to the level", partial(time_to_level, column="seconds"), ratio=True, timed=True
+    ),
     "psnr_drop": Quantity("drop of training PSNR at the switch", _of_each(psnr_drop), digits=2, unit=" dB"),
     "loss_rise": Quantity("rise of the thermal loss at the switch", _of_each(loss_rise), ratio=True),
 }
