@@ -50,14 +50,14 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
 
 
 def _record_of(cfg: DictConfig, variant: str) -> Record:
-    """The record of a cell before its scene is known. Raises OptionError if the options name no cell."""
+    """Return the record of a cell before its scene is known. Raises OptionError if the options name no cell."""
     check_names(cfg)
     method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
     return Record(method, "", scene, init, int(cfg.seed), experiment, variant)
 
 
 def _title(cfg: DictConfig, run: CellRun | None) -> str:
-    """Name of a cell in messages, also if its options name none."""
+    """Return the name of a cell in messages, also if its options name none."""
     if run is not None:
         return run.record.title
     keys = ("method.name", "scene", "init.name", "seed")
@@ -100,7 +100,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
 
 
 def _remarks(existing: Record | None, record: Record) -> list[str]:
-    """Why a cell with a record ran again, and where its training resumed."""
+    """Return why a cell with a record ran again, and where its training resumed."""
     changes = [] if existing is None else why_differs(existing, record)
     remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
     return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
@@ -141,7 +141,7 @@ def _close(held: ExitStack, progress: CellProgress) -> list[str]:
 
 
 def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
-    """Outcome of a cell that can be skipped, or None if it has to run."""
+    """Return the outcome of a cell that can be skipped, or None if it has to run."""
     if existing.failure is not None:
         is_retried = existing.failure.of_environment or cfg.overwrite == "always" or cfg.retry_failed
         if existing.key != record.key or is_retried:

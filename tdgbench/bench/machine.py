@@ -47,7 +47,7 @@ def exclusive_gpu(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
 
 
 def _problem(locks: Path, names: list[str]) -> OSError | None:
-    """Why a folder cannot hold locks of these names, which all users can take; None if it can."""
+    """Return why a folder cannot hold locks of these names, which all users can take; None if it can."""
     try:
         locks.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(PermissionError):
@@ -61,12 +61,12 @@ def _problem(locks: Path, names: list[str]) -> OSError | None:
 
 
 def visible_gpus() -> list[str]:
-    """UUIDs of the GPUs that this process may use, in CUDA's order."""
+    """Return UUIDs of the GPUs that this process may use, in CUDA's order."""
     return [str(torch.cuda.get_device_properties(i).uuid) for i in range(torch.cuda.device_count())]
 
 
 def describe_gpu() -> dict[str, Any] | None:
-    """Name, memory, driver and CUDA version of the GPU in use; None without one."""
+    """Return the name, memory, driver and CUDA version of the GPU in use; None without one."""
     if not torch.cuda.is_available():
         return None
     properties = torch.cuda.get_device_properties(torch.cuda.current_device())
@@ -80,7 +80,7 @@ def describe_gpu() -> dict[str, Any] | None:
 
 @cache
 def _driver() -> str | None:
-    """Version of the NVIDIA driver; None if nvidia-smi does not report it."""
+    """Return the version of the NVIDIA driver; None if nvidia-smi does not report it."""
     command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
@@ -140,7 +140,7 @@ class PeakMemory:
 
 
 def _read(field: str) -> float | None:
-    """Field of /proc/self/status, MB; None if it is not there."""
+    """Return the field of /proc/self/status, MB; None if it is not there."""
     with contextlib.suppress(OSError):
         for line in STATUS.read_text(encoding="utf-8").splitlines():
             if line.startswith(f"{field}:"):

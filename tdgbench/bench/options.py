@@ -226,7 +226,7 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
 
 
 def _object_problems(cfg: DictConfig | ListConfig, plain: Any, name: str) -> Iterator[Problem]:
-    """Problems of every `_target_` in a configuration."""
+    """Yield problems of every `_target_` in a configuration."""
     if isinstance(plain, list):
         for index, one in enumerate(plain):
             yield from _object_problems(cfg, one, f"{name}[{index}]")
@@ -258,7 +258,7 @@ def _import(path: str) -> Any:
 
 
 def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) -> Any:
-    """A configuration as plain data without `hydra`; values that cannot be resolved become problems."""
+    """Return a configuration as plain data without `hydra`; values that cannot be resolved become problems."""
     keys: list[Any] = [k for k in cfg if name or k != "hydra"] if isinstance(cfg, DictConfig) else list(range(len(cfg)))
     plain: dict[Any, Any] = {}
     for key in keys:
@@ -275,14 +275,14 @@ def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) 
 
 
 def _typed_name(cfg: DictConfig, name: str) -> str:
-    """The option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
+    """Return the option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
     node = _node(cfg, name)
     refers = None if node is None else re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(node._value()))
     return _typed_name(cfg, refers.group(1)) if refers and _node(cfg, refers.group(1)) is not None else name
 
 
 def _node(cfg: DictConfig, name: str) -> Node | None:
-    """An option as it is written, interpolations included; None where there is none of that name."""
+    """Return an option as it is written, interpolations included; None where there is none of that name."""
     node: Node | None = cfg
     for part in name.split("."):
         if not isinstance(node, DictConfig) or node._is_none() or node._is_interpolation() or node._is_missing():

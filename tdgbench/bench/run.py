@@ -69,7 +69,7 @@ class CellRun(SetupObserver):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Context of a stage, which the terminal and a failure name and the record times."""
+        """Time a stage, which the terminal and a failure name."""
         self.current = name
         self.progress.stage(name)
         start = time.perf_counter()
@@ -186,14 +186,14 @@ class CellRun(SetupObserver):
 
     @contextmanager
     def _remarked(self, what: str) -> Iterator[None]:
-        """Context of work beside the result: an error in it is a remark on the outcome."""
+        """Turn an error in work beside the result into a remark on the outcome."""
         try:
             yield
         except Exception as error:
             self.remarks.append(f"{what}: {error}")
 
     def _cache(self, name: str, what: str) -> Path | None:
-        """Folder of what cells of a scene share; None, with a remark, if it cannot be written."""
+        """Return the folder of what cells of a scene share; None, with a remark, if it cannot be written."""
         folder = Path(self.cfg.results) / "cache" / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -204,7 +204,7 @@ class CellRun(SetupObserver):
             return None
 
     def _fingerprint(self) -> str:
-        """Fingerprint of the scene's files, and of those that its prior is read from."""
+        """Return the fingerprint of the scene's files, and of those that its prior is read from."""
         scene, needs_prior = self._outline.scene, self.method.needs_prior
         files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
         return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
@@ -245,7 +245,7 @@ class CellRun(SetupObserver):
         return self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
 
     def _open_checkpoint(self) -> Checkpoint:
-        """Checkpoint of this cell; with overwrite=always a stored one is removed."""
+        """Return the checkpoint of this cell; with overwrite=always a stored one is removed."""
         made_with = {
             "settings, data or code": self.record.key,
             "backend": self.record.backend,
@@ -257,7 +257,7 @@ class CellRun(SetupObserver):
         return checkpoint
 
     def _log_listener(self, after: int) -> Callable[[LogLine], None]:
-        """Callback for training log lines, from the iteration after `after` on."""
+        """Return the callback for training log lines, from the iteration after `after` on."""
         if self.cfg.log.writer is None:
             return self.progress.line
         place = self.folder.relative_to(self.experiment / "cells")

@@ -42,7 +42,7 @@ class SetupObserver:
     """Receives the progress and the facts of a set-up; this one ignores them."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Context of a stage: images, camera, prior, init or compile."""
+        """Enter a stage: images, camera, prior, init or compile."""
         return nullcontext()
 
     def count(self, done: int, total: int) -> None:
@@ -107,7 +107,7 @@ def set_up(
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
-    """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
+    """Return the configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
     read = loader
     while "inner" in read:  # of a data set that another one reads
@@ -132,7 +132,7 @@ def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
 
 
 def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
-    """Views whose RGB image is read.
+    """Return views whose RGB image is read.
 
     A method that trains on RGB needs that of every training view, and scores those of the test views that have one.
     For other methods the skip `rgb` leaves all out; without it, those of the training views are read.
@@ -147,7 +147,7 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
 def _estimate_priors(
     cfg: DictConfig, scene: Scene, skips: Skips, cache: Path | None, observer: SetupObserver
 ) -> dict[str, DepthPrior]:
-    """Depth priors of the training views by name, from the cache where it has them."""
+    """Return the depth priors of the training views by name, from the cache where it has them."""
     with observer.stage("prior"):
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
@@ -160,7 +160,7 @@ def _estimate_priors(
 
 
 def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
-    """The prior, unknown at masked pixels: it was made from an image that says nothing there.
+    """Return the prior, unknown at masked pixels: it was made from an image that says nothing there.
 
     Raises PriorError if it is known nowhere else.
     """

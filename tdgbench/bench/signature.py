@@ -38,7 +38,7 @@ class Problem(NamedTuple):
     value: Any = None  # shown unless it is None, a list or a dictionary
 
     def __str__(self) -> str:
-        """`data.width=0: must be at least 1`."""
+        """Return `data.width=0: must be at least 1`."""
         shown = "" if self.value is None or isinstance(self.value, dict | list) else f"={as_typed(self.value)}"
         return f"{self.option}{shown}: {self.what}"
 
@@ -50,7 +50,7 @@ def signature_problems(
     elsewhere: Collection[str] = (),
     partial: bool = False,
 ) -> list[Problem]:
-    r"""Problems of the options that a class or function is called with.
+    r"""Return problems of the options that a class or function is called with.
 
     options: by parameter. name: of the options as a whole. elsewhere: parameters whose values are checked elsewhere.
     partial: parameters may be missing.
@@ -78,7 +78,7 @@ def signature_problems(
 
 
 def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
-    """Problems of a value that should be of an annotated type.
+    """Return problems of a value that should be of an annotated type.
 
     >>> [str(problem) for problem in type_problems(int, 2.5, "seed")]
     ['seed=2.5: must be a whole number']
@@ -93,12 +93,12 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
 
 
 def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
-    """Problems that pydantic found in the options below `name`."""
+    """Return problems that pydantic found in the options below `name`."""
     return [_problem(one, name) for one in error.errors(include_url=False)]
 
 
 def not_finite(value: Any, name: str) -> Iterator[Problem]:
-    """Infinite numbers and NaN in a value, its lists and dictionaries included."""
+    """Yield infinite numbers and NaN in a value, its lists and dictionaries included."""
     if isinstance(value, float) and not math.isfinite(value):
         yield Problem(name, "must be finite", value)
     for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
@@ -106,7 +106,7 @@ def not_finite(value: Any, name: str) -> Iterator[Problem]:
 
 
 def as_typed(value: Any) -> str:
-    """A value as on the command line.
+    """Return a value as on the command line.
 
     >>> as_typed(None), as_typed(True), as_typed("a b"), as_typed("")
     ('null', 'true', 'a b', "''")
@@ -118,7 +118,7 @@ def as_typed(value: Any) -> str:
 
 @cache
 def _hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Annotations of a signature; none where they name what is imported for type checkers only."""
+    """Return annotations of a signature; none where they name what is imported for type checkers only."""
     try:
         return get_type_hints(target.__init__ if isinstance(target, type) else target, include_extras=True)  # type: ignore[misc]
     except NameError:
@@ -131,7 +131,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 
 
 def _is_plain(hint: Any) -> bool:
-    """Whether a type is made of what YAML has."""
+    """Return whether a type is made of what YAML has."""
     if hint in SCALARS or (isinstance(hint, type) and issubclass(hint, BaseModel)):
         return True
     origin = get_origin(hint)
@@ -141,7 +141,7 @@ def _is_plain(hint: Any) -> bool:
 
 
 def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
-    """The problem of a value in the place of options that a `_target_` makes."""
+    """Yield the problem of a value in the place of options that a `_target_` makes."""
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     if value is not None and all(kind is types.NoneType or is_dataclass(kind) for kind in kinds):
         choices = "options with a _target_, or null" if types.NoneType in kinds else "options with a _target_"
@@ -196,7 +196,7 @@ NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options
 
 
 def option_meant(option: str) -> str:
-    """`; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
+    """Return `; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
 
     An option of other choices than the configured one comes with these.
 
@@ -217,7 +217,7 @@ def option_meant(option: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """`; did you mean …?` with the known words that are spelled alike; empty if there is none.
+    """Return `; did you mean …?` with the known words that are spelled alike; empty if there is none.
 
     >>> meant("tgd", ["tdg", "msmg"])
     '; did you mean tdg?'
@@ -227,7 +227,7 @@ def meant(word: str, known: Iterable[str]) -> str:
 
 
 def choices(group: str) -> list[str]:
-    """Built-in choices of a group of options.
+    """Return built-in choices of a group of options.
 
     >>> choices("metrics")
     ['3dgs', 'standard']
@@ -237,7 +237,7 @@ def choices(group: str) -> list[str]:
 
 @cache
 def option_names() -> dict[str, list[str]]:
-    """Dotted names of all options in conf/, with the choices that have them; none for options that are always there."""
+    """Return dotted names of all options in conf/, with the choices that have them (none: always there)."""
     folder, names = conf_folder(), dict[str, list[str]]()
     for path in sorted(folder.rglob("*.yaml")):
         groups = path.relative_to(folder).parts[:-1]

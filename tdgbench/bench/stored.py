@@ -14,7 +14,7 @@ from tdgbench.files import put_in_place, whole_folder
 
 
 def readable_record(folder: Path) -> Record | None:
-    """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
+    """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
         return read_record(folder, complete=True)
     except (ValueError, OSError, RecursionError):
@@ -58,7 +58,7 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
 
 
 def kept(experiment: Path) -> str:
-    """What an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
+    """Return what an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
     records = [readable_record(path.parent) for path in record_files(experiment)]
     finished = sum(record is not None and record.status == "ok" for record in records)
     cells = f"{finished} finished {'cell' if finished == 1 else 'cells'}"

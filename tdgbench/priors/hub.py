@@ -15,7 +15,7 @@ LONGEST_REASON = 300  # characters of a library's message
 
 @contextmanager
 def importing(prior: str) -> Iterator[None]:
-    """Context that imports libraries: what fails in it becomes PriorUnavailableError."""
+    """Import libraries: what fails in this context becomes PriorUnavailableError."""
     try:
         yield
     except MemoryError:
@@ -27,7 +27,7 @@ def importing(prior: str) -> Iterator[None]:
 
 @contextmanager
 def loading(prior: str, model: str) -> Iterator[None]:
-    """Context that gets a model: what fails in it becomes PriorUnavailableError."""
+    """Get a model: what fails in this context becomes PriorUnavailableError."""
     try:
         yield
     except MemoryError:
@@ -39,7 +39,7 @@ def loading(prior: str, model: str) -> Iterator[None]:
 
 
 def chosen_device(name: str) -> torch.device:
-    """The device of a name; `auto` is the GPU, where there is one."""
+    """Return the device of a name; `auto` is the GPU, where there is one."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(name)

@@ -69,7 +69,7 @@ class DepthPrior:
         return self
 
     def resized(self, width: int, height: int) -> DepthPrior:
-        """The map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
+        """Return the map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
 
         >>> values = np.array([[1.0, 3.0, np.nan, np.nan, np.nan, 4.0]], np.float32)
         >>> DepthPrior(values, "depth").resized(3, 1).values.tolist()
@@ -88,13 +88,13 @@ class DepthEstimator(Protocol):
     """D = f(I_thermal): TDg, eq. 2."""
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        """Everything the maps depend on besides the images, for the cache key and the record.
+        """Return everything the maps depend on besides the images, for the cache key and the record.
 
         `files`: hash of the files that the estimator reads, if any.
         """
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
-        """Prior of a training view. Raises PriorError."""
+        """Return the prior of a training view. Raises PriorError."""
 
 
 @runtime_checkable

@@ -70,19 +70,19 @@ Reader = Callable[[Path], Temperatures]
 
 
 def array_reader(radiometry: Radiometry | None) -> Reader:
-    """Reader of .npy files: °C, or counts where temperature.json says what they mean."""
+    """Return a reader of .npy files: °C, or counts where temperature.json says what they mean."""
     return partial(_read_array, radiometry=radiometry)
 
 
 def file_reader(radiometry: Radiometry | None) -> Reader:
-    """Reader of cameras' radiometric files."""
+    """Return a reader of cameras' radiometric files."""
     if radiometry is None:
         return _read_file
     return partial(_read_file, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
 
 
 def read_counts(path: Path) -> Temperatures:
-    """Reader of 16-bit images of raw counts."""
+    """Read a 16-bit image of raw counts."""
     return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
 
 
@@ -119,7 +119,7 @@ def measured_images(
     given: TemperatureRange | None,
     unit: Unit = CELSIUS,
 ) -> ThermalImages:
-    """Images of one channel, or of three equal ones. Raises SceneError.
+    """Read images of one channel, or of three equal ones. Raises SceneError.
 
     train: views whose values give the range, unless it is given.
     """
@@ -169,12 +169,12 @@ def _make(source: ImageSource, scaling: _Scaling) -> Measured:
 
 
 def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
-    """Pixels (H, W) bool that were not measured."""
+    """Return pixels (H, W) bool that were not measured."""
     return impossible(one.values) if one.is_masked else fillers.mask(one.values, one.block)
 
 
 def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> Measured:
-    """Values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
+    """Return values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
     hidden = read_hidden(source, values[..., None])
     return Measured(*resample(values[..., None], invalid if hidden is None else invalid | hidden, source))
 
@@ -193,12 +193,12 @@ def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, ImageSourc
 
 
 def _valid_values(measured: Measured) -> np.ndarray:
-    """Values (N,) of the valid pixels."""
+    """Return values (N,) of the valid pixels."""
     return measured.image.ravel() if measured.valid is None else measured.image[measured.valid].ravel()
 
 
 def _scaled(measured: Measured, scaling: _Scaling) -> Measured:
-    """The image in [0, 1], in place of the values."""
+    """Return the image in [0, 1], in place of the values."""
     valid, dtype, span = measured.valid, scaling.dtype, scaling.range
     image = measured.image.astype(dtype, copy=False)
     image -= dtype(span.min)
@@ -211,7 +211,7 @@ def _scaled(measured: Measured, scaling: _Scaling) -> Measured:
 
 
 def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool, unit: Unit) -> list[str]:
-    """Note on masked pixels. filled: their share of each view. are_known: whether a reader has masked fillers."""
+    """Return a note on masked pixels. filled: their share of each view. are_known: whether a reader has masked them."""
     if fillers.values:
         values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
         what = f"as not measured or filled with {values} {unit.name} (data.fillers=[] keeps them)"

@@ -18,13 +18,13 @@ class Dataset(Protocol):
     """Source of scenes. A name of None means the only scene, where there is one."""
 
     def names(self) -> list[str]:
-        """Names of all scenes."""
+        """Return names of all scenes."""
 
     def missing(self, names: list[str]) -> list[str]:
-        """The given names whose scenes are not on disk."""
+        """Return the given names whose scenes are not on disk."""
 
     def explain_missing(self, names: list[str]) -> str:
-        """One message for all missing scenes: names, expected folders, publisher."""
+        """Return one message for all missing scenes: names, expected folders, publisher."""
 
     def describe(self, name: str | None) -> Description:
         """Describe a scene without reading it. Raises SceneError for an unknown name."""
@@ -38,11 +38,11 @@ class Outlines(Protocol):
     """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster."""
 
     def outline(self, name: str | None) -> Outline:
-        """The scene that `load` reads. Raises MissingScenesError or SceneError."""
+        """Return the scene that `load` reads. Raises MissingScenesError or SceneError."""
 
 
 def outline_of(dataset: Dataset, name: str | None) -> Outline:
-    """Outline of a scene; of data sets without outlines, the scene itself. Raises MissingScenesError or SceneError."""
+    """Return the outline of a scene, else the scene itself. Raises MissingScenesError or SceneError."""
     if isinstance(dataset, Outlines):
         return dataset.outline(name)
     scene = dataset.load(name)
@@ -113,7 +113,7 @@ class RegisteredDataset:
         return scene
 
     def _is_there(self, name: str) -> bool:
-        """Whether a scene can be loaded, or loading says why not."""
+        """Return whether a scene can be loaded, or loading says why not."""
         try:
             return self._find(name) is not None
         except SceneError:
@@ -182,7 +182,7 @@ class FolderDataset:
         return outline_scene(folder, description, self.options, self.layout)
 
     def _root(self) -> Path:
-        """The scene, or the folder of scenes."""
+        """Return the scene, or the folder of scenes."""
         if self.layout is not None and is_folder(utf8_name(self.root) / self.layout.title):
             return self.root / self.layout.title
         return utf8_name(self.root)
@@ -191,7 +191,7 @@ class FolderDataset:
         return detect(folder) is not None if self.layout is None else self.layout.fits(folder)
 
     def _can_be_scene(self, folder: Path) -> bool:
-        """Whether a folder is a scene. One that may not be read is none, so that the others are found."""
+        """Return whether a folder is a scene. One that may not be read is none, so that the others are found."""
         try:
             return self._is_scene(folder)
         except SceneError:

@@ -57,7 +57,7 @@ class Kept:
         return self._make().image if image is None else image
 
     def valid(self) -> np.ndarray:
-        """Of a view that is masked."""
+        """Return the mask (H, W) bool of a view that is masked."""
         valid, self._valid = self._valid, None
         valid = self._make().valid if valid is None else valid
         if valid is None:
@@ -76,7 +76,7 @@ class ThermalImages:
     counts: tuple[int, int] | None = None
 
     def load(self, name: str) -> np.ndarray:
-        """Image (H, W, channels) float32 in [0, 1] of a view."""
+        """Return the image (H, W, channels) float32 in [0, 1] of a view."""
         image = self.kept[name].image()
         if self.channels == 1 and image.shape[2] == 3:
             image = image[..., :1] if is_gray(image) else image.mean(axis=2, keepdims=True)
@@ -86,7 +86,7 @@ class ThermalImages:
 
 
 def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
-    """Images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
+    """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
     kept = {}
     for name, source in sources.items():
         make = partial(_read_shown, source, radiometry)
@@ -96,7 +96,7 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
 
 
 def decide_channels(wanted: int | str, are_gray: bool) -> int:
-    """Number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
+    """Return the number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
     if wanted not in ("auto", 1, 3):
         raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
     return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
@@ -113,7 +113,7 @@ def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> Measured:
 
 
 def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
-    """Pixels (H, W) bool of an image (H, W, C) that the view's mask hides; None without a mask. Raises SceneError.
+    """Read the pixels (H, W) bool of an image (H, W, C) that the view's mask hides, or None. Raises SceneError.
 
     A mask hides where all its channels are 0. One of another size is resized; a pixel that is partly hidden is hidden.
     """

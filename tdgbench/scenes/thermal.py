@@ -56,7 +56,7 @@ def thermal_images(
 def _of_images(
     sources: Mapping[str, ImageSource], train: list[str], options: ReadOptions, radiometry: Radiometry | None
 ) -> ThermalImages:  # fmt: skip
-    """Thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
+    """Read thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
     stored: dict[str, list[str]] = {}
     for name, source in sources.items():
         stored.setdefault(storage(source.path), []).append(name)
@@ -84,7 +84,7 @@ def _of_pictures(
     radiometry: Radiometry | None,
     published: TemperatureRange | None,
 ) -> ThermalImages:
-    """Thermal images of gray images of temperatures; views that are not in `pictures` have arrays."""
+    """Read thermal images from gray images of temperatures; views that are not in `pictures` have arrays."""
     notes = []
     if radiometry is None:
         if published is None:

@@ -66,7 +66,7 @@ class WarpedPictures:
         return Temperatures(degC, filler is not None, block, ends=True)
 
     def _gray(self, path: Path) -> np.ndarray:
-        """Image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
+        """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
         image = read_image(path, self.radiometry)
         if np.ptp(image, axis=2).max() > MOST_COLOR:
             raise SceneError(
@@ -77,7 +77,7 @@ class WarpedPictures:
 
 
 def is_picture(path: Path) -> bool:
-    """Whether a file is an image of temperatures, not an array.
+    """Return whether a file is an image of temperatures, not an array.
 
     >>> is_picture(Path("1.JPG")), is_picture(Path("1.npy"))
     (True, False)
@@ -86,7 +86,7 @@ def is_picture(path: Path) -> bool:
 
 
 def filler_below(image: np.ndarray, lowest: float, block: int) -> np.ndarray:
-    """Pixels (H, W) bool of an image (H, W) that are a warp's filler, or spoiled by it.
+    """Return pixels (H, W) bool of an image (H, W) that are a warp's filler, or spoiled by it.
 
     lowest: of the image before the warp. block: side of the blocks in which a filler spoils its neighbours, px.
     """

@@ -64,7 +64,7 @@ def build_tables(experiment: Path) -> Tables:
 
 
 def _main(results: Results, experiment: Path) -> Tables:
-    """The main table and what goes with it; with table=readings, those of the readings as well."""
+    """Build the main table and what goes with it; with table=readings, those of the readings as well."""
     records, plan = results.records, results.plan
     bold = with_bold(with_averages(scene_rows(records, plan)))
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
@@ -117,7 +117,7 @@ def _write(tables: Tables) -> None:
 
 
 def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """One row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
+    """Return one row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
 
     >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
     >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
@@ -133,7 +133,7 @@ def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> 
 
 
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The differences with our std and number of seeds, the fields of each ScoreVerdict, and other papers' numbers."""
+    """Return the differences with our std and seeds, the fields of each ScoreVerdict, and other papers' numbers."""
     merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
     judged = [
@@ -148,7 +148,7 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
-    """method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
+    """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
 
     The best init is bold. points: origin of the first points. Scores of training views show overfitting; scores of the
     RGB model show what random points do to it.
@@ -171,7 +171,7 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
 
 
 def ablation_as_published(inits: Iterable[str]) -> pd.DataFrame:
-    """Table 2 with its row of random points repeated for each kind of them: the paper does not name its kind."""
+    """Return Table 2 with its row of random points repeated for each kind of them: the paper does not name its kind."""
     published = published_ablation()
     kinds = [init for init in inits if init.startswith("random")]
     random = published[published["init"] == "random"]

@@ -32,7 +32,7 @@ class PublishedSource:
 
 
 def published_main() -> pd.DataFrame:
-    """Table 1: method, dataset, group, scene, metric, value, bold; averages are rows whose scene contains `Average`."""
+    """Read Table 1: method, dataset, group, scene, metric, value, bold. Scenes of averages contain `Average`."""
     table = pd.read_csv(FOLDER / "table1.csv", keep_default_na=False)
     table["value"] = table["value"].astype(float)
     table["bold"] = table["bold"].astype(str).str.lower() == "true"
@@ -40,18 +40,18 @@ def published_main() -> pd.DataFrame:
 
 
 def published_ablation() -> pd.DataFrame:
-    """Table 2: method, init, metric, value; means over the 14 scenes."""
+    """Read Table 2: method, init, metric, value; means over the 14 scenes."""
     return pd.read_csv(FOLDER / "table2.csv")
 
 
 def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSource]:
-    """The sources of the numbers, by their name in the CSV files."""
+    """Load the sources of the numbers, by their name in the CSV files."""
     found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     return {name: PublishedSource(**entry) for name, entry in found.items()}
 
 
 def published_elsewhere() -> pd.DataFrame:
-    """Numbers of other papers for the same scenes.
+    """Read numbers of other papers for the same scenes.
 
     Columns: source, method, dataset, group, scene, metric, value, half_unit (of the last printed digit), printed_as.
     method is our name where sources.yaml has one, else the printed name (printed_as).
@@ -74,7 +74,7 @@ def published_elsewhere() -> pd.DataFrame:
 
 
 def printed_half_unit(printed: str) -> float:
-    """Half a unit of the last digit of a printed number: how far it may be from the number itself.
+    """Return the half a unit of the last digit of a printed number: how far it may be from the number itself.
 
     >>> printed_half_unit("27.42")
     0.005

@@ -104,7 +104,7 @@ def _say(console: Console, text: str, soft_wrap: bool = True) -> None:
 
 
 def _name(name: object) -> Text:
-    """A name in a table: no markup, one line."""
+    """Return a name in a table: no markup, one line."""
     return Text(one_line(str(name)))
 
 
@@ -143,7 +143,7 @@ def _show_ablation(tables: Tables, console: Console) -> None:
 
 
 def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Console) -> None:
-    """Averages by method and length, then the change that each difference makes, with its 95 % interval over seeds.
+    """Print averages by method and length, then the change of each difference, with its 95 % interval over seeds.
 
     Single scenes are in readings.csv and effects.csv.
     """

@@ -29,7 +29,7 @@ class ThermalCameraErrors(NamedTuple):
 
 
 def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
-    """The true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
+    """Return the true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
     true, index = truth.camera, truth.index(list(views))
     gains = true.gains[index]
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()

@@ -58,7 +58,7 @@ class ThermalCamera:
     notes: tuple[str, ...] = ()
 
     def of_view(self, name: str) -> tuple[float, float]:
-        """Offset and gain of a view; the gain of a view that is no training view is 1. Raises KeyError."""
+        """Return the offset and gain of a view; the gain of a view that is no training view is 1. Raises KeyError."""
         if name in self.expected:
             return self.expected[name], 1.0
         if name not in self.views:
@@ -72,18 +72,18 @@ class ThermalCamera:
         return "" if self.unit == "image" else f" {self.unit}"
 
     def map(self, width: int, height: int) -> np.ndarray:
-        """Vignette (height, width) of an image."""
+        """Return the vignette (height, width) of an image."""
         return evaluate(self.vignette, width, height)
 
     def pattern(self, width: int, height: int) -> np.ndarray:
-        """Fixed pattern (height, width) of an image; 0 where there is none.
+        """Return fixed pattern (height, width) of an image; 0 where there is none.
 
         Raises ValueError for an image of another size than those that it was estimated from.
         """
         return line_map(self.columns, self.rows, width, height)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """What the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
         return self.map(width, height) + self.pattern(width, height)
 
     @property
@@ -109,7 +109,7 @@ class Unknown:
 
 
 def in_gauge(response: ViewResponses) -> ViewResponses:
-    """The same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
+    """Return the same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
 
     >>> in_gauge(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])

@@ -18,7 +18,7 @@ LEAST = 1e-9  # variance of a direction, in those of the prior
 
 
 def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
-    """The fit, each direction shrunk towards an ideal camera by what the jackknife leaves of its evidence."""
+    """Return the fit, each direction shrunk towards an ideal camera by what the jackknife leaves of its evidence."""
     free = terms.free(data)
     if not free.any():
         return found
@@ -56,7 +56,7 @@ def _without(
 
 
 def _temperatures(data: Data, theta: np.ndarray, found: Fit) -> np.ndarray:
-    """Temperatures (P,) that fit the values best, given the other parameters."""
+    """Return temperatures (P,) that fit the values best, given the other parameters."""
     system = System(data, theta, found.temperatures, found.reference, found.weights)
     residuals = data.value - predict(data, theta, found.temperatures, found.reference)
     return found.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))

@@ -17,7 +17,7 @@ FEWEST_LINES = 16  # with values
 def line_map(
     columns: Sequence[float] | np.ndarray | None, rows: Sequence[float] | np.ndarray | None, width: int, height: int
 ) -> np.ndarray:  # fmt: skip
-    """Fixed pattern (height, width) of columns and rows; 0 where there are none.
+    """Return fixed pattern (height, width) of columns and rows; 0 where there are none.
 
     Raises ValueError for an image of another size than those that it was estimated from.
     """
@@ -31,7 +31,7 @@ def line_map(
 
 
 def line_pattern(residuals: np.ndarray, weights: np.ndarray, line: np.ndarray, lines: int) -> np.ndarray | None:
-    """Pattern (lines,) of mean 0, or None if it cannot be told from noise.
+    """Return pattern (lines,) of mean 0, or None if it cannot be told from noise.
 
     residuals, weights: (S,), weights being inverse variances, 0 of outliers. line: (S,) column or row of each.
     """

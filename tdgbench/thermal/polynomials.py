@@ -13,7 +13,7 @@ TERMS = [(i, total - i) for total in range(1, DEGREE + 1) for i in range(total +
 
 
 def legendre_basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values (N, K) of the polynomials at positions (N,) as shares of the image's width and height, in [0, 1].
+    """Return values (N, K) of the polynomials at positions (N,) as shares of the image's width and height, in [0, 1].
 
     >>> legendre_basis(np.array([0.5]), np.array([0.5])).round(2)[0, :5].tolist()
     [0.0, 0.0, -1.12, 0.0, -1.12]
@@ -33,5 +33,5 @@ def evaluate(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def along(share: np.ndarray) -> np.ndarray:
-    """The polynomials (N, DEGREE + 1) in one direction, at shares (N,) of the image's side."""
+    """Return the polynomials (N, DEGREE + 1) in one direction, at shares (N,) of the image's side."""
     return np.asarray(legvander(2 * share - 1, DEGREE) * np.sqrt(2 * np.arange(DEGREE + 1) + 1))

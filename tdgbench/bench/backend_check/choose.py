@@ -55,13 +55,13 @@ class BackendCheck:
 
 
 def training_backend(name: str) -> str:
-    """Name of the backend that trains; `auto` is chosen once in a process, which prints why."""
+    """Return the name of the backend that trains; `auto` is chosen once in a process, which prints why."""
     return auto().backend if name == "auto" else name
 
 
 @cache
 def auto() -> AutoBackend:
-    """What `auto` stands for in this process."""
+    """Return what `auto` stands for in this process."""
     choice = choose(check)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
@@ -69,7 +69,7 @@ def auto() -> AutoBackend:
 
 
 def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
-    """The backend to train with. run: checks a backend on the current GPU.
+    """Return the backend to train with. run: checks a backend on the current GPU.
 
     Without a GPU it is the CPU's, with nothing to say. Where GPUs differ, every model has to pass.
     """
@@ -110,7 +110,7 @@ def check(backend: str) -> BackendCheck:
 
 
 def scenes() -> dict[str, Callable[[], Cloud]]:
-    """The three scenes, by what they are like."""
+    """Return the three scenes, by what they are like."""
     return {"gray, harmonics of degree 3": _gray, "colours, many tiles": _colors, "hidden, faint and opaque": _extremes}
 
 
@@ -133,7 +133,7 @@ def _compare(name: str, scene: Cloud, backend: str, worst: dict[str, float]) -> 
 
 
 def _spread(first: Rendered, other: Rendered) -> float:
-    """Largest difference of two results of one scene: of a pixel, or of a gradient relative to its norm; 0: equal."""
+    """Return the largest difference of two results of one scene: of a pixel, or of a gradient relative to its norm."""
     parts = [(first.image - other.image).abs().max()]
     for name in COMPARED:
         gradient = first.gradients[name]
@@ -142,17 +142,17 @@ def _spread(first: Rendered, other: Rendered) -> float:
 
 
 def _gray() -> Cloud:
-    """Thermal values as most trainings hold them."""
+    """Return thermal values as most trainings hold them."""
     return cloud(100, seed=1, width=53, height=37, degree=3)
 
 
 def _colors() -> Cloud:
-    """More Gaussians in more tiles, so that sums over tiles have an order to lose."""
+    """Return more Gaussians in more tiles, so that sums over tiles have an order to lose."""
     return cloud(200, seed=2, width=72, height=56, channels=3)
 
 
 def _extremes() -> Cloud:
-    """Gaussians behind the camera and beside its image, below the threshold of alpha, near its cap, thin and large."""
+    """Return Gaussians behind and beside the camera, below the threshold of alpha, near its cap, thin and large."""
     scene = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
     scene.means[:15, 2] *= -1
     scene.means[15:30, 0] += 40.0

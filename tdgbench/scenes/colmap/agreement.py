@@ -13,7 +13,7 @@ NEAR = 0.02  # median error of a good view stays below; COLMAP drops observation
 
 
 def check_agreement(model: ModelTables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
-    """Notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
+    """Return notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
 
     poses: world to camera (3, 4) by image id. cameras: as in the model, with distortion, by camera id.
     """
@@ -22,7 +22,7 @@ def check_agreement(model: ModelTables, poses: dict[int, np.ndarray], cameras: d
 
 
 def _missing_points(model: ModelTables, ids: np.ndarray) -> list[str]:
-    """A note if images show points that the model does not hold (ids (P,), ascending)."""
+    """Return a note if images show points that the model does not hold (ids (P,), ascending)."""
     shown = np.concatenate([image.point_ids for image in model.images.values()])
     shown = shown[shown != NO_POINT]
     if not len(ids) or not len(shown):
@@ -45,7 +45,7 @@ def _reprojection(
     poses: dict[int, np.ndarray],
     cameras: dict[int, pycolmap.Camera],
 ) -> list[str]:
-    """Notes on views whose points do not project to where they are shown. Raises DamagedModelError."""
+    """Return notes on views whose points do not project to where they are shown. Raises DamagedModelError."""
     errors = {}
     for image_id, image in model.images.items():
         pixels, xyz = _observations(image, *points)
@@ -75,13 +75,13 @@ def _reprojection(
 
 
 def _all_points(model: ModelTables) -> tuple[np.ndarray, np.ndarray]:
-    """Ids (P,), ascending, and positions (P, 3)."""
+    """Return ids (P,), ascending, and positions (P, 3)."""
     order = np.argsort(model.points.ids)
     return model.points.ids[order], model.points.xyz[order]
 
 
 def _observations(image: ImageEntry, ids: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The compared 2-D points (N, 2) of an image whose 3-D points the model holds, and these (N, 3)."""
+    """Return the compared 2-D points (N, 2) of an image whose 3-D points the model holds, and these (N, 3)."""
     wanted = image.point_ids[image.compared]
     rows = np.minimum(np.searchsorted(ids, wanted), max(len(ids) - 1, 0))
     known = ids[rows] == wanted if len(ids) else np.zeros(len(wanted), bool)
@@ -89,7 +89,7 @@ def _observations(image: ImageEntry, ids: np.ndarray, xyz: np.ndarray) -> tuple[
 
 
 def _median_error(pixels: np.ndarray, xyz: np.ndarray, pose: np.ndarray, camera: pycolmap.Camera) -> float:
-    """Median distance between projections and 2-D points, × diagonal; infinite if most points lie behind."""
+    """Return the median distance between projections and 2-D points, × diagonal; infinite if most points lie behind."""
     local = xyz @ pose[:, :3].T + pose[:, 3]
     front = local[:, 2] > 0
     if front.mean() < 0.5:

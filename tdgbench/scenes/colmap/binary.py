@@ -62,7 +62,7 @@ class _Cursor:
         return values
 
     def count(self, form: Struct, what: str, smallest: int) -> int:
-        """A number of items of at least `smallest` bytes each, which the rest of the file has room for."""
+        """Read a number of items of at least `smallest` bytes each, which the rest of the file has room for."""
         (count,) = self.take(form)
         if count * smallest > len(self.data) - self.at:
             raise self.damaged(
@@ -101,7 +101,7 @@ class _Cursor:
 
 
 def read_cameras(path: Path) -> list[CameraEntry]:
-    """Rows of cameras.bin. Raises SceneError."""
+    """Read the rows of cameras.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("camera", CAMERA.size):
         camera_id, model, width, height = file.take(CAMERA)
@@ -113,7 +113,7 @@ def read_cameras(path: Path) -> list[CameraEntry]:
 
 
 def read_images(path: Path) -> list[ImageEntry]:
-    """Rows of images.bin. Raises SceneError."""
+    """Read the rows of images.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("image", IMAGE.size + 1 + COUNT.size):
         image_id, *pose, camera_id = file.take(IMAGE)
@@ -130,7 +130,7 @@ def read_images(path: Path) -> list[ImageEntry]:
 
 
 def read_points(path: Path) -> Points:
-    """Rows of points3D.bin. Raises SceneError."""
+    """Read the rows of points3D.bin. Raises SceneError."""
     file = _Cursor(path)
     count = file.count(COUNT, "points", POINT.itemsize)
     starts = _starts_of_points(file, count)
@@ -147,7 +147,7 @@ def read_points(path: Path) -> Points:
 
 
 def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
-    """First byte (P,) of each point; the cursor ends behind the last."""
+    """Return first byte (P,) of each point; the cursor ends behind the last."""
     data, size, to_length = file.data, len(file.data), POINT.fields["track"][1]  # type: ignore[index]
     starts, at, track_size = [], file.at, TRACK.itemsize
     length_at = COUNT.unpack_from
@@ -166,7 +166,7 @@ def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
 
 
 def read_rigs(path: Path) -> list[RigEntry]:
-    """Rows of rigs.bin. Raises SceneError."""
+    """Read the rows of rigs.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("rig", 2 * UINT.size):
         (rig_id,) = file.take(UINT)
@@ -184,7 +184,7 @@ def read_rigs(path: Path) -> list[RigEntry]:
 
 
 def read_frames(path: Path) -> list[FrameEntry]:
-    """Rows of frames.bin. Raises SceneError."""
+    """Read the rows of frames.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("frame", FRAME.size + UINT.size):
         frame_id, rig_id, *pose = file.take(FRAME)

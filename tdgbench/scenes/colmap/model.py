@@ -69,7 +69,7 @@ def read_model(folder: Path) -> ReadModel:
 
 
 def _cloud(points: Points) -> PointCloud | None:
-    """Points in the order of their ids, or None if there are none."""
+    """Return points in the order of their ids, or None if there are none."""
     if not len(points.ids):
         return None
     order = np.argsort(points.ids)
@@ -104,7 +104,7 @@ def read_tables(folder: Path) -> ModelTables:
 
 
 def _missing(folder: Path) -> str:
-    """Which files the most complete format lacks."""
+    """Return which files the most complete format lacks."""
     lacking = {s: [name + s for name in NEEDED if not is_there(folder / (name + s))] for s in FORMATS}
     names = min(lacking.values(), key=len)
     return f"it has no {', '.join(names)}"

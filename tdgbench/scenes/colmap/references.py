@@ -66,7 +66,7 @@ def _check_tracks(model: ModelTables) -> None:
 
 
 def camera_poses(model: ModelTables) -> dict[int, np.ndarray]:
-    """World to camera (3, 4) by image id. Raises DamagedModelError for references to nothing and damaged numbers."""
+    """Return world to camera (3, 4) by image id. Raises DamagedModelError for references to nothing or damage."""
     for image in model.images.values():
         _check_pose(model, "images", f"image {image.name!r}", image.pose)
         if image.camera_id not in model.cameras:
@@ -150,7 +150,7 @@ def _check_pose(model: ModelTables, file: str, what: str, pose: PoseEntry) -> No
 
 
 def _rigid(pose: PoseEntry) -> pycolmap.Rigid3d:
-    """A pose whose rotation is one: pycolmap takes a quaternion of another length as it is."""
+    """Return a pose whose rotation is one: pycolmap takes a quaternion of another length as it is."""
     w, x, y, z = pose.quaternion
     quaternion, norm = np.array([x, y, z, w]), math.hypot(*pose.quaternion)
     if abs(norm - 1) > ROUNDING:

@@ -108,12 +108,12 @@ class ModelTables:
     frames: dict[int, FrameEntry] = field(default_factory=dict)
 
     def file(self, name: str) -> Path:
-        """Path of `cameras`, `images`, `points3D`, `rigs` or `frames`."""
+        """Return the path of `cameras`, `images`, `points3D`, `rigs` or `frames`."""
         return self.folder / (name + self.suffix)
 
 
 def to_compare(point_ids: np.ndarray) -> np.ndarray:
-    """Indices of at most MOST_COMPARED 2-D points with a 3-D point, evenly spaced.
+    """Return indices of at most MOST_COMPARED 2-D points with a 3-D point, evenly spaced.
 
     >>> to_compare(np.array([7, NO_POINT, 8], np.uint64))
     array([0, 2])
@@ -124,7 +124,7 @@ def to_compare(point_ids: np.ndarray) -> np.ndarray:
 
 @cache
 def camera_models() -> dict[int, tuple[str, int]]:
-    """Name and number of parameters of COLMAP's camera models, by model id.
+    """Return the name and number of parameters of COLMAP's camera models, by model id.
 
     >>> camera_models()[1]
     ('PINHOLE', 4)
@@ -138,7 +138,7 @@ def camera_models() -> dict[int, tuple[str, int]]:
 
 
 def by_id(path: Path, rows: list, what: str) -> dict:
-    """The rows by id. Raises DamagedModelError if two have the same."""
+    """Return the rows by id. Raises DamagedModelError if two have the same."""
     found = {row.id: row for row in rows}
     if len(found) < len(rows):
         seen: set[int] = set()

@@ -13,5 +13,5 @@ __all__ = ["LAYOUTS", "Layout", "SceneFiles", "detect"]
 
 
 def detect(folder: Path) -> Layout | None:
-    """The layout of a folder; None if it has none. Raises SceneError if that cannot be told."""
+    """Return the layout of a folder; None if it has none. Raises SceneError if that cannot be told."""
     return next((layout for layout in LAYOUTS.values() if layout.fits(folder)), None)

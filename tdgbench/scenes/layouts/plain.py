@@ -24,7 +24,7 @@ MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 
 
 def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
-    """What is in a scene. images, rgb: names of the folders of thermal and RGB images."""
+    """Find what is in a scene. images, rgb: names of the folders of thermal and RGB images."""
     layout = TI_NSD if rgb is None else RGBT_SCENES
     if not is_folder(folder / images):
         raise SceneError(f"{folder} has no {images}/ folder; the layout is {layout.looks}")

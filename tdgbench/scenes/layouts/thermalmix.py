@@ -42,7 +42,7 @@ PUBLISHED = {
 
 
 def published_range(name: str) -> TemperatureRange | None:
-    """°C of black and white in a scene's gray images, by its name or an alias; None of other scenes.
+    """Return °C of black and white in a scene's gray images, by its name or an alias; None of other scenes.
 
     >>> published_range("Hands")
     TemperatureRange(min=22.1, max=33.6)
@@ -87,7 +87,7 @@ def _find(folder: Path) -> SceneFiles:
 
 
 def _rgb_folder(folder: Path) -> Path | None:
-    """The folder of RGB images that the authors' loader takes, at the highest resolution; None if there is none."""
+    """Return the folder of RGB images that the authors' loader takes, at the highest resolution, or None."""
     scales = [int(match[1]) for path in listed(folder) if (match := re.fullmatch(r"images_(\d{1,4})", path.name))]
     smaller = [f"images_{scale}" for scale in sorted(scales)]
     return next((folder / name for name in ("images_1", "rgb", "images", *smaller) if is_folder(folder / name)), None)

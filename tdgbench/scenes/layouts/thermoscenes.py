@@ -27,7 +27,7 @@ TITLE = "ThermoScenes"
 
 
 def _fits(folder: Path) -> bool:
-    """A COLMAP model where RGBT-Scenes has it makes that layout the better one."""
+    """Return whether a folder has this layout and no COLMAP model where RGBT-Scenes has it."""
     return _json_file(folder) is not None and model_folder(folder, ("sparse/0", "sparse")) is None
 
 
@@ -79,7 +79,7 @@ def _image(path: Path, where: str) -> Path:
 
 
 def _shipped(content: Transforms, path: Path) -> dict[str, str]:
-    """`train` or `test` by view name. Lists of names decide, if there are any; `val` is tested where `test` is not."""
+    """Return `train` or `test` by view name. Lists of names decide; `val` is tested where `test` is not."""
     if content.lists:
         test = content.lists.get("test") or content.lists.get("val", [])
         parts: Mapping[str, Any] = {"train": content.lists.get("train", []), "test": test}

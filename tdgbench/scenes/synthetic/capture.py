@@ -59,7 +59,7 @@ class TrueRig:
         return "".join(f"-rig_{name}{_text(getattr(self, name))}" for name in changed)
 
     def camera(self, given: Camera) -> Camera:
-        """The thermal camera beside a given one, without its distortion."""
+        """Return the thermal camera beside a given one, without its distortion."""
         move = np.eye(4)
         move[:3, :3] = Rotation.from_rotvec(self.degrees, degrees=True).as_matrix()
         move[:3, 3] = -move[:3, :3] @ self.offset
@@ -69,7 +69,7 @@ class TrueRig:
         return Camera(K, move @ given.world_to_camera, given.width, given.height)
 
     def undistorted(self, pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
-        """Where image points (N, 2) in px would lie without the distortion. K: of the thermal camera.
+        """Return where image points (N, 2) in px would lie without the distortion. K: of the thermal camera.
 
         Raises SceneError for a distortion that folds the image.
         """
@@ -127,30 +127,30 @@ class CaptureErrors:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
+        """True if the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
         return self.drift_degC > 0 or self.camera != ThermalErrors() or self.rig != TrueRig()
 
     def drifts(self, views: int, seed: int) -> np.ndarray:
-        """Offsets (views,) of the views' temperatures, °C."""
+        """Return offsets (views,) of the views' temperatures, °C."""
         return self.drift_degC * np.random.default_rng([seed, STREAM, 0]).normal(size=views)
 
     def thermal_camera(self, size: tuple[int, int], span: tuple[float, float], views: int, seed: int) -> TrueCamera:
-        """The thermal camera of a capture. size: width, height in px. span: °C of the world."""
+        """Return the thermal camera of a capture. size: width, height in px. span: °C of the world."""
         return self.camera.drawn(size, span, self.drifts(views, seed), [seed, STREAM, 2])
 
     def given(self, cameras: list[Camera], seed: int) -> list[Camera]:
-        """The cameras as the scene's files give them; the true ones if there are no pose errors."""
+        """Return the cameras as the scene's files give them; the true ones if there are no pose errors."""
         if self.pose_degrees == 0 and self.pose_units == 0:
             return cameras
         rng = np.random.default_rng([seed, STREAM, 1])
         return [self.misplaced(camera, rng) for camera in cameras]
 
     def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
-        """The camera, turned and displaced by errors drawn from `rng`."""
+        """Return the camera, turned and displaced by errors drawn from `rng`."""
         return self.moved(camera, np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
 
     def moved(self, camera: Camera, error_sizes: np.ndarray) -> Camera:
-        """The camera, turned and displaced by errors (6,) in standard deviations: of the turn, of the displacement."""
+        """Return the camera with errors (6,) in standard deviations: of the turn, of the displacement."""
         error = np.eye(4)
         error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * error_sizes[:3], degrees=True).as_matrix()
         error[:3, 3] = self.pose_units * error_sizes[3:]

@@ -75,7 +75,7 @@ class SyntheticDataset:
         return outline_scene(folder, description, options, LAYOUTS["rgbt_scenes"])  # every pixel was measured
 
     def folder(self, name: str) -> Path:
-        """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""
+        """Return the folder of a scene, whose name has all parameters and a hash of the generator."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
         shot = self.shot

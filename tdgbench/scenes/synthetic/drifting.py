@@ -59,7 +59,7 @@ class DriftingDataset:
         return Outline(replace(inner.scene, dataset=title, fingerprint=self._fingerprint(inner.scene)), read)
 
     def truth(self, name: str | None) -> CameraTruth:
-        """The true camera of a scene."""
+        """Return the true camera of a scene."""
         return drifting(self.inner.load(name), self.errors, self.seed, self.noise_degC)[1]
 
     def _fingerprint(self, scene: Scene) -> str:
@@ -68,7 +68,7 @@ class DriftingDataset:
 
 
 def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float = 0.0) -> tuple[Scene, CameraTruth]:
-    """The scene as a camera with the given errors shows it, and that camera.
+    """Return the scene as a camera with the given errors shows it, and that camera.
 
     The range grows, so that nothing is clipped, unless the encoding is `range`; with gain control, there is none. The
     given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
@@ -115,7 +115,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
 
 def in_degC(view: View, scene: Scene) -> np.ndarray:
-    """Temperatures (H, W) of a view, °C."""
+    """Return temperatures (H, W) of a view, °C."""
     assert scene.temperature is not None
     low, high = scene.temperature.min, scene.temperature.max
     return low + (high - low) * view.thermal.mean(axis=2, dtype=np.float64)

@@ -115,7 +115,7 @@ class Hills:
     waves: tuple[tuple[float, float, float, float], ...]  # height in m, wave numbers in x and y in 1/m, phase
 
     def height(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """z (N,) at x, y (N,), and its slopes along them."""
+        """Return z (N,) at x, y (N,), and its slopes along them."""
         z, along_x, along_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
         for size, kx, ky, phase in self.waves:
             angle = kx * x + ky * y + phase

@@ -33,7 +33,7 @@ class World:
     degC_per_metre: float = 0.0  # along x, beside what the materials have
 
     def with_gradient(self, degC: float) -> World:
-        """The world warmer by so much at the end of its length than at its start; itself if it has no length."""
+        """Return the world warmer by so much at the end of its length than at its start; itself if it has no length."""
         if not degC or self.length is None:
             return self
         low, high = self.temperatures
@@ -42,7 +42,7 @@ class World:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """World-to-camera matrix (4, 4) of a camera at `eye` (3,) looking at `target` (3,); `up` is up in its image."""
+    """Return world to camera (4, 4) for a camera at `eye` (3,) looking at `target` (3,), with `up` up in its image."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -54,7 +54,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] 
 
 
 def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
+    """Cast rays: colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
     rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
     depth = np.full(len(pixels), np.inf)
@@ -84,7 +84,7 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
 def render_world(
     world: World, camera: Camera, supersampling: int = 2, rig: TrueRig | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres.
+    """Render RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, area-sampled; depth z (H, W) in m at pixel centres.
 
     rig: seen by the thermal camera beside the given one. Raises SceneError for a lens that folds the image.
     """

@@ -32,7 +32,7 @@ RELIEF = 0.15  # of the hills, highest to lowest, × HEIGHT
 
 
 def _lines(center: tuple[float, float, float], along: np.ndarray, across: np.ndarray, facing: np.ndarray):
-    """Cameras on parallel lines, one forth and the next one back, which all face one way.
+    """Return cameras on parallel lines, one forth and the next one back, which all face one way.
 
     center: of the lines. along: from there to the end of a line. across: to the outer lines. facing: to the surface.
     """
@@ -54,7 +54,7 @@ def _lines(center: tuple[float, float, float], along: np.ndarray, across: np.nda
 
 
 def _flight(seed: int, ground: Solid) -> World:
-    """A nadir flight over ground of patches, each with a temperature and a texture of its own."""
+    """Return a nadir flight over ground of patches, each with a temperature and a texture of its own."""
     rng = np.random.default_rng([seed, 7])
     columns, rows = np.meshgrid(np.arange(-5, 6), np.arange(-4, 5))
     sites = 5.5 * (np.stack([columns.ravel(), rows.ravel()], axis=1) + rng.uniform(-0.4, 0.4, (columns.size, 2)))

@@ -26,7 +26,7 @@ class CameraTruth:
     camera: TrueCamera
 
     def index(self, names: list[str]) -> np.ndarray:
-        """Positions (N,) of views among the camera's."""
+        """Return positions (N,) of views among the camera's."""
         place = {name: number for number, name in enumerate(self.names)}
         return np.array([place[name] for name in names])
 
@@ -47,7 +47,7 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
 
 
 def read_truth(scene: Path) -> CameraTruth:
-    """The true camera of a made scene. Raises SceneError for a scene without one, or with damaged files.
+    """Read the true camera of a synthetic scene. Raises SceneError for a scene without one, or with damaged files.
 
     scene: its folder.
     """
@@ -78,7 +78,7 @@ def write_rig(scene: Path, rig: TrueRig) -> None:
 
 
 def read_rig(scene: Path) -> TrueRig:
-    """The true rig of a made scene. Raises SceneError for a scene without one, or with a damaged file.
+    """Read the true rig of a synthetic scene. Raises SceneError for a scene without one, or with a damaged file.
 
     scene: its folder.
     """

@@ -23,7 +23,7 @@ PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
 
 
 def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):
-    """Cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
+    """Return cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
 
     def cameras(count: int, rng: np.random.Generator):
         whole = arc >= 2 * np.pi
@@ -40,7 +40,7 @@ def _ring(radius: float, height: float, target: tuple[float, float, float], arc:
 
 
 def _grid(distance: float, half_width: float, half_height: float, height: float):
-    """Cameras on a wavy grid in front of a wall at y = 0, looking along +y."""
+    """Return cameras on a wavy grid in front of a wall at y = 0, looking along +y."""
 
     def cameras(count: int, rng: np.random.Generator):
         columns = int(np.ceil(np.sqrt(count * half_width / half_height)))

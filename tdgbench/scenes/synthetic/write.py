@@ -42,7 +42,7 @@ class Shot:
     errors: CaptureErrors
 
     def cameras(self, world: World, rng: np.random.Generator) -> list[Camera]:
-        """The true cameras."""
+        """Return the true cameras."""
         focal = world.focal * self.width
         K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
         poses = (look_at(eye, target, world.up) for eye, target in world.cameras(self.views, rng))
@@ -100,7 +100,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
 
 
 def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> PointCloud:
-    """Points like those of structure from motion: visible surface points with noise, and outliers.
+    """Return points like those of structure from motion: visible surface points with noise, and outliers.
 
     images: (RGB (H, W, 3), depth (H, W)) of each camera.
     """
@@ -159,7 +159,7 @@ class ThermalFiles:
 
 
 def thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
-    """8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
+    """Return 8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
     level = levels(degC, *world.temperatures)
     if not world.pseudo_color:
         return level

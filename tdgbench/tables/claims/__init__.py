@@ -56,7 +56,7 @@ CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_
 
 
 def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
-    """The claims. Raises ValueError for a claim without id, words, a known check, known quantities or their reason."""
+    """Load the claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
     claims: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for claim in claims:
         name = claim.get("id", "?")
@@ -90,7 +90,7 @@ def check_claim(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def check_all(claims: list[dict[str, Any]], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
-    """One row per claim: id, said, where, and for the published table and for ours the verdict and its grounds."""
+    """Return one row per claim: id, said, where, and for the published table and for ours verdict and grounds."""
     rows = []
     for claim in claims:
         row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}

@@ -39,7 +39,7 @@ Claim = dict[str, Any]
 
 
 def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
+    """Check that each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
 
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
     their ratio (0.1: 10 % less). Combinations without pairs do not count.
@@ -49,7 +49,7 @@ def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """The paper's method beats its baseline in the mean of each of `metrics`: as printed, or over pairs of cells."""
+    """Check that the paper's method beats its baseline in the mean of each of `metrics`, as printed or over cells."""
     if evidence.printed:
         return main_table.average_gains(claim, evidence)
     _need_cells(claim, evidence)
@@ -65,7 +65,7 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """For each of `methods` the points named by `better` (colmap or random) beat the others.
+    """Check that for each of `methods` the points named by `better` (colmap or random) beat the others.
 
     Each kind of random points is judged apart. margins: as in `better`.
     """
@@ -80,14 +80,14 @@ def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def random_fails(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """From random points every one of `methods` loses at least `drop` dB of PSNR: as printed, or pair by pair."""
+    """Check that all `methods` lose at least `drop` dB of PSNR from random points: as printed, or pair by pair."""
     if evidence.printed:
         return main_table.ablation_drop(claim, evidence)
     return better_init({**claim, "better": COLMAP, "margins": {"psnr": claim["drop"]}}, evidence)
 
 
 def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
+    """Check that depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
 
     A chain of changes leads from MSMG at its longest to TDg at its shortest, and their logarithms add up: fewer
     iterations (MSMG at TDg's length), no RGB model (splat_smooth, which also weighs its loss by 1 and uses the
@@ -136,7 +136,7 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]) -> list[Finding]:
-    """The finding on one quantity of pairs with equal iterations; none where no pair has it."""
+    """Return the finding on one quantity of pairs with equal iterations; none where no pair has it."""
     if quantity.timed:
         pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
     both = [(pair, numbers) for pair in pairs if (numbers := quantity.of(*pair, claim)) is not None]
@@ -159,7 +159,7 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
 
 
 def _name(side: Side, other: Side) -> str:
-    """The method; where both sides are one method, with its first points."""
+    """Return the method; where both sides are one method, with its first points."""
     return side.method if side.method != other.method else f"{side.method} from {side.init}"
 
 
@@ -175,7 +175,7 @@ def _difference(gain: Interval, sign: int, quantity: Quantity) -> str:
 
 
 def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
-    """Scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
+    """Return scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
     times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
     longest = {setup: length for (method, setup), length in published_lengths(cells).items() if method == "msmg"}
     for cell in cells:

@@ -27,36 +27,36 @@ def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> flo
 
 
 def _pair(evidence: ClaimEvidence, scene: str, metric: str) -> tuple[float, float]:
-    """The value of the paper's method, and its baseline's."""
+    """Return the value of the paper's method, and its baseline's."""
     new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
     return new, old
 
 
 def _labels() -> tuple[str, str]:
-    """The paper's method and its baseline, as they are printed."""
+    """Return the paper's method and its baseline, as they are printed."""
     new, old = (methods.label(method) for method in methods.paper_pair())
     return new, old
 
 
 def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
-    """How far a value may be from what was printed."""
+    """Return how far a value may be from what was printed."""
     return measures.half_unit(metric, scene) if evidence.printed else 0.0
 
 
 def _gain(new: float, old: float, metric: str) -> float:
-    """By how many percent the new value is better."""
+    """Return by how many percent the new value is better."""
     return measures.measure(metric).sign * 100 * (new - old) / old
 
 
 def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) -> tuple[float, float]:
-    """The least and the greatest gain that the printed numbers allow."""
+    """Return the least and the greatest gain that the printed numbers allow."""
     tolerance = _tolerance(evidence, metric, OVERALL)
     gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
     return min(gains), max(gains)
 
 
 def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The average of `metric` is `percent` better."""
+    """Check that the average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
     low, high = _gain_range(evidence, metric, new, old)
@@ -70,7 +70,7 @@ def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def averages(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The averages of `metric` are those that the claim gives by method."""
+    """Check that the averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
     values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
     fits = all(
@@ -81,14 +81,14 @@ def averages(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def average_gains(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The paper's method is better in the average of each of `metrics`."""
+    """Check that the paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
     return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
 
 
 def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """Training takes `minutes` less on average."""
+    """Check that training takes `minutes` less on average."""
     _of_paper(evidence)
     new, old = _pair(evidence, evidence.overall, HOURS.name)
     tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim["minutes"])
@@ -97,7 +97,7 @@ def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def percent_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """Training takes `percent` less time on average."""
+    """Check that training takes `percent` less time on average."""
     new, old = _pair(evidence, evidence.overall, HOURS.name)
     low, high = _gain_range(evidence, HOURS.name, new, old)
     half = printed_half_unit(claim["percent"])
@@ -116,7 +116,7 @@ def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
 
 
 def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
+    """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
     exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
         for metric, found in exceptions.items():
@@ -129,7 +129,7 @@ def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The paper's method is better in more than half of all scenes × metrics. Equal (printed) values are no gain."""
+    """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
     better, equal, total = _wins(claim, evidence)
     grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
     by_metric = ", ".join(f"{metric} {sum(m == metric for _, m in better)}" for metric in claim["metrics"])
@@ -137,7 +137,7 @@ def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """Each method is better somewhere among the data set's scenes × metrics."""
+    """Check that each method is better somewhere among the data set's scenes × metrics."""
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
     counts = f"better in {len(better)}, worse in {worse}, equal in {len(equal)}"
@@ -145,7 +145,7 @@ def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """At every scene of `dataset` the two methods differ by at most `most`."""
+    """Check that at every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
     for scene in _scenes(evidence, claim["dataset"]):
         new, old = _pair(evidence, scene, claim["metric"])
@@ -158,7 +158,7 @@ def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """Every method of the ablation loses at least `drop` dB of PSNR from random points."""
+    """Check that every method of the ablation loses at least `drop` dB of PSNR from random points."""
     drops = {}
     for method in claim["methods"]:
         by_init = _by_init(evidence, method, "psnr")
@@ -170,7 +170,7 @@ def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The ablation's numbers from COLMAP points are the main table's averages over all scenes."""
+    """Check that the ablation's numbers from COLMAP points are the main table's averages over all scenes."""
     if not evidence.printed:
         raise MissingError("our tables are made of the same cells")
     off = []
@@ -183,7 +183,7 @@ def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The averages are those of the rows."""
+    """Check that the averages are those of the rows."""
     table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
     rounding = [
         _tolerance(evidence, metric, scene) for metric, scene in zip(table["metric"], table["scene"], strict=True)
@@ -201,7 +201,7 @@ def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
 
 
 def bold_follows(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
-    """The better value of each row is bold."""
+    """Check that the better value of each row is bold."""
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
     marked = table["metric"].isin(PUBLISHED)
@@ -217,7 +217,7 @@ def _of_paper(evidence: ClaimEvidence) -> None:
 
 
 def _wins(claim: dict[str, Any], evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
-    """Scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
+    """Return scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
     better, equal, total = [], [], 0
     for scene in _scenes(evidence, claim["dataset"]):
         for metric in claim["metrics"]:
@@ -231,7 +231,7 @@ def _wins(claim: dict[str, Any], evidence: ClaimEvidence) -> tuple[list[tuple[st
 
 
 def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
-    """The ablation's values by init. Raises MissingError without an ablation."""
+    """Return the ablation's values by init. Raises MissingError without an ablation."""
     if evidence.ablation is None:
         raise MissingError("no ablation over the first points")
     table = evidence.ablation

@@ -40,7 +40,7 @@ class Interval(NamedTuple):
 
 
 def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
-    """Cells with equal scene, data, split, seed, setup and iterations.
+    """Return cells with equal scene, data, split, seed, setup and iterations.
 
     A cell that two experiments hold counts once, as the first has it.
     """
@@ -55,7 +55,7 @@ def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
 
 
 def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
-    """Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
+    """Return Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
 
     Each scene counts once, by the mean of its pairs, so that seeds do not count as scenes. With one scene the interval
     is over its pairs and does not extend to other scenes.
@@ -74,7 +74,7 @@ def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> 
 
 
 def judge_gain(gain: Interval, margin: float) -> str:
-    """The verdict on a claimed gain. margin: the least gain that the claim's words allow.
+    """Return the verdict on a claimed gain. margin: the least gain that the claim's words allow.
 
     - `fails`: the whole interval lies below the margin; the gain is negative, or too small for the words.
     - `holds`: the whole interval lies on the claimed side of 0, and the mean is not below the margin. With a negative
@@ -90,7 +90,7 @@ def judge_gain(gain: Interval, margin: float) -> str:
 
 
 def all_of(findings: Sequence[Finding]) -> Finding:
-    """One finding of several parts: `holds` where all hold, `fails` where any fails.
+    """Return one finding of several parts: `holds` where all hold, `fails` where any fails.
 
     Each part's interval covers 95 % by itself, so a false `fails` becomes likelier with the number of parts.
     """
@@ -104,7 +104,7 @@ def all_of(findings: Sequence[Finding]) -> Finding:
 
 
 def counts_in_words(gain: Interval) -> str:
-    """The numbers of pairs and scenes.
+    """Return the numbers of pairs and scenes.
 
     >>> counts_in_words(Interval(0.5, 0.4, 0.6, pairs=12, scenes=4))
     '12 pairs in 4 scenes'

@@ -66,7 +66,7 @@ def _overfit(cell: Cell, _claim: Claim) -> float | None:
 
 
 def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
-    """Geometric mean of the depth consistency over the views that have one in both cells.
+    """Return the geometric mean of the depth consistency over the views that have one in both cells.
 
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
@@ -100,7 +100,7 @@ def _metric(metric: str) -> Quantity:
 
 
 def time_to_level(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
-    """Iterations (or seconds) until each run first has one level of training PSNR.
+    """Return iterations (or seconds) until each run first has one level of training PSNR.
 
     The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
     or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
@@ -117,7 +117,7 @@ def time_to_level(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -
 
 
 def first_at(log: pd.DataFrame, level: float, column: str) -> float:
-    """The column's value where train_psnr first has the level, linear between lines. ValueError if it never does.
+    """Return the column's value where train_psnr first has the level, linear between lines. Raises ValueError if never.
 
     >>> log = pd.DataFrame({"train_psnr": [10.0, 20.0], "iteration": [0, 100]})
     >>> first_at(log, 15.0, "iteration")
@@ -134,19 +134,19 @@ def first_at(log: pd.DataFrame, level: float, column: str) -> float:
 
 
 def psnr_drop(cell: Cell, claim: dict[str, Any]) -> float | None:
-    """Fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
+    """Return the fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
     windows = _around_switch(cell, claim["window"], "train_psnr")
     return None if windows is None else float(windows[0].mean() - windows[1].min())
 
 
 def loss_rise(cell: Cell, claim: dict[str, Any]) -> float | None:
-    """Rise of the thermal loss at the switch: its highest value after, over its mean before."""
+    """Return the rise of the thermal loss at the switch: its highest value after, over its mean before."""
     windows = _around_switch(cell, claim["window"], "loss_thermal")
     return None if windows is None else float(windows[1].max() / windows[0].mean())
 
 
 def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, pd.Series] | None:
-    """The log's column just before and just after the end of the depth loss. window: share of iterations on each side.
+    """Return the log's column just before and after the depth loss ends. window: share of iterations on each side.
 
     None without a log, without an end of the depth loss, or with an empty window.
     """
