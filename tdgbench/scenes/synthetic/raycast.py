@@ -15,7 +15,7 @@ class Solid(Protocol):
     """A surface that rays can hit."""
 
     def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest t > 0 (N,) with origin (3,) + t · rays (N, 3) on the surface, inf if none; unit normals (N, 3)."""
+        """Return the smallest t > 0 (N,) with origin + t · rays (N, 3) on the surface, else inf; normals (N, 3)."""
 
 
 @dataclass(frozen=True)

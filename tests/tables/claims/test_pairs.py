@@ -69,7 +69,7 @@ def test_one_pair_decides_nothing():
     found = gain_interval([("d", "a")], [5.0])
     assert found == (5.0, -np.inf, np.inf, 1, 1)
     assert judge_gain(found, 0.0) == UNDECIDED
-    assert counts_in_words(found) == "one pair has no gain_interval; 1 pair in 1 scene"
+    assert counts_in_words(found) == "one pair has no interval; 1 pair in 1 scene"
 
 
 @pytest.mark.parametrize(
