@@ -76,9 +76,9 @@ class CubeAroundCameras(RandomPoints):
         self.where = f"a cube of half side {half_side:g} × extent around the mean training camera, with random colours"
 
     def box(self, scene: Scene) -> np.ndarray:
-        centre = np.mean([view.camera.center for view in scene.train], axis=0)
+        center = np.mean([view.camera.center for view in scene.train], axis=0)
         half = self.half_side * scene.extent
-        return np.stack([centre - half, centre + half])
+        return np.stack([center - half, center + half])
 
 
 class ReleasedCube(RandomPoints):

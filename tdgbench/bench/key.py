@@ -50,9 +50,9 @@ def as_json(value: Any) -> Any:
     {'rate': 'inf', 'sizes': [1, 2.5], '3': None}
     """
     if isinstance(value, dict):
-        return {str(name): as_json(one) for name, one in value.items()}
+        return {str(name): as_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json(one) for one in value]
+        return [as_json(item) for item in value]
     if value is None or isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
         return value
     return str(value).encode("utf-8", "backslashreplace").decode()

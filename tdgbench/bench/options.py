@@ -228,12 +228,12 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
 def _object_problems(cfg: DictConfig | ListConfig, plain: Any, name: str) -> Iterator[Problem]:
     """Yield problems of every `_target_` in a configuration."""
     if isinstance(plain, list):
-        for index, one in enumerate(plain):
-            yield from _object_problems(cfg, one, f"{name}[{index}]")
+        for index, item in enumerate(plain):
+            yield from _object_problems(cfg, item, f"{name}[{index}]")
     if not isinstance(plain, dict):
         return
-    for key, one in plain.items():
-        yield from _object_problems(cfg, one, f"{name}.{key}" if name else key)
+    for key, item in plain.items():
+        yield from _object_problems(cfg, item, f"{name}.{key}" if name else key)
     if "_target_" not in plain or name == EXPERIMENT:
         return
     try:

@@ -275,7 +275,7 @@ def schema_problems(text: str) -> list[str]:
     try:
         _validator().validate_json(text, strict=True, context=COMPLETE)
     except ValidationError as error:
-        return [_describe(dict(one)) for one in error.errors(include_url=False)]
+        return [_describe(dict(problem)) for problem in error.errors(include_url=False)]
     return []
 
 

@@ -168,7 +168,7 @@ class CellRun(SetupObserver):
         self._discard(self.checkpoint)
         if self._board is not None:
             with self._remarked("scores and renders could not be written to the TensorBoard log"):
-                images = {name: to_8bit(one.image) for name, one in renders.items()}
+                images = {name: to_8bit(view.image) for name, view in renders.items()}
                 self._board.results(record.iterations, record.scores, images)
 
     def discard_checkpoint(self) -> None:

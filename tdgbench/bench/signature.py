@@ -66,7 +66,7 @@ def signature_problems(
     others = next((p for p in parameters.values() if p.kind is p.VAR_KEYWORD), None)
     hints = _hints(target)
     missing = [p.name for p in named if p.default is p.empty and p.name not in {*options, *elsewhere} and not partial]
-    problems = [Problem(f"{name}.{one}", "is missing") for one in missing]
+    problems = [Problem(f"{name}.{parameter}", "is missing") for parameter in missing]
     for option in [*options, *elsewhere]:
         parameter, value = parameters.get(option, others), options.get(option)
         if parameter is None or parameter.kind is parameter.VAR_POSITIONAL:
@@ -94,15 +94,15 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
 
 def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
     """Return problems that pydantic found in the options below `name`."""
-    return [_problem(one, name) for one in error.errors(include_url=False)]
+    return [_problem(problem, name) for problem in error.errors(include_url=False)]
 
 
 def not_finite(value: Any, name: str) -> Iterator[Problem]:
     """Yield infinite numbers and NaN in a value, its lists and dictionaries included."""
     if isinstance(value, float) and not math.isfinite(value):
         yield Problem(name, "must be finite", value)
-    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from not_finite(one, _path(name, (key,)))
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from not_finite(item, _path(name, (key,)))
 
 
 def as_typed(value: Any) -> str:
@@ -241,7 +241,7 @@ def option_names() -> dict[str, list[str]]:
     folder, names = conf_folder(), dict[str, list[str]]()
     for path in sorted(folder.rglob("*.yaml")):
         groups = path.relative_to(folder).parts[:-1]
-        if groups[:1] not in [(one,) for one in NO_OPTIONS]:
+        if groups[:1] not in [(folder,) for folder in NO_OPTIONS]:
             content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
             for name in _names(content, "".join(f"{group}." for group in groups)):
                 names.setdefault(name, []).extend([f"{'/'.join(groups)}={path.stem}"] if groups else [])

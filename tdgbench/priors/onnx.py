@@ -155,8 +155,8 @@ class OnnxNetwork(NamedTuple):
 
 def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
-    inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
-    described = ", ".join(f"{one.name}: {one.type} {list(one.shape)}" for one in inputs)
+    inputs, outputs = session.get_inputs(), [found.name for found in session.get_outputs()]
+    described = ", ".join(f"{tensor.name}: {tensor.type} {list(tensor.shape)}" for tensor in inputs)
     shape = list(inputs[0].shape) if inputs else []
     sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
     is_batch = len(sides) == 4 and sides[0] in (1, None)

@@ -124,14 +124,14 @@ def measured_images(
     train: views whose values give the range, unless it is given.
     """
     raw = {name: read(source.path) for name, source in sources.items()}
-    known = {name for name, one in raw.items() if one.is_masked}
+    known = {name for name, view in raw.items() if view.is_masked}
     fillers = _find_fillers(raw, known, unit) if options.fillers is None else given_fillers(options.fillers)
     measured, filled = {}, []
     for name, source in sources.items():
-        one = raw.pop(name)
-        invalid = _invalid(one, fillers)
+        view = raw.pop(name)
+        invalid = _invalid(view, fillers)
         filled.append(invalid.mean())
-        measured[name] = _measure(one.values, invalid, source)
+        measured[name] = _measure(view.values, invalid, source)
     span = given or _range_of({name: measured[name] for name in train}, sources, unit)
     scaling, kept, clipped, count = _Scaling(read, fillers, span, unit.dtype), {}, 0, 0
     for name, source in sources.items():
@@ -154,23 +154,23 @@ def measured_images(
 
 
 def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
-    values = {name: one.values for name, one in views.items()}
+    values = {name: view.values for name, view in views.items()}
     if unit is COUNTS:
         return find_apart(values)
     fillers = find_fillers(values, known)
-    if any(one.ends for one in views.values()):
+    if any(view.ends for view in views.values()):
         return replace(fillers, beyond=())  # black inside an image may be the coldest object
     return fillers
 
 
 def _make(source: ImageSource, scaling: _Scaling) -> Measured:
-    one = scaling.read(source.path)
-    return _scaled(_measure(one.values, _invalid(one, scaling.fillers), source), scaling)
+    view = scaling.read(source.path)
+    return _scaled(_measure(view.values, _invalid(view, scaling.fillers), source), scaling)
 
 
-def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
+def _invalid(view: Temperatures, fillers: Fillers) -> np.ndarray:
     """Return pixels (H, W) bool that were not measured."""
-    return impossible(one.values) if one.is_masked else fillers.mask(one.values, one.block)
+    return impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
 
 
 def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> Measured:
@@ -181,7 +181,7 @@ def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> Me
 
 def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, ImageSource], unit: Unit) -> TemperatureRange:
     try:
-        samples = (sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
+        samples = (sampled(_valid_values(image), len(measured)).copy() for image in measured.values())
         return robust_range(samples, unit.steps)
     except ValueError as error:
         what = "raw counts" if unit is COUNTS else "temperatures"

@@ -153,7 +153,7 @@ class FolderDataset:
         if not is_there(self._root()):
             return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
         there = ", ".join(self.names()) or "none"
-        layouts = "; ".join(one.looks for one in ([self.layout] if self.layout else LAYOUTS.values()))
+        layouts = "; ".join(layout.looks for layout in ([self.layout] if self.layout else LAYOUTS.values()))
         return (
             f"{', '.join(names)} not found in {self._root()} (scenes there: {there}). Set data.root=DIR to a scene or "
             f"to a folder of scenes whose names do not begin with a dot; a scene is a folder with {layouts}"

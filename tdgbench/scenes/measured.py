@@ -91,7 +91,7 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     for name, source in sources.items():
         make = partial(_read_shown, source, radiometry)
         kept[name] = Kept(make(), make)
-    channels = decide_channels(wanted, all(one.channels == 1 for one in kept.values()))
+    channels = decide_channels(wanted, all(view.channels == 1 for view in kept.values()))
     return ThermalImages(kept, channels, None if radiometry is None else radiometry.range)
 
 

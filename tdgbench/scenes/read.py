@@ -49,7 +49,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:
-        looks = "; ".join(f"{one.title}: {one.looks}" for one in LAYOUTS.values())
+        looks = "; ".join(f"{known.title}: {known.looks}" for known in LAYOUTS.values())
         raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
     found = layout.find(folder)
     thermal = _radiometric_files(folder, found) if options.thermal == "radiometric" else found.thermal

@@ -82,7 +82,7 @@ class View:
     thermal_path: Path | None = None
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
-    load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of made scenes
+    load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
 
     def with_thermal(self, image: np.ndarray, **changes: Any) -> View:
         """Return this view with another thermal image (H, W, C) and other fields, and with what was read besides."""

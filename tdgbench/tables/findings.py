@@ -19,7 +19,7 @@ from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
-BUILT_IN = "synthetic"  # data set of the built-in scenes
+SYNTHETIC = "synthetic"  # data set
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
@@ -30,7 +30,7 @@ def findings_of_methods(
     effects: pd.DataFrame | None,
 ) -> list[str]:
     """Return the findings of a main table, one sentence each, in one line each; none where nothing is compared."""
-    found = [sentence for one in comparisons for sentence in _comparison(one, main)]
+    found = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
     found += [] if effects is None else _effects(effects)
     found += [] if difference is None else [published(difference)]
     return [one_line(sentence) for sentence in (*found, *(_caveats(main) if found else ()))]
@@ -45,7 +45,7 @@ def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) ->
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
     scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
-    if set(scenes["dataset"]) == {BUILT_IN}:
+    if set(scenes["dataset"]) == {SYNTHETIC}:
         once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
         yield f"These scenes are built in, so this is no evidence on the paper's claims{once}"
 

@@ -73,7 +73,8 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         head = [record.method, planned_iterations(record), *place]
-        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, *(one.name for one in OF_RECORDS))}
+        names = (*SCORES, *(quantity.name for quantity in OF_RECORDS))
+        values = {metric: metric_value(record, metric)[0] for metric in names}
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 

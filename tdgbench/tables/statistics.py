@@ -55,8 +55,8 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
     replicates: dict[tuple[str, ...], np.ndarray] = {}
     for key, seeds in cells.items():
         for metric in seeds[0]:
-            if all(metric in one for one in seeds):
-                replicates[(*key, metric)] = _replicates([one[metric] for one in seeds], rng)
+            if all(metric in values for values in seeds):
+                replicates[(*key, metric)] = _replicates([values[metric] for values in seeds], rng)
     rows = [_row(key, drawn) for key, drawn in replicates.items()]
     for method in dict.fromkeys(key[0] for key in replicates):
         datasets = list(dict.fromkeys(key[1] for key in replicates if key[0] == method))
@@ -71,7 +71,7 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Return every number of a cell: scores by view, hours as one value."""
-    found = {one.name: np.array([one.of_record(record)]) for one in OF_RECORDS if one.published}
+    found = {quantity.name: np.array([quantity.of_record(record)]) for quantity in OF_RECORDS if quantity.published}
     try:
         rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
     except (FileNotFoundError, ValueError):  # `read_results` reports it

@@ -135,7 +135,7 @@ def midway(values: Sequence[np.ndarray]) -> np.ndarray:
     >>> midway([np.array([0.0, 0.2]), np.array([0.4, 0.6])])[[0, -1]].tolist()
     [0.2, 0.4]
     """
-    return np.mean([np.quantile(one, QUANTILES) for one in values if one.size], axis=0)
+    return np.mean([np.quantile(image, QUANTILES) for image in values if image.size], axis=0)
 
 
 def _to_quantiles(target: np.ndarray) -> Curve:

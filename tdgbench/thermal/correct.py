@@ -95,7 +95,8 @@ def _measured(values: np.ndarray, view: View) -> np.ndarray:
 
 def _range(values: list[np.ndarray]) -> tuple[float, float]:
     """Return image values that become 0 and 1: these, or the ends of all values (N,), to the next thousandth."""
-    low, high = min(float(one.min()) for one in values if one.size), max(float(one.max()) for one in values if one.size)
+    known = [array for array in values if array.size]
+    low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)
 
 

@@ -62,7 +62,7 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
         lines = _lines(data, left, weights)
         if not terms.pattern:
             shown = [left, left - _held_out_pattern(data, left, weights)]
-            terms = terms._replace(pattern=_simplest([one[weights > 0] for one in shown]) == 1)
+            terms = terms._replace(pattern=_simplest([errors[weights > 0] for errors in shown]) == 1)
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
@@ -125,8 +125,8 @@ def _lines(data: Data, left: np.ndarray, weights: np.ndarray) -> Lines:
 def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return fixed pattern (S,) at values, each from views of other folds."""
     pattern, fold = np.zeros(len(left)), data.view % FOLDS
-    for one in range(FOLDS):
-        pattern[fold == one] = _at(*_lines(data, left, np.where(fold == one, 0, weights)), data)[fold == one]
+    for number in range(FOLDS):
+        pattern[fold == number] = _at(*_lines(data, left, np.where(fold == number, 0, weights)), data)[fold == number]
     return pattern
 
 

@@ -237,7 +237,7 @@ def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
     edges = np.unique(np.quantile(slope, np.linspace(0, 1, SLOPE_BINS + 1)[1:-1]))
     bins = np.digitize(slope, edges)
     floor = max(0.1 * deviation(residuals), 1e-9)
-    deviations = [deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
+    deviations = [deviation(residuals[bins == b]) if (bins == b).any() else 0.0 for b in range(len(edges) + 1)]
     return np.maximum(np.array(deviations), floor)[bins]
 
 

@@ -101,7 +101,7 @@ def drift_of(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: 
         return Drift(width**2, 1.0, LENGTHS[0])
     events = shutter_events(x, y)
     tried = [Drift(1.0, jitter, length, events) for jitter in JITTERS for length in LENGTHS]
-    best = max(tried, key=lambda one: _likelihood(one, x, y))
+    best = max(tried, key=lambda drift: _likelihood(drift, x, y))
     return best._replace(variance=min(variance, width**2))
 
 

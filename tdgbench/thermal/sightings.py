@@ -59,8 +59,8 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
         number, x, y = _seen(view.camera, points, used)
         value, detail, slope, usable = _values(view, x, y)
         whole = (number, np.full(len(number), index), value, detail, slope, x, y)
-        parts.append(tuple(one[usable] for one in whole))
-    point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
+        parts.append(tuple(array[usable] for array in whole))
+    point, of_view, value, detail, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     found = Sightings(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
     return found.kept(np.ones(len(point), bool))
 
@@ -92,7 +92,7 @@ def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     height, width = image.shape
     row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
     smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
-    down, right = (one[row, column] for one in np.gradient(smooth))
+    down, right = (slope[row, column] for slope in np.gradient(smooth))
     value = smooth[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
     size = 2 * MARGIN + 1
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)

@@ -1,4 +1,4 @@
-"""Write a COLMAP model, of the built-in scenes."""
+"""Write a COLMAP model, of the synthetic scenes."""
 
 from __future__ import annotations
 

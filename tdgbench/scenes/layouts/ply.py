@@ -31,7 +31,7 @@ def read_points(path: Path) -> PointCloud:
         _check_end(data.partition(b"end_header")[2].partition(b"\n")[2], content)
         vertex = content["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
-        names = {one.name for one in vertex.properties}
+        names = {prop.name for prop in vertex.properties}
         colors = np.full(xyz.shape, 0.5, np.float32)
         if {"red", "green", "blue"} <= names:
             channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
@@ -50,7 +50,7 @@ def _check_end(rows: bytes, content: PlyData) -> None:
     """Raise ValueError if the file has more rows than its header states, which plyfile does not see."""
     if content.text:
         found, stated = sum(bool(row.strip()) for row in rows.splitlines()), sum(map(len, content.elements))
-    elif any(isinstance(one, PlyListProperty) for element in content.elements for one in element.properties):
+    elif any(isinstance(prop, PlyListProperty) for element in content.elements for prop in element.properties):
         return  # rows of different sizes
     else:
         found, stated = len(rows), sum(element.data.nbytes for element in content.elements)

@@ -1,4 +1,4 @@
-"""Procedural RGB-thermal scenes with known depth and temperature, generated from a seed at first use."""
+"""Synthetic RGB-thermal scenes with known depth and temperature, written from a seed at first use."""
 
 from tdgbench.scenes.synthetic.capture import CaptureErrors, TrueRig
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset

@@ -43,9 +43,9 @@ class TrueRig:
     distortion: Two = field(default_factory=lambda: [0.0] * 2)
 
     def __post_init__(self) -> None:
-        for one in fields(self):  # lists of any kind, to be compared and written
-            value = getattr(self, one.name)
-            object.__setattr__(self, one.name, float(value) if one.name == "focal" else [float(v) for v in value])
+        for option in fields(self):  # lists of any kind, to be compared and written
+            value = getattr(self, option.name)
+            object.__setattr__(self, option.name, float(value) if option.name == "focal" else [float(v) for v in value])
 
     @property
     def title(self) -> str:
@@ -55,7 +55,7 @@ class TrueRig:
         '-rig_offset0.1,0,0-rig_focal1.2'
         """
         none = TrueRig()
-        changed = (one.name for one in fields(self) if getattr(self, one.name) != getattr(none, one.name))
+        changed = (option.name for option in fields(self) if getattr(self, option.name) != getattr(none, option.name))
         return "".join(f"-rig_{name}{_text(getattr(self, name))}" for name in changed)
 
     def camera(self, given: Camera) -> Camera:
@@ -92,7 +92,7 @@ class TrueRig:
 
 
 def _text(value: float | list[float]) -> str:
-    return ",".join(f"{one:g}" for one in (value if isinstance(value, list) else [value]))
+    return ",".join(f"{number:g}" for number in (value if isinstance(value, list) else [value]))
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ class CaptureErrors:
         >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
         ('', '-drift_degC0.5')
         """
-        numbers = (one for one in fields(self) if one.name not in ("camera", "rig"))
-        changed = (one.name for one in numbers if getattr(self, one.name) != one.default)
+        numbers = (option for option in fields(self) if option.name not in ("camera", "rig"))
+        changed = (option.name for option in numbers if getattr(self, option.name) != option.default)
         return "".join(f"-{name}{getattr(self, name):g}" for name in changed) + self.camera.title + self.rig.title
 
     @property

@@ -1,4 +1,4 @@
-"""The built-in scenes as a data set: generated at first use, then read like any other."""
+"""The synthetic scenes as a data set: written at first use, then read like any other."""
 
 from __future__ import annotations
 

@@ -89,19 +89,19 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     for index, view in enumerate(views):
         degC = nearest_valid(in_degC(view, clean), view.valid)  # a blur mixes pixels
         shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
-    measured = [one if view.valid is None else one[view.valid] for one, view in zip(shown, views, strict=True)]
+    measured = [degC if view.valid is None else degC[view.valid] for degC, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
     if errors.encoding == "agc":
-        ends = [limits(one) if one.size else (given.min, given.max) for one in measured]
-        values = [levels(one, *pair) / 255 for one, pair in zip(shown, ends, strict=True)]
+        ends = [limits(degC) if degC.size else (given.min, given.max) for degC in measured]
+        values = [levels(degC, *pair) / 255 for degC, pair in zip(shown, ends, strict=True)]
         camera = replace(camera, limits=np.array(ends))
     elif errors.encoding == "range":
-        span, values = given, [levels(one, given.min, given.max) / 255 for one in shown]
+        span, values = given, [levels(degC, given.min, given.max) / 255 for degC in shown]
     else:
-        low, high = (float(end([end(one) for one in measured if one.size])) for end in (np.min, np.max))
+        low, high = (float(end([end(degC) for degC in measured if degC.size])) for end in (np.min, np.max))
         span = TemperatureRange(low - ROOM, high + ROOM)
-        values = [(one - span.min) / (span.max - span.min) for one in shown]
-    images = {view.name: one for view, one in zip(views, values, strict=True)}
+        values = [(degC - span.min) / (span.max - span.min) for degC in shown]
+    images = {view.name: image for view, image in zip(views, values, strict=True)}
 
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)

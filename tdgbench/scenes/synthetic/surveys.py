@@ -1,4 +1,4 @@
-"""Built-in scenes of a camera that moves along a surface and faces it, line after line, as in a survey.
+"""Synthetic scenes of a camera that moves along a surface and faces it, line after line, as in a survey.
 
 `field`: nadir flight over flat ground. `hills`: the same flight over undulating ground. `wall`: a camera along a wall.
 

@@ -62,7 +62,7 @@ class ThermalErrors:
         '-gain0.05-agc'
         """
         numbers = (field for field in fields(self) if field.name != "encoding")
-        changed = [f"-{one.name}{getattr(self, one.name):g}" for one in numbers if getattr(self, one.name)]
+        changed = [f"-{option.name}{getattr(self, option.name):g}" for option in numbers if getattr(self, option.name)]
         return "".join(changed) + (f"-{self.encoding}" if self.encoding else "")
 
     @property

@@ -1,4 +1,4 @@
-"""The true thermal camera of a made scene, in files beside it that no reader of scenes opens."""
+"""The true thermal camera of a synthetic scene, in files beside it that no reader of scenes opens."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def read_truth(scene: Path) -> CameraTruth:
     """
     folder = scene / FOLDER
     if not is_there(folder):
-        raise SceneError(f"{scene} states no true thermal camera; made scenes do, if their camera has errors")
+        raise SceneError(f"{scene} states no true thermal camera; synthetic scenes do, if their camera has errors")
     maps = {name: read_array(folder / f"{name}.npy") for name in MAPS}
     try:
         content = read_json(folder / "camera.json")
@@ -68,7 +68,7 @@ def read_truth(scene: Path) -> CameraTruth:
             **maps,
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); make the scene again") from error
+        raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); delete the scene's folder") from error
     return CameraTruth(list(views), camera)
 
 
@@ -84,8 +84,8 @@ def read_rig(scene: Path) -> TrueRig:
     """
     path = scene / FOLDER / RIG
     if not is_there(path):
-        raise SceneError(f"{scene} states no rig; made scenes do, if their thermal camera is not the given one")
+        raise SceneError(f"{scene} states no rig; synthetic scenes do, if their thermal camera is not the given one")
     try:
         return TrueRig(**read_json(path))
     except (ValueError, TypeError) as error:
-        raise SceneError(f"{path} is damaged ({error!r}); make the scene again") from error
+        raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error

@@ -1,4 +1,4 @@
-"""The built-in scenes: one per group of the paper's table, and those of `surveys.py`.
+"""The synthetic scenes: one per group of the paper's table, and those of `surveys.py`.
 
 `orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
 with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal.
@@ -22,7 +22,7 @@ CERAMIC, GLAZE = (0.90, 0.88, 0.82), (0.25, 0.52, 0.45)
 PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
 
 
-def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):
+def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, center_angle: float = 0.0):
     """Return cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
 
     def cameras(count: int, rng: np.random.Generator):
@@ -30,7 +30,7 @@ def _ring(radius: float, height: float, target: tuple[float, float, float], arc:
         steps = np.arange(count) / (count if whole else max(count - 1, 1)) - (0.0 if whole else 0.5)
         result = []
         for i, step in enumerate(steps):
-            angle = centre_angle + arc * step
+            angle = center_angle + arc * step
             eye = np.array([np.cos(angle), np.sin(angle), 0]) * radius
             eye[2] = height * (1.0 + 0.25 * (i % 2)) + rng.normal(0, 0.02)
             result.append((eye + np.array([target[0], target[1], 0]), np.array(target)))
