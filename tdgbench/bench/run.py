@@ -16,7 +16,6 @@ from omegaconf import DictConfig
 from tdgbench.bench import cameras
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import code_version, same_bytes_on
-from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, short_name
@@ -25,6 +24,7 @@ from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_views
 from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
+from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.bench.training_log import TensorBoardLog, write_log
 from tdgbench.files import whole_folder

@@ -18,7 +18,7 @@ from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.thermal.correct import in_one_range
-from tdgbench.thermal.polynomials import evaluate
+from tdgbench.thermal.maps import evaluate
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method

@@ -15,7 +15,7 @@ from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.accuracy import Truth, truth_in_gauge
 from tdgbench.thermal.camera import ViewResponses, in_gauge
-from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.thermal.maps import TERMS, evaluate
 
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 TINY = 1e-9  # °C; a smaller truth has nothing to show

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.thermal.pattern import line_map
-from tdgbench.thermal.polynomials import evaluate
+from tdgbench.thermal.maps import evaluate, line_map
 
 
 class ViewResponses(NamedTuple):
@@ -29,7 +28,7 @@ class ViewResponses(NamedTuple):
 class ThermalCamera:
     """Estimated response of V training views. Values are in °C, or in image units where a scene has no temperatures.
 
-    vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
+    vignette: (K,) coefficients of `maps`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
     sightings: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the

@@ -12,7 +12,7 @@ from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
-from tdgbench.thermal.polynomials import legendre_basis
+from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.priors import Drift, Widths, places
 from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 

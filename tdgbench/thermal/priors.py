@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.maps import TERMS
 
 SHUTTER = 6.0  # standard deviations of the steps between successive views; a larger step is a shutter event
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation

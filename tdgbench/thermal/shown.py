@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from tdgbench.thermal.pattern import line_map
-from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.thermal.maps import TERMS, evaluate, line_map
 
 
 @with_config(ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -20,7 +19,7 @@ class ImageResponse:
 
     shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), T = low + (high − low) · render.
     offsets, gains: by view. Those of test views are not read from them: an offset is what the neighbours in the
-    sequence let expect, a gain is 1. vignette: (K,) coefficients of `polynomials`. columns, rows: fixed pattern.
+    sequence let expect, a gain is 1. vignette: (K,) coefficients of `maps`. columns, rows: fixed pattern.
     """
 
     reference: float = 0.0

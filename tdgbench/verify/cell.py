@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.hashes import cell_files, file_problems
 from tdgbench.bench.record import FILE
 from tdgbench.bench.scores import read_views
+from tdgbench.bench.stored import cell_files, file_problems
 from tdgbench.verify import facts
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import Pictures, picture_problems

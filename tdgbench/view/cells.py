@@ -11,11 +11,11 @@ import numpy as np
 
 from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.hashes import file_problems
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
+from tdgbench.bench.stored import file_problems
 from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import to_8bit

@@ -6,7 +6,7 @@ import numpy as np
 
 from tdgbench.thermal.explain import prior
 from tdgbench.thermal.fit import PATCHES, Data
-from tdgbench.thermal.polynomials import TERMS, legendre_basis
+from tdgbench.thermal.maps import TERMS, legendre_basis
 from tdgbench.thermal.priors import Widths
 
 SIZE = (64, 48)

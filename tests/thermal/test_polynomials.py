@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes.synthetic.thermal_camera import vignette
-from tdgbench.thermal.polynomials import TERMS, evaluate, legendre_basis
+from tdgbench.thermal.maps import TERMS, evaluate, legendre_basis
 
 
 def test_polynomials_are_orthonormal_and_have_no_mean():
