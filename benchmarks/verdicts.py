@@ -16,7 +16,16 @@ import pandas as pd
 from scipy import stats
 
 from tdgbench.tables.measures import digits, half_unit
-from tdgbench.tables.verdicts import BETTER, REPRODUCED, UNDECIDED, WORDS, WORSE, interval, judge, load_margins
+from tdgbench.tables.verdicts import (
+    BETTER,
+    REPRODUCED,
+    UNDECIDED,
+    WORDS,
+    WORSE,
+    judge_score,
+    load_margins,
+    seeds_interval,
+)
 
 OFFSETS = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0)  # dB, true; 0.2 is the margin
 SEEDS = (1, 2, 3, 5, 10)
@@ -35,8 +44,8 @@ def simulate(offset: float, seeds: int, draws: int = DRAWS, spread: float = SPRE
     words, within_noise = np.full(draws, UNDECIDED), np.zeros(draws, bool)
     if seeds > 1:
         std = ours.std(axis=1, ddof=1)
-        low, high = interval(mean - printed, std, seeds)
-        words = judge(low, high, 0.0, rounding, margin)
+        low, high = seeds_interval(mean - printed, std, seeds)
+        words = judge_score(low, high, 0.0, rounding, margin)
         noise = stats.t.ppf(0.975, seeds - 1) * std * np.sqrt(1 + 1 / seeds)
         within_noise = np.abs(mean - printed) <= noise + rounding
     rates = {word: float((words == word).mean()) for word in WORDS}

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
-from tdgbench.bench.backend_check.choose import Choice
+from tdgbench.bench.backend_check.choose import AutoBackend
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.scenes import Scene
@@ -36,7 +36,7 @@ def ctrl_c_is_heard() -> None:
 def auto_is_the_cpu() -> Iterator[None]:
     """Tests compare bytes, which a GPU need not repeat: `backend=auto` is the CPU, wherever they run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(choose, "choose", lambda run: Choice("cpu"))
+        patch.setattr(choose, "choose", lambda run: AutoBackend("cpu"))
         yield
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.hashes import hashes_of_content
 from tdgbench.bench.record import FILE, Record, read_all
+from tdgbench.bench.stored import hashes_of_content
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 

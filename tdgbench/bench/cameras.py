@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -27,19 +25,17 @@ def write_cameras(path: Path, scene: Scene) -> None:
     write_text(path, json.dumps(cameras, indent=1) + "\n")
 
 
-def read_cameras(path: Path, part: Literal["train", "test"]) -> dict[str, Camera]:
-    """Read the cameras of one part, by view name. Raises ValueError, naming the file, if it holds anything else."""
-    with _parsing(path):
-        return _of_part(json.loads(read_text(path)), part)
-
-
-def read_all_cameras(folder: Path) -> Cameras:
-    """The cameras of the parts `train` and `test`. Raises ValueError for a camera that cannot be right."""
+def read_cameras(folder: Path) -> Cameras:
+    """Read the cameras of a cell. Raises ValueError, naming the file or the view, if it holds anything else."""
     path = folder / FILE
     text = read_text(path)
-    with _parsing(path):
+    try:
         content = json.loads(text)
-        found: Cameras = {part: _of_part(content, part) for part in ("train", "test")}
+        found: Cameras = {
+            part: {name: _from_json(camera) for name, camera in content[part].items()} for part in ("train", "test")
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} holds no cameras: {error!r}") from error
     for name, camera in [*found["train"].items(), *found["test"].items()]:
         if Path(name).name != name or "\0" in name:
             raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
@@ -48,19 +44,6 @@ def read_all_cameras(folder: Path) -> Cameras:
         except SceneError as error:
             raise ValueError(str(error)) from error
     return found
-
-
-@contextmanager
-def _parsing(path: Path) -> Iterator[None]:
-    """Turn errors of a content that is no cameras into ValueError, naming the file."""
-    try:
-        yield
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} holds no cameras: {error!r}") from error
-
-
-def _of_part(content: Any, part: str) -> dict[str, Camera]:
-    return {name: _from_json(one) for name, one in content[part].items()}
 
 
 def _as_json(camera: Camera) -> dict[str, object]:
@@ -72,10 +55,7 @@ def _as_json(camera: Camera) -> dict[str, object]:
     }
 
 
-def _from_json(content: dict[str, object]) -> Camera:
-    return Camera(
-        np.array(content["K"], np.float64).reshape(3, 3),
-        np.array(content["world_to_camera"], np.float64).reshape(4, 4),
-        int(content["width"]),  # type: ignore[call-overload]
-        int(content["height"]),  # type: ignore[call-overload]
-    )
+def _from_json(content: dict[str, Any]) -> Camera:
+    K = np.array(content["K"], np.float64).reshape(3, 3)
+    pose = np.array(content["world_to_camera"], np.float64).reshape(4, 4)
+    return Camera(K, pose, int(content["width"]), int(content["height"]))

@@ -12,10 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from tdgbench.bench import failures, stored
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.gpu import exclusive_gpu, visible_gpus
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.memory import PeakMemory
+from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
@@ -51,14 +50,14 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
 
 
 def _record_of(cfg: DictConfig, variant: str) -> Record:
-    """The record of a cell before its scene is known. Raises OptionError if the options name no cell."""
+    """Return the record of a cell before its scene is known. Raises OptionError if the options name no cell."""
     check_names(cfg)
     method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
     return Record(method, "", scene, init, int(cfg.seed), experiment, variant)
 
 
 def _title(cfg: DictConfig, run: CellRun | None) -> str:
-    """Name of a cell in messages, also if its options name none."""
+    """Return the name of a cell in messages, also if its options name none."""
     if run is not None:
         return run.record.title
     keys = ("method.name", "scene", "init.name", "seed")
@@ -101,7 +100,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
 
 
 def _remarks(existing: Record | None, record: Record) -> list[str]:
-    """Why a cell with a record ran again, and where its training resumed."""
+    """Return why a cell with a record ran again, and where its training resumed."""
     changes = [] if existing is None else why_differs(existing, record)
     remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
     return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
@@ -116,7 +115,7 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
     if run is None:
         return message
     stage = run.current
-    failure = failures.describe(error, stage)
+    failure = failures.failure_of(error, stage)
     try:
         if not run.record.dataset:
             with suppress(Exception, SystemExit):
@@ -142,7 +141,7 @@ def _close(held: ExitStack, progress: CellProgress) -> list[str]:
 
 
 def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
-    """Outcome of a cell that can be skipped, or None if it has to run."""
+    """Return the outcome of a cell that can be skipped, or None if it has to run."""
     if existing.failure is not None:
         is_retried = existing.failure.of_environment or cfg.overwrite == "always" or cfg.retry_failed
         if existing.key != record.key or is_retried:

@@ -10,7 +10,7 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-from tdgbench.bench.gpu import describe_gpu
+from tdgbench.bench.machine import describe_gpu
 from tdgbench.resources import PACKAGE
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -24,14 +24,13 @@ HASHED = (  # folders and files
     "tdgbench/training",
     "tdgbench/scoring",
     "tdgbench/thermal",
-    "tdgbench/bench/response.py",
     "tdgbench/bench/setup.py",
     "methods",
 )
 
 
 def describe_environment() -> dict[str, object]:
-    """Machine and software, for the record."""
+    """Return machine and software, for the record."""
     return {
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in PACKAGES},
@@ -46,13 +45,13 @@ def describe_environment() -> dict[str, object]:
 
 
 def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
-    """Parts of an environment that decide whether the same training gives the same bytes: threads do not."""
+    """Return parts of an environment that decide whether the same training gives the same bytes: threads do not."""
     return {name: environment[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
 
 
 @cache
 def code_version() -> str:
-    """Hash of the source files that a result depends on."""
+    """Return the hash of the source files that a result depends on."""
     digest = hashlib.sha256()
     for name in HASHED:
         place = ROOT / name
@@ -63,7 +62,7 @@ def code_version() -> str:
 
 @cache
 def git_state() -> dict[str, object] | None:
-    """Commit, and whether the working tree differs from it; None outside a git checkout of this project."""
+    """Return commit, and whether the working tree differs from it; None outside a git checkout of this project."""
     if not (ROOT / ".git").exists():  # an installed wheel may lie inside another project's checkout
         return None
     try:
@@ -75,7 +74,7 @@ def git_state() -> dict[str, object] | None:
 
 @cache
 def cpu_model() -> str:
-    """Name of the processor, as precise as the platform gives it."""
+    """Return the name of the processor, as precise as the platform gives it."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text(encoding="utf-8").splitlines():

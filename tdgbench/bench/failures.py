@@ -37,7 +37,7 @@ REMEDIES = {
 
 
 def of_environment(error: BaseException) -> bool:
-    """Whether disk, memory, device, network or a missing prior caused an error: running again may work.
+    """Return whether disk, memory, device, network or a missing prior caused an error: running again may work.
 
     >>> of_environment(OSError(errno.ENOSPC, "No space left on device")), of_environment(ValueError("seed=x"))
     (True, False)
@@ -45,8 +45,8 @@ def of_environment(error: BaseException) -> bool:
     return isinstance(error, PriorUnavailableError) or _environment_kind(error) is not None
 
 
-def describe(error: BaseException, stage: str) -> Failure:
-    """The failure of a cell in a stage, for its record; to be called while the error is handled."""
+def failure_of(error: BaseException, stage: str) -> Failure:
+    """Return the failure of a cell in a stage, for its record; to be called while the error is handled."""
     training = error if isinstance(error, TrainingError) else None
     return Failure(
         stage=stage,
@@ -59,7 +59,7 @@ def describe(error: BaseException, stage: str) -> Failure:
 
 
 def message(error: BaseException) -> str:
-    """What went wrong and, where it is known, the remedy; the error's type unless its text says enough.
+    """Return what went wrong and, where it is known, the remedy; the error's type unless its text says enough.
 
     >>> message(MemoryError("Unable to allocate 8 GiB"))[:51]
     'MemoryError: Unable to allocate 8 GiB (out of memor'
@@ -68,7 +68,7 @@ def message(error: BaseException) -> str:
 
 
 def _text(error: BaseException) -> str:
-    """The text of an error, with the remedy."""
+    """Return the text of an error, with the remedy."""
     kind = _environment_kind(error)
     text = str(error)
     if isinstance(error, SystemExit):
@@ -77,7 +77,7 @@ def _text(error: BaseException) -> str:
 
 
 def _environment_kind(error: BaseException) -> str | None:
-    """Key of `REMEDIES` for an error or for what it was raised from; None for an error of the cell itself."""
+    """Return the key of `REMEDIES` for an error or its cause; None for an error of the cell itself."""
     seen: list[BaseException] = []
     cause: BaseException | None = error
     while cause is not None and cause not in seen:

@@ -14,10 +14,10 @@ class InitialPoints(Protocol):
     """Source of initial points."""
 
     def points(self, scene: Scene) -> PointCloud:
-        """Points for a scene. Raises SceneError if the scene has none."""
+        """Return points for a scene. Raises SceneError if the scene has none."""
 
     def describe(self, scene: Scene) -> dict[str, object]:
-        """Kind, number and origin of the points, for the record."""
+        """Return kind, number and origin of the points, for the record."""
 
 
 class ColmapPoints:
@@ -51,11 +51,11 @@ class RandomPoints:
         return PointCloud(points, self.colors(rng))
 
     def box(self, scene: Scene) -> np.ndarray:
-        """Lowest and highest corner of the box (2, 3), world units."""
+        """Return the lowest and highest corner of the box (2, 3), world units."""
         raise NotImplementedError
 
     def colors(self, rng: np.random.Generator) -> np.ndarray:
-        """Colours of the points (count, 3) float32 in [0, 1]."""
+        """Return colours of the points (count, 3) float32 in [0, 1]."""
         return rng.uniform(0, 1, (self.count, 3)).astype(np.float32)
 
     def describe(self, scene: Scene) -> dict[str, object]:
@@ -76,9 +76,9 @@ class CubeAroundCameras(RandomPoints):
         self.where = f"a cube of half side {half_side:g} × extent around the mean training camera, with random colours"
 
     def box(self, scene: Scene) -> np.ndarray:
-        centre = np.mean([view.camera.center for view in scene.train], axis=0)
+        center = np.mean([view.camera.center for view in scene.train], axis=0)
         half = self.half_side * scene.extent
-        return np.stack([centre - half, centre + half])
+        return np.stack([center - half, center + half])
 
 
 class ReleasedCube(RandomPoints):

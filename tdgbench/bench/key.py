@@ -17,7 +17,7 @@ _OF_RECORDS = ("made_from",)  # key of a prior's file that describes it
 
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
-    """Part of the configuration that a result depends on, as JSON can hold it."""
+    """Return the part of the configuration that a result depends on, as JSON can hold it."""
     plain: dict[str, Any] = as_json(OmegaConf.to_container(cfg, resolve=True))
     loader = _without_root(plain["dataset"]["loader"])
     metrics = {**plain["metrics"], "lpips": {k: v for k, v in plain["metrics"]["lpips"].items() if k != "download"}}
@@ -37,12 +37,12 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
 
 
 def _without_root(loader: dict[str, Any]) -> dict[str, Any]:
-    """A loader's options without its folder; also of a loader inside of it."""
+    """Return a loader's options without its folder; also of a loader inside of it."""
     return {k: _without_root(v) if k == "inner" else v for k, v in loader.items() if k != "root"}
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON can hold it: text for numbers that are not finite and for all that is no plain data.
+    """Return a value as JSON can hold it: text for numbers that are not finite and for all that is no plain data.
 
     Halves of characters, as in names of files that are not UTF-8, become escapes.
 
@@ -50,16 +50,16 @@ def as_json(value: Any) -> Any:
     {'rate': 'inf', 'sizes': [1, 2.5], '3': None}
     """
     if isinstance(value, dict):
-        return {str(name): as_json(one) for name, one in value.items()}
+        return {str(name): as_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json(one) for one in value]
+        return [as_json(item) for item in value]
     if value is None or isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
         return value
     return str(value).encode("utf-8", "backslashreplace").decode()
 
 
 def cell_key(record: Record) -> str:
-    """Hash of the configuration, data, scene and code in a record: 32 hexadecimal digits.
+    """Return the hash of the configuration, data, scene and code in a record: 32 hexadecimal digits.
 
     >>> record = Record("tdg", "paper", "Truck", "colmap", 0, "table1", "")
     >>> cell_key(record)
@@ -70,7 +70,7 @@ def cell_key(record: Record) -> str:
 
 
 def why_differs(old: Record, new: Record) -> list[str]:
-    """Differences between the keys of two records, in words; none where the keys are equal.
+    """Return differences between the keys of two records, in words; none where the keys are equal.
 
     >>> old, new = (Record("tdg", "paper", "Truck", "colmap", 0, "table1", "", key=key) for key in "ab")
     >>> old.config, new.config = {"budget": {"iterations": 10}}, {"budget": {"iterations": 20}}
@@ -96,7 +96,7 @@ _ABSENT = object()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested options by dotted name."""
+    """Return nested options by dotted name."""
     flat: dict[str, Any] = {}
     for name, value in config.items():
         if isinstance(value, dict):

@@ -15,7 +15,7 @@ FOLDER = "masks"
 
 
 def masked_share(views: Iterable[View]) -> float:
-    """Share of the views' pixels at which no thermal value was measured."""
+    """Return the share of the views' pixels at which no thermal value was measured."""
     masked, pixels = 0, 0
     for view in views:
         pixels += view.camera.width * view.camera.height
@@ -23,12 +23,12 @@ def masked_share(views: Iterable[View]) -> float:
     return masked / max(pixels, 1)
 
 
-def in_words(masked: Mapping[str, float]) -> str:
-    """The shares of masked pixels of a record as a sentence; empty if nothing is masked.
+def masked_in_words(masked: Mapping[str, float]) -> str:
+    """Return the shares of masked pixels of a record as a sentence; empty if nothing is masked.
 
-    >>> in_words({"train": 0.125, "test": 0.1})
+    >>> masked_in_words({"train": 0.125, "test": 0.1})
     '12.5 % of the training and 10.0 % of the test pixels have no thermal value; they count in no loss and no score'
-    >>> in_words({"train": 0.0, "test": 0.0})
+    >>> masked_in_words({"train": 0.0, "test": 0.0})
     ''
     """
     train, test = masked.get("train", 0.0), masked.get("test", 0.0)
@@ -46,12 +46,12 @@ def write_mask(folder: Path, name: str, valid: np.ndarray) -> None:
 
 
 def has_mask(folder: Path, name: str) -> bool:
-    """Whether a test view has a stored mask."""
+    """Return whether a test view has a stored mask."""
     return mask_path(folder, name).exists()
 
 
 def read_mask(folder: Path, name: str, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The stored mask of a test view, bool (H, W). size: width and height that it must have, px.
+    """Return the stored mask of a test view, bool (H, W). size: width and height that it must have, px.
 
     Raises ValueError, naming the picture, if it is no mask.
     """
@@ -65,5 +65,5 @@ def read_mask(folder: Path, name: str, size: tuple[int, int] | None = None) -> n
 
 
 def mask_path(folder: Path, name: str) -> Path:
-    """Place of a test view's mask in its cell's folder."""
+    """Return the place of a test view's mask in its cell's folder."""
     return folder / FOLDER / f"{name}.png"

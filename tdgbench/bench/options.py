@@ -11,8 +11,16 @@ from omegaconf import DictConfig, ListConfig, Node, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
-from tdgbench.bench.signature import STRICT, UNKNOWN, Problem, model_problems, not_finite, signature_problems
-from tdgbench.bench.suggest import choices, option_meant
+from tdgbench.bench.signature import (
+    STRICT,
+    UNKNOWN,
+    Problem,
+    choices,
+    not_finite,
+    option_meant,
+    pydantic_problems,
+    signature_problems,
+)
 from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
 from tdgbench.training.skips import RULES, SWITCHES
@@ -213,19 +221,19 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
     try:
         _Options.model_validate({k: v for k, v in plain.items() if k != "hydra"})
     except ValidationError as error:
-        return model_problems(error, "")
+        return pydantic_problems(error, "")
     return []
 
 
 def _object_problems(cfg: DictConfig | ListConfig, plain: Any, name: str) -> Iterator[Problem]:
-    """Problems of every `_target_` in a configuration."""
+    """Yield problems of every `_target_` in a configuration."""
     if isinstance(plain, list):
-        for index, one in enumerate(plain):
-            yield from _object_problems(cfg, one, f"{name}[{index}]")
+        for index, item in enumerate(plain):
+            yield from _object_problems(cfg, item, f"{name}[{index}]")
     if not isinstance(plain, dict):
         return
-    for key, one in plain.items():
-        yield from _object_problems(cfg, one, f"{name}.{key}" if name else key)
+    for key, item in plain.items():
+        yield from _object_problems(cfg, item, f"{name}.{key}" if name else key)
     if "_target_" not in plain or name == EXPERIMENT:
         return
     try:
@@ -250,7 +258,7 @@ def _import(path: str) -> Any:
 
 
 def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) -> Any:
-    """A configuration as plain data without `hydra`; values that cannot be resolved become problems."""
+    """Return a configuration as plain data without `hydra`; values that cannot be resolved become problems."""
     keys: list[Any] = [k for k in cfg if name or k != "hydra"] if isinstance(cfg, DictConfig) else list(range(len(cfg)))
     plain: dict[Any, Any] = {}
     for key in keys:
@@ -267,14 +275,14 @@ def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) 
 
 
 def _typed_name(cfg: DictConfig, name: str) -> str:
-    """The option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
+    """Return the option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
     node = _node(cfg, name)
     refers = None if node is None else re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(node._value()))
     return _typed_name(cfg, refers.group(1)) if refers and _node(cfg, refers.group(1)) is not None else name
 
 
 def _node(cfg: DictConfig, name: str) -> Node | None:
-    """An option as it is written, interpolations included; None where there is none of that name."""
+    """Return an option as it is written, interpolations included; None where there is none of that name."""
     node: Node | None = cfg
     for part in name.split("."):
         if not isinstance(node, DictConfig) or node._is_none() or node._is_interpolation() or node._is_missing():

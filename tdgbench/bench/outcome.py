@@ -56,19 +56,19 @@ class Outcome:
 
 
 def finished(record: Record, message: str) -> Outcome:
-    """Outcome of a cell that ran."""
+    """Return the outcome of a cell that ran."""
     seconds = sum(time for stage, time in record.seconds.items() if stage != ONCE)
     return Outcome("ok", record.title, message, scores_in_words(record), seconds)
 
 
-def finished_cells(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
-    """The results of these cells in an experiment's folder, which may hold those of earlier runs, too."""
+def finished_records(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
+    """Return the results of these cells in an experiment's folder, which may hold those of earlier runs, too."""
     titles = {outcome.title for outcome in outcomes if outcome.status in COMPLETE}
     return [record for record in read_all(experiment) if record.failure is None and record.title in titles]
 
 
 def scores_in_words(record: Record) -> str:
-    """The published scores of a finished cell, and its training time.
+    """Return the published scores of a finished cell, and its training time.
 
     >>> scores_in_words(Record("tdg", "", "a", "", 0, "", "", scores={"psnr": 24.061}, seconds={"train": 754.0}))
     'PSNR 24.06 dB, SSIM n/a, LPIPS n/a, trained in 0:12:34'

@@ -14,7 +14,7 @@ LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden si
 
 
 def cell_folder_of(experiment: Path, record: Record) -> Path:
-    """<experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<variant>].
+    """Return <experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<variant>].
 
     >>> record = Record("tdg", "paper", "Truck", "colmap", 0, "table1", "budget.iterations=900")
     >>> cell_folder_of(Path("table1"), record).as_posix()
@@ -26,7 +26,7 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
 
 
 def folder_name(name: str) -> str:
-    """A visible folder name of at most 230 bytes; different names give different ones.
+    """Return a visible folder name of at most 230 bytes; different names give different ones.
 
     A name that has to be changed carries a hash after `~`, which no unchanged name contains.
 
@@ -51,7 +51,7 @@ class ModalityFiles(NamedTuple):
 
 
 def files_of(modality: str) -> ModalityFiles:
-    """Names of the files of a modality; those of thermal are plain.
+    """Return names of the files of a modality; those of thermal are plain.
 
     >>> files_of("thermal")
     ModalityFiles(model='model.ply', renders='renders', targets='targets')
@@ -63,7 +63,7 @@ def files_of(modality: str) -> ModalityFiles:
 
 
 def hidden_folder(folder: Path, key: str) -> Path:
-    """Where a finished result of another key is kept once the cell of `folder` has failed.
+    """Return where a finished result of another key is kept once the cell of `folder` has failed.
 
     >>> hidden_folder(Path("colmap/seed0"), "842371dd379ba6205b90e832234243b1").as_posix()
     'colmap/.seed0-842371dd'
@@ -72,7 +72,7 @@ def hidden_folder(folder: Path, key: str) -> Path:
 
 
 def short_name(experiment: Path, folder: Path) -> str:
-    """File name, without suffix, of a cell's lock and checkpoint, which are outside of the cell's `folder`.
+    """Return file name, without suffix, of a cell's lock and checkpoint, which are outside of the cell's `folder`.
 
     >>> short_name(Path("table1"), Path("table1/cells/tdg/paper/Truck/colmap/seed0"))
     'a946ce4823c29e6e'

@@ -43,7 +43,7 @@ class Plan:
         write_text(experiment / FILE, json.dumps(asdict(self), indent=1) + "\n")
 
     def variant(self, overrides: list[str]) -> str:
-        """Overrides of a job that distinguish its cell from others with the same path.
+        """Return overrides of a job that distinguish its cell from others with the same path.
 
         >>> Plan(variant_keys=["budget"]).variant(["method=tdg", "budget=demo"])
         'budget=demo'
@@ -51,7 +51,7 @@ class Plan:
         return ",".join(sorted(_with_keys(overrides, self.variant_keys)))
 
     def title(self, overrides: list[str]) -> str:
-        """Overrides of a job that distinguish its cell from all others.
+        """Return overrides of a job that distinguish its cell from all others.
 
         >>> Plan(variant_keys=["budget"]).title(["method=tdg", "budget=demo", "threads=1"])
         'method=tdg budget=demo'
@@ -73,14 +73,14 @@ def read_plan(folder: Path) -> Plan:
 
 
 def plan_of_job(sweep_folder: Path) -> Plan:
-    """The plan of a job's sweep. Raises ValueError without one: the cells of several jobs might share a folder."""
+    """Return the plan of a job's sweep. Raises ValueError without one: several jobs might share a cell's folder."""
     if not (sweep_folder / FILE).exists():
         raise ValueError(f"{sweep_folder / FILE} is missing, the plan of the sweep; run the sweep again")
     return read_plan(sweep_folder)
 
 
 def swept(config: DictConfig) -> dict[str, list[str]]:
-    """Swept keys and their values as text, from the command line or else from the experiment file.
+    """Return swept keys and their values as text, from the command line or else from the experiment file.
 
     The values of a key are empty if the sweeper chooses them.
     """
@@ -95,7 +95,7 @@ def swept(config: DictConfig) -> dict[str, list[str]]:
 
 
 def number_of_jobs(config: DictConfig) -> int | None:
-    """Number of jobs of a run or sweep; None if its sweeper decides."""
+    """Return the number of jobs of a run or sweep; None if its sweeper decides."""
     return math.prod(len(values) for values in swept(config).values()) or None
 
 
@@ -107,13 +107,13 @@ def compose_jobs(config: DictConfig) -> None:
 
 
 def overrides_of_jobs(config: DictConfig) -> list[list[str]]:
-    """The overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
+    """Return the overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
     return [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
 
 
 @cache
 def key_and_value(override: str) -> tuple[str, str]:
-    """The key of an override, without signs, and its value as text.
+    """Return the key of an override, without signs, and its value as text.
 
     >>> key_and_value("+scene='1.10'")
     ('scene', '1.10')
@@ -123,7 +123,7 @@ def key_and_value(override: str) -> tuple[str, str]:
 
 
 def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:
-    """Composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
+    """Yield composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
 
     Only that of the command itself for a single run, and where the sweeper chooses values.
     """
@@ -139,12 +139,12 @@ def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig
 
 
 def _key(word: str) -> str:
-    """Key of an override, without the signs before it."""
+    """Return the key of an override, without the signs before it."""
     return word.lstrip("+~").partition("=")[0]
 
 
 def _with_keys(overrides: list[str], keys: Sequence[str]) -> list[str]:
-    """Overrides of the given keys, without the signs before them."""
+    """Return overrides of the given keys, without the signs before them."""
     return [o.lstrip("+~") for o in overrides if _key(o) in keys]
 
 
@@ -156,7 +156,7 @@ def _overrides(config: DictConfig) -> list[Override]:
 
 
 def _as_text(value: object) -> str:
-    """A value as the text that the job's configuration holds: without the quotes of the command line."""
+    """Return a value as the text that the job's configuration holds: without the quotes of the command line."""
     if isinstance(value, QuotedString):
         return value.text
     return value if isinstance(value, str) else Override._get_value_element_as_str(value)  # type: ignore[arg-type]

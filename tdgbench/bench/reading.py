@@ -18,7 +18,7 @@ MAX_TEXT = 64 * 2**20  # bytes of a record, a table or a list of cameras
 
 
 def check_regular(path: Path) -> int:
-    """Size in bytes of a regular file, or of one that a link leads to.
+    """Return the size in bytes of a regular file, or of one that a link leads to.
 
     Raises ValueError for anything else, without opening it, and FileNotFoundError where there is nothing.
     """
@@ -34,7 +34,7 @@ def check_regular(path: Path) -> int:
 
 
 def read_text(path: Path) -> str:
-    """Content of a UTF-8 text file. Raises ValueError for anything else, FileNotFoundError where there is nothing."""
+    """Read a UTF-8 text file. Raises ValueError for anything else, FileNotFoundError where there is nothing."""
     if check_regular(path) > MAX_TEXT:
         raise ValueError(f"it is larger than {MAX_TEXT // 2**20} MB")
     try:
@@ -48,7 +48,7 @@ def read_text(path: Path) -> str:
 
 
 def read_table(path: Path) -> list[list[str]]:
-    """Rows of a CSV file, all as long as the first one. Raises ValueError for anything else."""
+    """Return rows of a CSV file, all as long as the first one. Raises ValueError for anything else."""
     try:
         rows = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=True))
     except csv.Error as error:
@@ -60,7 +60,7 @@ def read_table(path: Path) -> list[list[str]]:
 
 
 def read_picture(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """A stored picture, (H, W, 1) or (H, W, 3) uint8. size: width and height that it must have, px.
+    """Return a stored picture, (H, W, 1) or (H, W, 3) uint8. size: width and height that it must have, px.
 
     The size in its header is compared before anything is decoded. Raises ValueError for anything but such a picture,
     FileNotFoundError where there is nothing.

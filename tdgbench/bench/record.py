@@ -55,7 +55,7 @@ Scores = dict[str, float | None]
 
 
 def _has(names: tuple[str, ...]) -> BeforeValidator:
-    """Validator of an object that, to be complete, must have these fields, defaults notwithstanding."""
+    """Return validator of an object that, to be complete, must have these fields, defaults notwithstanding."""
 
     def check(content: Any, info: ValidationInfo) -> Any:
         if info.context is not COMPLETE:
@@ -69,12 +69,12 @@ def _has(names: tuple[str, ...]) -> BeforeValidator:
 
 
 def _not_added_later(kind: type) -> tuple[str, ...]:
-    """Fields that every record of this schema has."""
+    """Return fields that every record of this schema has."""
     return tuple(f.name for f in fields(kind) if f.name not in ADDED_LATER)
 
 
 def _among(*values: int) -> AfterValidator:
-    """Validator of an integer that must be one of these. (Literal[1] would accept true and 1.0.)"""
+    """Return validator of an integer that must be one of these. (Literal[1] would accept true and 1.0.)"""
 
     def check(value: int) -> int:
         if value not in values:
@@ -186,7 +186,7 @@ class Record:
         return {name: report["gaussians"] for name, report in self.parts.items() if "gaussians" in report}
 
     def setting(self, name: str) -> Any:
-        """Value of a setting by its dotted name; None if the record has none.
+        """Return the value of a setting by its dotted name; None if the record has none.
 
         >>> Record("tdg", "", "a", "", 0, "", "", config={"budget": {"iterations": 9}}).setting("budget.iterations")
         9
@@ -237,7 +237,7 @@ def read_all(experiment: Path) -> list[Record]:
 
 
 def read_each(experiment: Path) -> list[tuple[Path, Record]]:
-    """The cell's folder and record for each record of `read_all`."""
+    """Return the cell's folder and record for each record of `read_all`."""
     found = []
     for path in record_files(experiment):
         try:
@@ -250,7 +250,7 @@ def read_each(experiment: Path) -> list[tuple[Path, Record]]:
 
 
 def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
-    """Record of a failed cell in the place of one that cannot be read."""
+    """Return the record of a failed cell in the place of one that cannot be read."""
     *_, method, dataset, scene, init, last = ("", "", "", "", *folder.relative_to(experiment / "cells").parts)
     seed, _, variant = last.removeprefix("seed").partition(",")
     number = int(seed) if seed.isascii() and seed.isdigit() and len(seed) < 19 else 0
@@ -260,14 +260,14 @@ def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
 
 
 def record_files(experiment: Path) -> list[Path]:
-    """Paths of the records below <experiment>/cells, sorted, hidden folders excepted."""
+    """Return paths of the records below <experiment>/cells, sorted, hidden folders excepted."""
     paths = sorted((experiment / "cells").rglob("*.json"))  # with a wildcard, broken links are listed as well
     paths = [path for path in paths if path.name == FILE]
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(experiment).parts)]
 
 
 def schema_problems(text: str) -> list[str]:
-    """Reasons why the JSON text of a record does not fit `Record`; none if it does.
+    """Return reasons why the JSON text of a record does not fit `Record`; none if it does.
 
     >>> schema_problems('{"method": 1}')[0][:26]
     '$: lacks dataset, scene, i'
@@ -275,7 +275,7 @@ def schema_problems(text: str) -> list[str]:
     try:
         _validator().validate_json(text, strict=True, context=COMPLETE)
     except ValidationError as error:
-        return [_describe(dict(one)) for one in error.errors(include_url=False)]
+        return [_describe(dict(problem)) for problem in error.errors(include_url=False)]
     return []
 
 
@@ -286,7 +286,7 @@ def _validator() -> TypeAdapter[Record]:
 
 
 def _check_schema(content: Any, info: ValidationInfo) -> Any:
-    """Every record states its schema and its failure, if only as null."""
+    """Check that a record states its schema and its failure, if only as null."""
     if info.context is COMPLETE or not isinstance(content, dict):
         return content
     if content.get("schema") != SCHEMA:
@@ -298,7 +298,7 @@ def _check_schema(content: Any, info: ValidationInfo) -> Any:
 
 
 def _check_status(record: Record, info: ValidationInfo) -> Record:
-    """A failed cell has a failure; a finished one has its training time and, to be complete, scores and all times."""
+    """Check that a failed cell has a failure, a finished one its training time and, to be complete, all it needs."""
     if record.status == "failed":
         problem = "" if record.failure is not None else "status is failed, but failure is null"
     elif record.failure is not None:
@@ -315,7 +315,7 @@ def _check_status(record: Record, info: ValidationInfo) -> Record:
 
 
 def _describe(error: dict[str, Any]) -> str:
-    """One line: where, what, and the value unless it is an object or an array."""
+    """Return one line: where, what, and the value unless it is an object or an array."""
     place = ".".join(["$", *(str(part) for part in error["loc"])])
     value = error["input"]
     shown = "" if isinstance(value, dict | list) else f", not {shortened(repr(value), MOST_SHOWN)}"

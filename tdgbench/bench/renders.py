@@ -90,12 +90,12 @@ def background_of(record: Record, modality: str) -> Tensor | None:
 
 
 def response_of(record: Record) -> ImageResponse:
-    """What the thermal camera of a cell shows of renders. Raises ValueError for a record that states it wrongly."""
+    """Return what the thermal camera of a cell shows of renders. Raises ValueError for a record that is wrong there."""
     return read_response(record.camera.get("estimated", {}).get("response"))
 
 
 def blending_of(record: Record) -> Blending:
-    """Constants that the renders of a cell were blended with."""
+    """Return constants that the renders of a cell were blended with."""
     packages = record.environment.get("packages")
     own = None
     if record.backend in backend_names() and isinstance(packages, dict):

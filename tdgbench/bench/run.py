@@ -16,16 +16,15 @@ from omegaconf import DictConfig
 from tdgbench.bench import cameras
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import code_version, same_bytes_on
-from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
-from tdgbench.bench.response import Facts
 from tdgbench.bench.scores import score_training_views, write_views
-from tdgbench.bench.setup import SetupObserver, loader_of, set_up
+from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
+from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.bench.training_log import TensorBoardLog, write_log
 from tdgbench.files import whole_folder
@@ -70,7 +69,7 @@ class CellRun(SetupObserver):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Context of a stage, which the terminal and a failure name and the record times."""
+        """Time a stage, which the terminal and a failure name."""
         self.current = name
         self.progress.stage(name)
         start = time.perf_counter()
@@ -169,7 +168,7 @@ class CellRun(SetupObserver):
         self._discard(self.checkpoint)
         if self._board is not None:
             with self._remarked("scores and renders could not be written to the TensorBoard log"):
-                images = {name: to_8bit(one.image) for name, one in renders.items()}
+                images = {name: to_8bit(view.image) for name, view in renders.items()}
                 self._board.results(record.iterations, record.scores, images)
 
     def discard_checkpoint(self) -> None:
@@ -187,14 +186,14 @@ class CellRun(SetupObserver):
 
     @contextmanager
     def _remarked(self, what: str) -> Iterator[None]:
-        """Context of work beside the result: an error in it is a remark on the outcome."""
+        """Turn an error in work beside the result into a remark on the outcome."""
         try:
             yield
         except Exception as error:
             self.remarks.append(f"{what}: {error}")
 
     def _cache(self, name: str, what: str) -> Path | None:
-        """Folder of what cells of a scene share; None, with a remark, if it cannot be written."""
+        """Return the folder of what cells of a scene share; None, with a remark, if it cannot be written."""
         folder = Path(self.cfg.results) / "cache" / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -205,7 +204,7 @@ class CellRun(SetupObserver):
             return None
 
     def _fingerprint(self) -> str:
-        """Fingerprint of the scene's files, and of those that its prior is read from."""
+        """Return the fingerprint of the scene's files, and of those that its prior is read from."""
         scene, needs_prior = self._outline.scene, self.method.needs_prior
         files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
         return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
@@ -246,7 +245,7 @@ class CellRun(SetupObserver):
         return self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
 
     def _open_checkpoint(self) -> Checkpoint:
-        """Checkpoint of this cell; with overwrite=always a stored one is removed."""
+        """Return the checkpoint of this cell; with overwrite=always a stored one is removed."""
         made_with = {
             "settings, data or code": self.record.key,
             "backend": self.record.backend,
@@ -258,7 +257,7 @@ class CellRun(SetupObserver):
         return checkpoint
 
     def _log_listener(self, after: int) -> Callable[[LogLine], None]:
-        """Callback for training log lines, from the iteration after `after` on."""
+        """Return the callback for training log lines, from the iteration after `after` on."""
         if self.cfg.log.writer is None:
             return self.progress.line
         place = self.folder.relative_to(self.experiment / "cells")

@@ -29,7 +29,7 @@ def score_views(
 def score_training_views(
     trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
 ) -> dict[str, float | None]:
-    """Mean PSNR and SSIM of the training views; a model that overfits scores far higher here than on test views."""
+    """Return mean PSNR and SSIM of the training views, far higher than on test views for a model that overfits."""
     scores: dict[str, dict[str, float | None]] = {}
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
@@ -39,7 +39,7 @@ def score_training_views(
 
 
 def batches(count: int) -> list[tuple[int, int]]:
-    """Pieces (start, stop) of range(count): VIEWS_A_THREAD for each thread.
+    """Return pieces (start, stop) of range(count): VIEWS_A_THREAD for each thread.
 
     >>> all(stop - start <= VIEWS_A_THREAD * pool.get_threads() for start, stop in batches(1000))
     True
@@ -58,7 +58,7 @@ def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
 
 
 def read_views(path: Path) -> dict[str, Row]:
-    """Scores by view and metric from views.csv, None for n/a.
+    """Return scores by view and metric from views.csv, None for n/a.
 
     Raises ValueError for a file of any other form (a repeated view or column, a row that is too short, no number), and
     FileNotFoundError where there is none.
@@ -72,12 +72,12 @@ def read_views(path: Path) -> dict[str, Row]:
         if name in found:
             raise ValueError(f"it has two rows of {name}")
         places = zip(rows[0][1:], row[1:], strict=True)
-        found[name] = {m: None if text == "n/a" else finite_number(text, f"{m} of {name}") for m, text in places}
+        found[name] = {m: None if text == "n/a" else finite_field(text, f"{m} of {name}") for m, text in places}
     return found
 
 
-def finite_number(text: str, what: str) -> float:
-    """A number from a CSV field. Raises ValueError, naming it by `what`, if it is none or not finite."""
+def finite_field(text: str, what: str) -> float:
+    """Return a number from a CSV field. Raises ValueError, naming it by `what`, if it is none or not finite."""
     try:
         value = float(text)
     except ValueError:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from hydra.utils import instantiate
@@ -12,12 +13,12 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
-from tdgbench.bench.response import CameraOptions, Facts, prepare
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
-from tdgbench.thermal import IDEAL, ImageResponse
+from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.contrast import with_contrast
 from tdgbench.thermal.correct import in_one_range
+from tdgbench.thermal.maps import evaluate
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method
@@ -41,7 +42,7 @@ class SetupObserver:
     """Receives the progress and the facts of a set-up; this one ignores them."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Context of a stage: images, camera, prior, init or compile."""
+        """Enter a stage: images, camera, prior, init or compile."""
         return nullcontext()
 
     def count(self, done: int, total: int) -> None:
@@ -83,7 +84,7 @@ def set_up(
     response, scored, is_changed = IDEAL, scene, cfg.contrast.training != "none"
     if camera.estimate:
         with observer.stage("camera"):
-            scene, facts, notes, response = prepare(scene)
+            scene, facts, notes, response = correct_scene(scene)
             if is_changed:  # the camera never showed the changed images
                 scene, response = in_one_range(scene, response), IDEAL
         observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
@@ -106,7 +107,7 @@ def set_up(
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
-    """Configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
+    """Return the configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
     loader = cfg.dataset.loader.copy()
     read = loader
     while "inner" in read:  # of a data set that another one reads
@@ -131,7 +132,7 @@ def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
 
 
 def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
-    """Views whose RGB image is read.
+    """Return views whose RGB image is read.
 
     A method that trains on RGB needs that of every training view, and scores those of the test views that have one.
     For other methods the skip `rgb` leaves all out; without it, those of the training views are read.
@@ -146,7 +147,7 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
 def _estimate_priors(
     cfg: DictConfig, scene: Scene, skips: Skips, cache: Path | None, observer: SetupObserver
 ) -> dict[str, DepthPrior]:
-    """Depth priors of the training views by name, from the cache where it has them."""
+    """Return the depth priors of the training views by name, from the cache where it has them."""
     with observer.stage("prior"):
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
@@ -159,7 +160,7 @@ def _estimate_priors(
 
 
 def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
-    """The prior, unknown at masked pixels: it was made from an image that says nothing there.
+    """Return the prior, unknown at masked pixels: it was made from an image that says nothing there.
 
     Raises PriorError if it is known nowhere else.
     """
@@ -169,3 +170,54 @@ def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
     if not np.isfinite(values).any():
         raise PriorError(f"the depth prior of view {view.name} is known at none of the view's valid pixels")
     return DepthPrior(values, prior.kind)
+
+
+SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
+DIGITS = 6
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """What is done about the thermal camera's errors; see `conf/camera/`."""
+
+    estimate: bool  # its response, before training, from sparse points; training views are then corrected
+    rig: bool = False  # learn where it is, and its lens, with the Gaussians: `tdgbench.training.rig`
+
+
+class CorrectedScene(NamedTuple):
+    """A scene to train on, facts for the record, notes, response for renders."""
+
+    scene: Scene
+    facts: Facts
+    notes: list[str]
+    response: ImageResponse = IDEAL
+
+
+def correct_scene(scene: Scene) -> CorrectedScene:
+    """Estimate the camera and correct the training views; where it cannot be estimated, images stay as they are."""
+    found = estimate_camera(scene)
+    if isinstance(found, Unknown):
+        notes = [f"camera: images stay as they are: {found.reason}"]
+        return CorrectedScene(scene, {"unknown": found.reason}, notes)
+    before = len(scene.notes)
+    scene, response = corrected(scene, found)
+    notes = [f"camera: {note}" for note in scene.notes[before:]]
+    return CorrectedScene(scene, _estimated(found), notes, response)
+
+
+def _estimated(camera: ThermalCamera) -> Facts:
+    pattern = {"columns": camera.columns, "rows": camera.rows}
+    return {
+        **{name: _rounded(lines) for name, lines in pattern.items() if lines is not None},
+        "unit": camera.unit, "terms": list(camera.terms), "undetermined": camera.undetermined,
+        "views": list(camera.views), "reference": round(float(camera.reference), DIGITS),
+        "offsets": _rounded(camera.offsets), "gains": _rounded(camera.gains), "vignette": _rounded(camera.vignette),
+        "offset_rms": round(float(np.sqrt(np.mean(camera.offsets**2))), DIGITS),
+        "vignette_span": round(float(np.ptp(evaluate(camera.vignette, *SPAN_SIZE))), DIGITS),
+        "residual_before": round(camera.residual_before, 5), "residual_after": round(camera.residual_after, 5),
+    }  # fmt: skip
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(value), DIGITS) for value in values]

@@ -1,7 +1,8 @@
 """Check options against the signature of what they configure: a class named by `_target_`, or a dataclass of options.
 
 The annotations say what is allowed: `Literal["paper", "reference"]`, `PositiveInt`, `Annotated[float, Field(le=1)]`.
-Types that YAML does not have are not checked. No number may be infinite or NaN.
+Types that YAML does not have are not checked. No number may be infinite or NaN. A mistyped option comes with those that
+it may have meant.
 """
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ import inspect
 import json
 import math
 import types
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from omegaconf import OmegaConf
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
+
+from tdgbench.resources import conf_folder
 
 SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -33,7 +38,7 @@ class Problem(NamedTuple):
     value: Any = None  # shown unless it is None, a list or a dictionary
 
     def __str__(self) -> str:
-        """`data.width=0: must be at least 1`."""
+        """Return `data.width=0: must be at least 1`."""
         shown = "" if self.value is None or isinstance(self.value, dict | list) else f"={as_typed(self.value)}"
         return f"{self.option}{shown}: {self.what}"
 
@@ -45,7 +50,7 @@ def signature_problems(
     elsewhere: Collection[str] = (),
     partial: bool = False,
 ) -> list[Problem]:
-    r"""Problems of the options that a class or function is called with.
+    r"""Return problems of the options that a class or function is called with.
 
     options: by parameter. name: of the options as a whole. elsewhere: parameters whose values are checked elsewhere.
     partial: parameters may be missing.
@@ -61,7 +66,7 @@ def signature_problems(
     others = next((p for p in parameters.values() if p.kind is p.VAR_KEYWORD), None)
     hints = _hints(target)
     missing = [p.name for p in named if p.default is p.empty and p.name not in {*options, *elsewhere} and not partial]
-    problems = [Problem(f"{name}.{one}", "is missing") for one in missing]
+    problems = [Problem(f"{name}.{parameter}", "is missing") for parameter in missing]
     for option in [*options, *elsewhere]:
         parameter, value = parameters.get(option, others), options.get(option)
         if parameter is None or parameter.kind is parameter.VAR_POSITIONAL:
@@ -73,7 +78,7 @@ def signature_problems(
 
 
 def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
-    """Problems of a value that should be of an annotated type.
+    """Return problems of a value that should be of an annotated type.
 
     >>> [str(problem) for problem in type_problems(int, 2.5, "seed")]
     ['seed=2.5: must be a whole number']
@@ -83,25 +88,25 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
     try:
         _adapter(hint).validate_python(value)
     except ValidationError as error:
-        return model_problems(error, name)
+        return pydantic_problems(error, name)
     return list(not_finite(value, name))
 
 
-def model_problems(error: ValidationError, name: str) -> list[Problem]:
-    """Problems that pydantic found in the options below `name`."""
-    return [_problem(one, name) for one in error.errors(include_url=False)]
+def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
+    """Return problems that pydantic found in the options below `name`."""
+    return [_problem(problem, name) for problem in error.errors(include_url=False)]
 
 
 def not_finite(value: Any, name: str) -> Iterator[Problem]:
-    """Infinite numbers and NaN in a value, its lists and dictionaries included."""
+    """Yield infinite numbers and NaN in a value, its lists and dictionaries included."""
     if isinstance(value, float) and not math.isfinite(value):
         yield Problem(name, "must be finite", value)
-    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from not_finite(one, _path(name, (key,)))
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from not_finite(item, _path(name, (key,)))
 
 
 def as_typed(value: Any) -> str:
-    """A value as on the command line.
+    """Return a value as on the command line.
 
     >>> as_typed(None), as_typed(True), as_typed("a b"), as_typed("")
     ('null', 'true', 'a b', "''")
@@ -113,7 +118,7 @@ def as_typed(value: Any) -> str:
 
 @cache
 def _hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Annotations of a signature; none where they name what is imported for type checkers only."""
+    """Return annotations of a signature; none where they name what is imported for type checkers only."""
     try:
         return get_type_hints(target.__init__ if isinstance(target, type) else target, include_extras=True)  # type: ignore[misc]
     except NameError:
@@ -126,7 +131,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 
 
 def _is_plain(hint: Any) -> bool:
-    """Whether a type is made of what YAML has."""
+    """Return whether a type is made of what YAML has."""
     if hint in SCALARS or (isinstance(hint, type) and issubclass(hint, BaseModel)):
         return True
     origin = get_origin(hint)
@@ -136,7 +141,7 @@ def _is_plain(hint: Any) -> bool:
 
 
 def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
-    """The problem of a value in the place of options that a `_target_` makes."""
+    """Yield the problem of a value in the place of options that a `_target_` makes."""
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     if value is not None and all(kind is types.NoneType or is_dataclass(kind) for kind in kinds):
         choices = "options with a _target_, or null" if types.NoneType in kinds else "options with a _target_"
@@ -185,3 +190,67 @@ def _path(name: str, parts: tuple[int | str, ...]) -> str:
     for part in parts:
         name = f"{name}[{part}]" if isinstance(part, int) else f"{name}.{part}" if name else str(part)
     return name
+
+
+NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options of others
+
+
+def option_meant(option: str) -> str:
+    """Return `; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
+
+    An option of other choices than the configured one comes with these.
+
+    >>> option_meant("iterations")
+    '; did you mean budget.iterations?'
+    >>> option_meant("bugdet.iterations")
+    '; did you mean budget.iterations?'
+    >>> option_meant("budget.growth.z")
+    '; it belongs to budget=lean'
+    >>> option_meant("colour")
+    ''
+    """
+    known, last = option_names(), option.rpartition(".")[2]
+    if known.get(option):
+        return f"; it belongs to {', '.join(known[option])}"
+    alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
+    return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """Return `; did you mean …?` with the known words that are spelled alike; empty if there is none.
+
+    >>> meant("tgd", ["tdg", "msmg"])
+    '; did you mean tdg?'
+    """
+    alike = get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {alike[0]}?" if alike else ""
+
+
+def choices(group: str) -> list[str]:
+    """Return built-in choices of a group of options.
+
+    >>> choices("metrics")
+    ['3dgs', 'standard']
+    """
+    return sorted(path.stem for path in (conf_folder() / group).glob("*.yaml"))
+
+
+@cache
+def option_names() -> dict[str, list[str]]:
+    """Return dotted names of all options in conf/, with the choices that have them (none: always there)."""
+    folder, names = conf_folder(), dict[str, list[str]]()
+    for path in sorted(folder.rglob("*.yaml")):
+        groups = path.relative_to(folder).parts[:-1]
+        if groups[:1] not in [(folder,) for folder in NO_OPTIONS]:
+            content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+            for name in _names(content, "".join(f"{group}." for group in groups)):
+                names.setdefault(name, []).extend([f"{'/'.join(groups)}={path.stem}"] if groups else [])
+    return names
+
+
+def _names(content: Any, prefix: str) -> Iterator[str]:
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key in ("defaults", "hydra", "_target_"):
+            continue
+        yield f"{prefix}{key}"
+        yield from _names(value, f"{prefix}{key}.")

@@ -1,20 +1,25 @@
-"""What is stored of a cell: its readable record, the record of a failure, a result that a failure hid; and of a run."""
+"""What is stored of a cell and of a run.
+
+The hashes of a cell's files, its readable record, the record of a failure, and a result that a failure hid.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import time
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.record import Failure, Record, read_record, record_files
+from tdgbench.bench.reading import check_regular
+from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 
 
 def readable_record(folder: Path) -> Record | None:
-    """The record in a folder; None if there is none, or if it is broken and the cell has to run again."""
+    """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
         return read_record(folder, complete=True)
     except (ValueError, OSError, RecursionError):
@@ -58,10 +63,53 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
 
 
 def kept(experiment: Path) -> str:
-    """What an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
+    """Return what an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
     records = [readable_record(path.parent) for path in record_files(experiment)]
     finished = sum(record is not None and record.status == "ok" for record in records)
     cells = f"{finished} finished {'cell' if finished == 1 else 'cells'}"
     written = [path.stat().st_mtime for path in (experiment / "checkpoints").glob("[!.]*.pt")]
     state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
     return f"{experiment} keeps {cells}{state}; the same command goes on from there"
+
+
+OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
+
+
+def cell_files(folder: Path) -> dict[str, Path]:
+    """Return everything below a cell's folder but its record and folders, by relative path. Links are not followed."""
+    found = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
+    return {path.relative_to(folder).as_posix(): path for path in found if path != folder / FILE}
+
+
+def sha256(path: Path) -> str:
+    """Return SHA-256 of a file's content, read piece by piece."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """Return SHA-256 of every file below a cell's folder but its record, by relative path."""
+    return {name: sha256(path) for name, path in cell_files(folder).items()}
+
+
+def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
+    """Return those of a record's hashes that equal trainings share.
+
+    >>> hashes_of_content({"model.ply": "ab", "log.csv": "cd"})
+    {'model.ply': 'ab'}
+    """
+    return {name: value for name, value in recorded.items() if name not in OF_TIMES}
+
+
+def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
+    """Yield files that are missing, unknown to the record, changed, or no files; those are never opened."""
+    actual = cell_files(folder)
+    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
+    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
+    for name in sorted(set(actual) & set(recorded)):
+        try:
+            check_regular(actual[name])
+            if sha256(actual[name]) != recorded[name]:
+                yield f"{name} has changed"
+        except (OSError, ValueError) as error:
+            yield f"{name} cannot be read: {error}"

@@ -108,7 +108,9 @@ def _without_targets(options: Any) -> Any:
 
 def _scene_of(record: Record, cameras: Cameras) -> Scene:
     """Return the scene with its cameras and no images."""
-    train, test = ([View(name, one, _no_image) for name, one in cameras[part].items()] for part in ("train", "test"))
+    train, test = (
+        [View(name, camera, _no_image) for name, camera in cameras[part].items()] for part in ("train", "test")
+    )
     names = (record.scene, record.dataset, record.group)
     return Scene(*names, train, test, _POINTS, None, record.split, record.data, record.channels)
 

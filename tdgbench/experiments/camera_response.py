@@ -14,8 +14,8 @@ from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.accuracy import Truth, truth_in_gauge
-from tdgbench.thermal.camera import Response, in_gauge
-from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.thermal.camera import ViewResponses, in_gauge
+from tdgbench.thermal.maps import TERMS, evaluate
 
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 TINY = 1e-9  # °C; a smaller truth has nothing to show
@@ -30,7 +30,7 @@ class Comparison:
 
     labels: dict[str, Any]
     views: list[str]
-    found: Response
+    found: ViewResponses
     found_vignette: np.ndarray
     true: Truth
 
@@ -64,7 +64,7 @@ def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: l
     views = list(facts["views"])
     true = truth_in_gauge(truth, views, float(facts["reference"]))
     height, width = true.vignette.shape
-    found = in_gauge(Response(offsets, gains))
+    found = in_gauge(ViewResponses(offsets, gains))
     return Comparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
 
 

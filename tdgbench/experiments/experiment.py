@@ -24,8 +24,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
-from tdgbench.bench.signature import Problem
-from tdgbench.bench.suggest import meant, option_meant
+from tdgbench.bench.signature import Problem, meant, option_meant
 from tdgbench.terminal import guard_streams
 
 

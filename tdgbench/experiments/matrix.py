@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.cell import run_cell
-from tdgbench.bench.outcome import SUCCESS, Outcome, finished_cells
+from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
 from tdgbench.terminal import console, say
@@ -90,7 +90,7 @@ def run_cells(cfg: DictConfig, axes: Axes) -> list[MatrixCell]:
         if outcome.status not in SUCCESS:
             say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
         ran.append((dict(zip(axes, (choice.label for choice in choices), strict=True)), cell, outcome))
-    finished = finished_cells(Path(cfg.results) / cfg.name, [outcome for *_, outcome in ran])
+    finished = finished_records(Path(cfg.results) / cfg.name, [outcome for *_, outcome in ran])
     records = {record.title: record for record in finished}
     return [MatrixCell(labels, cell, outcome, records.get(outcome.title)) for labels, cell, outcome in ran]
 

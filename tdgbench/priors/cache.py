@@ -22,7 +22,7 @@ LOG = logging.getLogger(__name__)
 def estimate_all(
     estimator: DepthEstimator, scene: Scene, cache: Path | None, report: Callable[[int, int], None] | None = None
 ) -> tuple[dict[str, DepthPrior], int]:
-    """Priors of the training views by name, and how many of them were not in the cache.
+    """Return priors of the training views by name, and how many of them were not in the cache.
 
     cache: folder of the maps; None disables it. report: called with (views done, views).
     """
@@ -39,7 +39,7 @@ def estimate_all(
 def _cached(
     estimator: DepthEstimator, identity: str, scene: Scene, view: View, cache: Path | None
 ) -> tuple[DepthPrior, bool]:
-    """Prior of a view, and whether it is new."""
+    """Return the prior of a view, and whether it is new."""
     if cache is None:
         return estimator.estimate(scene, view), True
     digest = hashlib.sha256(identity.encode())
@@ -57,7 +57,7 @@ def _cached(
 
 
 def _read(path: Path, view: View) -> DepthPrior | None:
-    """A stored prior; None, and a warning, for a file that is damaged: cut, changed, or of another shape.
+    """Return a stored prior; None, and a warning, for a file that is damaged: cut, changed, or of another shape.
 
     The archive holds checksums of its members, so changed bytes are found.
     """

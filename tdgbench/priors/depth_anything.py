@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tdgbench.priors.hub import chosen_device, importing, loading
-from tdgbench.priors.prior import DepthPrior
+from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
 from tdgbench.scenes import Scene, View
 
 

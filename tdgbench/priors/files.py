@@ -79,7 +79,7 @@ def _as_prior_error() -> Iterator[None]:
 
 
 def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Depth map (H, W) float32 in [0, 1] of size (H, W), NaN where unknown. Raises SceneError or PriorError."""
+    """Read a depth map (H, W) float32 in [0, 1], NaN where unknown. Raises SceneError or PriorError."""
     with whole_image(path) as image:
         mode, counts = image.mode, np.asarray(image)
     if mode not in LARGEST_COUNT:

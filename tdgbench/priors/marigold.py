@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from pydantic import NonNegativeInt, PositiveInt
 
-from tdgbench.priors.hub import chosen_device, importing, loading
-from tdgbench.priors.prior import DepthPrior
+from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
 from tdgbench.scenes import Scene, View
 
 

@@ -87,7 +87,7 @@ class OnnxPrior:
         return DepthPrior(full, self.kind)
 
     def _input_size(self, height: int, width: int) -> tuple[int, int]:
-        """Height and width of the network's input for an image of height × width."""
+        """Return height and width of the network's input for an image of height × width."""
         network, goal = self._network, self.width or width
         open_height = to_multiple(height * goal / width, self.multiple)
         return network.height or open_height, network.width or to_multiple(goal, self.multiple)
@@ -99,7 +99,7 @@ class OnnxPrior:
         return Path(self.model)
 
     def _hash(self) -> str:
-        """Hash of the model's file and of its weights beside it (`<model>.data`, `<model>_data`)."""
+        """Return the hash of the model's file and of its weights beside it (`<model>.data`, `<model>_data`)."""
         digest = hashlib.sha256()
         try:
             regular_file(self._path)
@@ -114,7 +114,7 @@ class OnnxPrior:
         return PriorUnavailableError("onnx", str(error), "name a network's file: prior.estimator.model=FILE")
 
     @cached_property
-    def _network(self) -> Network:
+    def _network(self) -> OnnxNetwork:
         try:
             path = regular_file(self._path)
         except SceneError as error:
@@ -140,7 +140,7 @@ class OnnxPrior:
         return network_of(session, path, self.output)
 
 
-class Network(NamedTuple):
+class OnnxNetwork(NamedTuple):
     """A network that is ready to run, and what it takes and gives."""
 
     session: Any  # onnxruntime.InferenceSession
@@ -153,10 +153,10 @@ class Network(NamedTuple):
     dtype: type[np.floating[Any]]
 
 
-def network_of(session: Any, path: Path, output: str | None) -> Network:
+def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
-    inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
-    described = ", ".join(f"{one.name}: {one.type} {list(one.shape)}" for one in inputs)
+    inputs, outputs = session.get_inputs(), [found.name for found in session.get_outputs()]
+    described = ", ".join(f"{tensor.name}: {tensor.type} {list(tensor.shape)}" for tensor in inputs)
     shape = list(inputs[0].shape) if inputs else []
     sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
     is_batch = len(sides) == 4 and sides[0] in (1, None)
@@ -172,13 +172,13 @@ def network_of(session: Any, path: Path, output: str | None) -> Network:
     is_last = places[0] == 3
     height, width = (sides[1], sides[2]) if is_last else (sides[2], sides[3])
     channels = int(shape[places[0]])
-    return Network(
+    return OnnxNetwork(
         session, inputs[0].name, output or outputs[0], channels, is_last, height, width, TYPES[inputs[0].type]
     )  # fmt: skip
 
 
 def with_channels(image: np.ndarray, channels: int) -> np.ndarray:
-    """An image (H, W, C) with 1 or 3 channels: gray is repeated, colours are averaged.
+    """Return an image (H, W, C) with 1 or 3 channels: gray is repeated, colours are averaged.
 
     >>> with_channels(np.array([[[0.0, 0.5, 1.0]]]), 1).tolist(), with_channels(np.array([[[0.5]]]), 3).tolist()
     ([[[0.5]]], [[[0.5, 0.5, 0.5]]])
@@ -189,14 +189,14 @@ def with_channels(image: np.ndarray, channels: int) -> np.ndarray:
 
 
 def normalized(image: np.ndarray) -> np.ndarray:
-    """An image (H, W, C) in [0, 1], minus ImageNet's mean, over its standard deviation; gray by their averages."""
+    """Normalise an image (H, W, C) in [0, 1] by ImageNet's mean and standard deviation; gray by their averages."""
     if image.shape[2] == 1:
         return (image - IMAGENET_MEAN.mean()) / IMAGENET_STD.mean()
     return (image - IMAGENET_MEAN) / IMAGENET_STD
 
 
 def as_map(output: np.ndarray) -> np.ndarray | None:
-    """A network's output of shape (H, W), with ones before it or one after it, as a map (H, W); else None.
+    """Return a network's output of shape (H, W), with ones before it or one after it, as a map (H, W); else None.
 
     >>> [as_map(np.zeros(shape)) is None for shape in ((1, 1, 4, 6), (1, 4, 6, 1), (1, 3, 1, 6))]
     [False, False, True]
@@ -209,7 +209,7 @@ def as_map(output: np.ndarray) -> np.ndarray | None:
 
 
 def to_multiple(size: float, multiple: int) -> int:
-    """The multiple that is nearest to a size, at least one.
+    """Return the multiple that is nearest to a size, at least one.
 
     >>> to_multiple(480, 14), to_multiple(3, 32)
     (476, 32)

@@ -1,15 +1,18 @@
-"""Depth prior of a view, and the protocol of estimators."""
+"""Depth prior of a view, the protocol of estimators, and what those that need packages or weights share."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
-from tdgbench.text import one_line
+from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
 KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
@@ -69,7 +72,7 @@ class DepthPrior:
         return self
 
     def resized(self, width: int, height: int) -> DepthPrior:
-        """The map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
+        """Return the map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
 
         >>> values = np.array([[1.0, 3.0, np.nan, np.nan, np.nan, 4.0]], np.float32)
         >>> DepthPrior(values, "depth").resized(3, 1).values.tolist()
@@ -88,13 +91,13 @@ class DepthEstimator(Protocol):
     """D = f(I_thermal): TDg, eq. 2."""
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        """Everything the maps depend on besides the images, for the cache key and the record.
+        """Return everything the maps depend on besides the images, for the cache key and the record.
 
         `files`: hash of the files that the estimator reads, if any.
         """
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
-        """Prior of a training view. Raises PriorError."""
+        """Return the prior of a training view. Raises PriorError."""
 
 
 @runtime_checkable
@@ -109,3 +112,38 @@ def prepare(estimator: DepthEstimator) -> None:
     """Get what an estimator needs besides the scene. Raises PriorUnavailableError."""
     if isinstance(estimator, NeedsPreparation):
         estimator.prepare()
+
+
+LONGEST_REASON = 300  # characters of a library's message
+
+
+@contextmanager
+def importing(prior: str) -> Iterator[None]:
+    """Import libraries: what fails in this context becomes PriorUnavailableError."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # a broken package raises many kinds
+        reason = f"a package is missing or broken ({shortened(str(error), LONGEST_REASON)})"
+        raise PriorUnavailableError(prior, reason, "pip install -e '.[depth]'") from error
+
+
+@contextmanager
+def loading(prior: str, model: str) -> Iterator[None]:
+    """Get a model: what fails in this context becomes PriorUnavailableError."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # the libraries raise many kinds
+        reason = f"no weights of {model} ({type(error).__name__}: {shortened(str(error), LONGEST_REASON)})"
+        remedy = "connect to the Hugging Face hub once, or name a copy: HF_HOME=CACHE, or prior.estimator.model=FOLDER"
+        raise PriorUnavailableError(prior, reason, remedy) from error
+
+
+def chosen_device(name: str) -> torch.device:
+    """Return the device of a name; `auto` is the GPU, where there is one."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(name)

@@ -58,7 +58,7 @@ class SfmPointsPrior:
         return DepthPrior(full, "disparity")
 
     def _splat_points(self, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """Mean inverse depth (H, W) and number (H, W) of the visible ones of the points (N, 3), per grid cell."""
+        """Return mean inverse depth (H, W) and number (H, W) of the visible points, of points (N, 3), per grid cell."""
         _, rows, columns, z = visible_points(camera, points, self.occlusion)
         total, count = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width))
         np.add.at(total, (rows, columns), 1 / z)
@@ -66,7 +66,7 @@ class SfmPointsPrior:
         return np.divide(total, count, out=np.zeros_like(total), where=count > 0), count
 
     def _solve(self, values: np.ndarray, weight: np.ndarray, thermal: np.ndarray) -> np.ndarray:
-        """Minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W)."""
+        """Return the minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W)."""
         index = np.arange(values.size).reshape(values.shape)
         pairs = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
         a, b = (np.concatenate([p[side].ravel() for p in pairs]) for side in (0, 1))

@@ -25,7 +25,7 @@ class VisiblePoints(NamedTuple):
 
 
 def visible_points(camera: Camera, points: np.ndarray, occlusion: float) -> VisiblePoints:
-    """The points (N, 3) inside the image that no other hides.
+    """Return the points (N, 3) inside the image that no other hides.
 
     A point is hidden if it lies more than the share `occlusion` behind the nearest one within 2 px. Points are sparse:
     use the camera of a small image (`camera.resized`).
@@ -45,13 +45,13 @@ def visible_points(camera: Camera, points: np.ndarray, occlusion: float) -> Visi
 
 
 def grid_width(cameras: Sequence[Camera], points: np.ndarray) -> int:
-    """Columns of a small image in which about POINTS_IN_WINDOW of the points (N, 3) in it share a window."""
+    """Return columns of a small image in which about POINTS_IN_WINDOW of the points (N, 3) in it share a window."""
     inside = sum(int(np.count_nonzero(_is_inside(camera, *camera.project(points)))) for camera in cameras)
     cells = WINDOW**2 * inside / len(cameras) / POINTS_IN_WINDOW
     return int(np.clip(np.sqrt(cells * cameras[0].width / cameras[0].height), *GRID))
 
 
 def _is_inside(camera: Camera, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Which projected points, at pixels (N, 2) and z (N,), lie in the image."""
+    """Return which projected points, at pixels (N, 2) and z (N,), lie in the image."""
     size = (camera.width, camera.height)
     return np.asarray((z > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1))

@@ -12,9 +12,9 @@ from tdgbench.files import write_text
 from tdgbench.report.scene import scene_section
 from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
 from tdgbench.report.strip import place_name
+from tdgbench.tables.build import Tables
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.readings import changes_as_text
-from tdgbench.tables.tables import Tables
 from tdgbench.terminal import printable
 
 FILE = "report.html"

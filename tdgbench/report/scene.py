@@ -39,7 +39,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "scene": name,
         "view": view or "n/a",
         "methods": [strip.section(methods.label(column)) for strip, column in zip(strips, first, strict=True)],
-        "masked": masks.in_words(next(iter(first.values())).record.masked),
+        "masked": masks.masked_in_words(next(iter(first.values())).record.masked),
         "temperature": None if temperature is None else [f"{t:g}" for t in temperature],
         "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
@@ -82,7 +82,7 @@ class _Strip:
 
     def _depth(self) -> dict[str, Any]:
         depth, camera = views.depth_of(self.cell.folder, self.view)
-        others = list(read_cameras(self.cell.folder / "cameras.json", "train").values())
+        others = list(read_cameras(self.cell.folder)["train"].values())
         covered = views.coverage(depth, camera, others)
         known = depth[np.isfinite(depth)]
         low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)

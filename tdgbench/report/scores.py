@@ -11,12 +11,11 @@ import pandas as pd
 
 from tdgbench.bench.record import Record
 from tdgbench.tables import methods
-from tdgbench.tables.build import ABLATION_KEYS
+from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.results import first_points, split_notes
-from tdgbench.tables.tables import Tables
-from tdgbench.tables.verdicts import UNDECIDED, comparable, in_words, load_margins
+from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
 SOURCES = {  # of depth priors, in words
     "points": "the sparse points, which come from RGB images: no evidence for a method of thermal images alone",
@@ -84,7 +83,11 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
     judged = comparable(tables.difference)
     known = judged[judged["difference"].notna()]
     verdicts = [
-        {"metric": measure(str(metric)).title, "margin": f"{margins[str(metric)]:g}", "counts": in_words(group)}
+        {
+            "metric": measure(str(metric)).title,
+            "margin": f"{margins[str(metric)]:g}",
+            "counts": verdicts_in_words(group),
+        }
         for metric, group in known.groupby("metric", sort=False)
     ]
     return {"verdicts": verdicts, **_papers(tables.papers)}

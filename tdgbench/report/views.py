@@ -14,7 +14,7 @@ from PIL import Image
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import MAX_PIXELS, read_picture
+from tdgbench.bench.reading import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
@@ -69,9 +69,7 @@ def stored_mask(folder: Path, view: str, shape: tuple[int, ...]) -> np.ndarray |
 
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     """Expected z (H, W) of a cell's model from a test camera, NaN without a surface; and that camera."""
-    camera = read_cameras(folder / "cameras.json", "test")[view]
-    if not 0 < camera.width * camera.height <= MAX_PIXELS:
-        raise ValueError(f"the camera of {view} has {camera.width}×{camera.height} px")
+    camera = read_cameras(folder)["test"][view]
     gaussians = load_ply(folder / FILES.model)
     render = render_model(gaussians, camera, depth=True)
     alpha = 1 - render.transmittance

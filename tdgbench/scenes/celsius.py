@@ -20,12 +20,12 @@ from tdgbench.scenes.images import read_pixels
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
+    ImageSource,
     Kept,
     Measured,
-    Source,
     ThermalImages,
     decide_channels,
-    read_mask,
+    read_hidden,
     resample,
 )
 from tdgbench.scenes.options import ReadOptions
@@ -70,19 +70,19 @@ Reader = Callable[[Path], Temperatures]
 
 
 def array_reader(radiometry: Radiometry | None) -> Reader:
-    """Reader of .npy files: °C, or counts where temperature.json says what they mean."""
+    """Return a reader of .npy files: °C, or counts where temperature.json says what they mean."""
     return partial(_read_array, radiometry=radiometry)
 
 
 def file_reader(radiometry: Radiometry | None) -> Reader:
-    """Reader of cameras' radiometric files."""
+    """Return a reader of cameras' radiometric files."""
     if radiometry is None:
         return _read_file
     return partial(_read_file, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
 
 
 def read_counts(path: Path) -> Temperatures:
-    """Reader of 16-bit images of raw counts."""
+    """Read a 16-bit image of raw counts."""
     return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
 
 
@@ -112,26 +112,26 @@ class _Scaling(NamedTuple):
 
 
 def measured_images(
-    sources: Mapping[str, Source],
+    sources: Mapping[str, ImageSource],
     read: Reader,
     train: list[str],
     options: ReadOptions,
     given: TemperatureRange | None,
     unit: Unit = CELSIUS,
 ) -> ThermalImages:
-    """Images of one channel, or of three equal ones. Raises SceneError.
+    """Read images of one channel, or of three equal ones. Raises SceneError.
 
     train: views whose values give the range, unless it is given.
     """
     raw = {name: read(source.path) for name, source in sources.items()}
-    known = {name for name, one in raw.items() if one.is_masked}
+    known = {name for name, view in raw.items() if view.is_masked}
     fillers = _find_fillers(raw, known, unit) if options.fillers is None else given_fillers(options.fillers)
     measured, filled = {}, []
     for name, source in sources.items():
-        one = raw.pop(name)
-        invalid = _invalid(one, fillers)
+        view = raw.pop(name)
+        invalid = _invalid(view, fillers)
         filled.append(invalid.mean())
-        measured[name] = _measure(one.values, invalid, source)
+        measured[name] = _measure(view.values, invalid, source)
     span = given or _range_of({name: measured[name] for name in train}, sources, unit)
     scaling, kept, clipped, count = _Scaling(read, fillers, span, unit.dtype), {}, 0, 0
     for name, source in sources.items():
@@ -154,34 +154,34 @@ def measured_images(
 
 
 def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
-    values = {name: one.values for name, one in views.items()}
+    values = {name: view.values for name, view in views.items()}
     if unit is COUNTS:
         return find_apart(values)
     fillers = find_fillers(values, known)
-    if any(one.ends for one in views.values()):
+    if any(view.ends for view in views.values()):
         return replace(fillers, beyond=())  # black inside an image may be the coldest object
     return fillers
 
 
-def _make(source: Source, scaling: _Scaling) -> Measured:
-    one = scaling.read(source.path)
-    return _scaled(_measure(one.values, _invalid(one, scaling.fillers), source), scaling)
+def _make(source: ImageSource, scaling: _Scaling) -> Measured:
+    view = scaling.read(source.path)
+    return _scaled(_measure(view.values, _invalid(view, scaling.fillers), source), scaling)
 
 
-def _invalid(one: Temperatures, fillers: Fillers) -> np.ndarray:
-    """Pixels (H, W) bool that were not measured."""
-    return impossible(one.values) if one.is_masked else fillers.mask(one.values, one.block)
+def _invalid(view: Temperatures, fillers: Fillers) -> np.ndarray:
+    """Return pixels (H, W) bool that were not measured."""
+    return impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
 
 
-def _measure(values: np.ndarray, invalid: np.ndarray, source: Source) -> Measured:
-    """Values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
-    hidden = read_mask(source, values[..., None])
+def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> Measured:
+    """Return values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
+    hidden = read_hidden(source, values[..., None])
     return Measured(*resample(values[..., None], invalid if hidden is None else invalid | hidden, source))
 
 
-def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source], unit: Unit) -> TemperatureRange:
+def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, ImageSource], unit: Unit) -> TemperatureRange:
     try:
-        samples = (sampled(_valid_values(one), len(measured)).copy() for one in measured.values())
+        samples = (sampled(_valid_values(image), len(measured)).copy() for image in measured.values())
         return robust_range(samples, unit.steps)
     except ValueError as error:
         what = "raw counts" if unit is COUNTS else "temperatures"
@@ -193,12 +193,12 @@ def _range_of(measured: Mapping[str, Measured], sources: Mapping[str, Source], u
 
 
 def _valid_values(measured: Measured) -> np.ndarray:
-    """Values (N,) of the valid pixels."""
+    """Return values (N,) of the valid pixels."""
     return measured.image.ravel() if measured.valid is None else measured.image[measured.valid].ravel()
 
 
 def _scaled(measured: Measured, scaling: _Scaling) -> Measured:
-    """The image in [0, 1], in place of the values."""
+    """Return the image in [0, 1], in place of the values."""
     valid, dtype, span = measured.valid, scaling.dtype, scaling.range
     image = measured.image.astype(dtype, copy=False)
     image -= dtype(span.min)
@@ -211,7 +211,7 @@ def _scaled(measured: Measured, scaling: _Scaling) -> Measured:
 
 
 def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool, unit: Unit) -> list[str]:
-    """Note on masked pixels. filled: their share of each view. are_known: whether a reader has masked fillers."""
+    """Return a note on masked pixels. filled: their share of each view. are_known: whether a reader has masked them."""
     if fillers.values:
         values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
         what = f"as not measured or filled with {values} {unit.name} (data.fillers=[] keeps them)"

@@ -7,30 +7,29 @@ from typing import Literal, Protocol, runtime_checkable
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
-from tdgbench.scenes.inputs import is_folder, is_there, listed, utf8_name
+from tdgbench.scenes.inputs import check_scene_name, is_folder, is_hidden, is_there, listed, utf8_name
 from tdgbench.scenes.layouts import LAYOUTS, detect
-from tdgbench.scenes.names import check_scene_name, is_hidden, scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
 
 
 class Dataset(Protocol):
-    """Source of scenes. A name of None means the only scene, where there is one; a number is a name of digits."""
+    """Source of scenes. A name of None means the only scene, where there is one."""
 
     def names(self) -> list[str]:
-        """Names of all scenes."""
+        """Return names of all scenes."""
 
     def missing(self, names: list[str]) -> list[str]:
-        """The given names whose scenes are not on disk."""
+        """Return the given names whose scenes are not on disk."""
 
     def explain_missing(self, names: list[str]) -> str:
-        """One message for all missing scenes: names, expected folders, publisher."""
+        """Return one message for all missing scenes: names, expected folders, publisher."""
 
-    def describe(self, name: str | int | None) -> Description:
+    def describe(self, name: str | None) -> Description:
         """Describe a scene without reading it. Raises SceneError for an unknown name."""
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         """Read a scene. Raises MissingScenesError or SceneError."""
 
 
@@ -38,12 +37,12 @@ class Dataset(Protocol):
 class Outlines(Protocol):
     """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster."""
 
-    def outline(self, name: str | int | None) -> Outline:
-        """The scene that `load` reads. Raises MissingScenesError or SceneError."""
+    def outline(self, name: str | None) -> Outline:
+        """Return the scene that `load` reads. Raises MissingScenesError or SceneError."""
 
 
-def outline_of(dataset: Dataset, name: str | int | None) -> Outline:
-    """Outline of a scene; of data sets without outlines, the scene itself. Raises MissingScenesError or SceneError."""
+def outline_of(dataset: Dataset, name: str | None) -> Outline:
+    """Return the outline of a scene, else the scene itself. Raises MissingScenesError or SceneError."""
     if isinstance(dataset, Outlines):
         return dataset.outline(name)
     scene = dataset.load(name)
@@ -75,17 +74,16 @@ class RegisteredDataset:
     def missing(self, names: list[str]) -> list[str]:
         return [name for name in names if not self._is_there(name)]
 
-    def describe(self, name: str | int | None) -> Description:
-        name = scene_name(name)
+    def describe(self, name: str | None) -> Description:
         if name is None:
             raise SceneError(f"choose a scene with scene=…: {', '.join(self.names())}")
-        scene = self._registered(name)
+        scene = self._registered(check_scene_name(name))
         return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         return self.outline(name).read()
 
-    def outline(self, name: str | int | None) -> Outline:
+    def outline(self, name: str | None) -> Outline:
         description = self.describe(name)
         folder = self._find(description.scene)
         if folder is None:
@@ -115,7 +113,7 @@ class RegisteredDataset:
         return scene
 
     def _is_there(self, name: str) -> bool:
-        """Whether a scene can be loaded, or loading says why not."""
+        """Return whether a scene can be loaded, or loading says why not."""
         try:
             return self._find(name) is not None
         except SceneError:
@@ -155,28 +153,27 @@ class FolderDataset:
         if not is_there(self._root()):
             return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
         there = ", ".join(self.names()) or "none"
-        layouts = "; ".join(one.looks for one in ([self.layout] if self.layout else LAYOUTS.values()))
+        layouts = "; ".join(layout.looks for layout in ([self.layout] if self.layout else LAYOUTS.values()))
         return (
             f"{', '.join(names)} not found in {self._root()} (scenes there: {there}). Set data.root=DIR to a scene or "
             f"to a folder of scenes whose names do not begin with a dot; a scene is a folder with {layouts}"
         )
 
-    def describe(self, name: str | int | None) -> Description:
+    def describe(self, name: str | None) -> Description:
         root = self._root()
         if self._is_scene(root):
             check_scene_name(root.resolve().name)
         names = self.names()
-        name = scene_name(name, names)
         if name is None and len(names) != 1:
             wanted = ["a scene (scene=…)"]
             raise MissingScenesError(wanted, self.explain_missing(wanted))
         title = "folder" if self.layout is None else self.layout.title
         return Description(check_scene_name(names[0] if name is None else name), title, "")
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         return self.outline(name).read()
 
-    def outline(self, name: str | int | None) -> Outline:
+    def outline(self, name: str | None) -> Outline:
         description, root = self.describe(name), self._root()
         if description.scene not in self.names():
             self._is_scene(root / description.scene)  # its error says more, where there is one
@@ -185,7 +182,7 @@ class FolderDataset:
         return outline_scene(folder, description, self.options, self.layout)
 
     def _root(self) -> Path:
-        """The scene, or the folder of scenes."""
+        """Return the scene, or the folder of scenes."""
         if self.layout is not None and is_folder(utf8_name(self.root) / self.layout.title):
             return self.root / self.layout.title
         return utf8_name(self.root)
@@ -194,7 +191,7 @@ class FolderDataset:
         return detect(folder) is not None if self.layout is None else self.layout.fits(folder)
 
     def _can_be_scene(self, folder: Path) -> bool:
-        """Whether a folder is a scene. One that may not be read is none, so that the others are found."""
+        """Return whether a folder is a scene. One that may not be read is none, so that the others are found."""
         try:
             return self._is_scene(folder)
         except SceneError:

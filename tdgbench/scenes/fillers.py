@@ -43,7 +43,7 @@ class Fillers:
     beyond: tuple[float, ...] = ()  # those outside the range of all other temperatures
 
     def mask(self, degC: np.ndarray, block: int = 1) -> np.ndarray:
-        """Pixels (H, W) bool of temperatures (H, W) in °C that were not measured.
+        """Return pixels (H, W) bool of temperatures (H, W) in °C that were not measured.
 
         block: side of the blocks in which a filler spoils its neighbours, px; 1: none.
         """
@@ -56,7 +56,7 @@ class Fillers:
 
 
 def find_apart(views: Mapping[str, np.ndarray]) -> Fillers:
-    """Fillers of a scene of raw counts (H, W) in all its views: values far from all others, which fill a border region.
+    """Find fillers in a scene's raw counts (H, W): values far from all others, which fill a border region.
 
     Far is more than all others span. A camera's counts lie far above 0, which warps fill with; in images that use all
     of the 16 bits, the lowest and the highest value are saturated pixels, next to others.
@@ -69,13 +69,13 @@ def find_apart(views: Mapping[str, np.ndarray]) -> Fillers:
 
 
 def given_fillers(values: Iterable[float]) -> Fillers:
-    """All pixels of these values, wherever they are."""
+    """Return fillers that are all pixels of these values, wherever they are."""
     masked = tuple(map(float, values))
     return Fillers(masked, masked)
 
 
 def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
-    """Filled pixels (H, W) bool, those next to them, and all others of the blocks that these lie in.
+    """Return filled pixels (H, W) bool, those next to them, and all others of the blocks that these lie in.
 
     >>> grown(np.array([[1, 0, 0, 0, 0, 0]], bool), block=4).astype(int)
     array([[1, 1, 1, 1, 0, 0]])
@@ -93,13 +93,13 @@ def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
 
 
 def impossible(degC: np.ndarray) -> np.ndarray:
-    """Pixels (H, W) bool that are NaN, infinite, at or below absolute zero, or above what cameras measure."""
+    """Return pixels (H, W) bool that are NaN, infinite, at or below absolute zero, or above what cameras measure."""
     with np.errstate(invalid="ignore"):
         return ~((degC > TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))
 
 
 def connected_to_border(pixels: np.ndarray) -> np.ndarray:
-    """Those of the pixels (H, W) bool that are connected to the border through others of them.
+    """Return those of the pixels (H, W) bool that are connected to the border through others of them.
 
     >>> connected_to_border(np.array([[1, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 0]], bool)).astype(int)
     array([[1, 0, 0, 0],
@@ -111,7 +111,7 @@ def connected_to_border(pixels: np.ndarray) -> np.ndarray:
 
 
 def find_fillers(views: Mapping[str, np.ndarray], known: Collection[str] = ()) -> Fillers:
-    """Fillers of a scene, of the temperatures (H, W) in °C of all its views.
+    """Find the fillers of a scene in the temperatures (H, W) in °C of all its views.
 
     known: views whose fillers are not finite; they show where those of the others lie.
     """
@@ -153,7 +153,7 @@ def _filled_regions(degC: np.ndarray) -> Iterator[_Region]:
 
 
 def _in_the_same_place(regions: list[_Region], masked: list[_Region], views: int) -> Iterator[_Region]:
-    """The regions that lie where most views have one. masked: regions of other views, which are known."""
+    """Yield the regions that lie where most views have one. masked: regions of other views, which are known."""
     shape = Counter(region.shape for region in [*regions, *masked]).most_common(1)[0][0]
     count = np.zeros(shape, np.int32)
     for region in [*regions, *masked]:  # those of one view do not overlap
@@ -170,7 +170,7 @@ def _in_the_same_place(regions: list[_Region], masked: list[_Region], views: int
 
 
 def _range_without(views: Iterable[np.ndarray], values: set[float]) -> tuple[float, float]:
-    """Lowest and highest temperature (°C), without PERCENTILES at the ends, of the pixels with other values."""
+    """Return the range (°C), between PERCENTILES, of the temperatures of the pixels with other values."""
     views, filled = list(views), list(values)
     together = np.concatenate([sampled(v[~(impossible(v) | np.isin(v, filled))], len(views)).copy() for v in views])
     if not len(together):
@@ -180,5 +180,5 @@ def _range_without(views: Iterable[np.ndarray], values: set[float]) -> tuple[flo
 
 
 def _border(image: np.ndarray) -> np.ndarray:
-    """Values (N,) of the outermost pixels of an image (H, W)."""
+    """Return values (N,) of the outermost pixels of an image (H, W)."""
     return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])

@@ -36,7 +36,7 @@ Storage = Literal["8-bit", "16-bit", "float"]
 
 @contextmanager
 def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Image]:
-    """An image whose header is checked and whose pixels are not yet decoded. Raises SceneError naming the file.
+    """Open an image whose header is checked and whose pixels are not yet decoded. Raises SceneError naming the file.
 
     Errors of decoding inside the context become SceneError, too. Pillow's warnings are silent there: they are of
     metadata, which nothing here reads, and of sizes that are refused. content: of the file, if it has been read.
@@ -75,13 +75,13 @@ def _check_one_picture(image: Image.Image, path: Path) -> None:
 
 
 def storage(path: Path) -> Storage:
-    """How an image stores its pixels, of the header alone. Raises SceneError naming the file."""
+    """Return how an image stores its pixels, read from its header. Raises SceneError naming the file."""
     with opened_image(path) as image:
         return "float" if image.mode == FLOAT_MODE else "16-bit" if image.mode in COUNT_MODES else "8-bit"
 
 
 def read_image_bytes(path: Path) -> bytes:
-    """Content of an image's file. Raises SceneError for a file larger than any image."""
+    """Read an image's file. Raises SceneError for a file larger than any image."""
     if regular_file(path).stat().st_size > MAX_BYTES:
         raise SceneError(f"{path} has {path.stat().st_size} bytes; an image has {MAX_BYTES} at most. Export it again")
     return read_bytes(path)
@@ -89,7 +89,7 @@ def read_image_bytes(path: Path) -> bytes:
 
 @contextmanager
 def whole_image(path: Path) -> Iterator[Image.Image]:
-    """As `opened_image`, of a file that is read once and whose checksums, if its format has some, are right."""
+    """Open an image as `opened_image`; its file is read once, and its format's checksums are right."""
     content = read_image_bytes(path)
     with opened_image(path, content) as image:
         if image.format == "PNG":
@@ -99,7 +99,7 @@ def whole_image(path: Path) -> Iterator[Image.Image]:
 
 
 def read_pixels(path: Path) -> np.ndarray:
-    """Pixels (H, W, 1 or 3) of an image as stored: uint8, counts up to 65 535, or float. Raises SceneError."""
+    """Read pixels (H, W, 1 or 3) as stored: uint8, counts up to 65 535, or float. Raises SceneError."""
     with whole_image(path) as opened:
         image: Image.Image = opened
         if image.mode in (*TO_GRAY, *TO_COLOR):
@@ -139,7 +139,7 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
 
 
 def is_gray(image: np.ndarray) -> bool:
-    """Whether all channels of an image (H, W, C) are equal.
+    """Return whether all channels of an image (H, W, C) are equal.
 
     >>> is_gray(np.full((2, 2, 3), 0.5)), is_gray(np.array([[[0.1, 0.2, 0.3]]]))
     (True, False)
@@ -148,12 +148,12 @@ def is_gray(image: np.ndarray) -> bool:
 
 
 def in_pseudo_colour(views: Iterable[View]) -> list[str]:
-    """Names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
+    """Return names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
     return [view.name for view in views if not is_gray(view.thermal)]
 
 
 def nearest_valid(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """An image (H, W) or (H, W, C) with the nearest valid pixel in the place of each masked one; None: all are valid.
+    """Replace each masked pixel of an image (H, W) or (H, W, C) by the nearest valid one; None: all are valid.
 
     >>> nearest_valid(np.array([[1.0, 9.0, 2.0]]), np.array([[True, False, False]])).tolist()
     [[1.0, 1.0, 1.0]]

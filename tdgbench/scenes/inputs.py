@@ -44,12 +44,12 @@ def regular_file(path: Path) -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Whether something has this name, be it a link to nothing."""
+    """Return whether something has this name, be it a link to nothing."""
     return os.path.lexists(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is at `path`. Raises SceneError if that cannot be told."""
+    """Return whether a folder is at `path`. Raises SceneError if that cannot be told."""
     try:
         return path.is_dir()
     except OSError as error:
@@ -57,7 +57,7 @@ def is_folder(path: Path) -> bool:
 
 
 def listed(folder: Path) -> list[Path]:
-    """Content of a folder, sorted by name. Raises SceneError if it cannot be listed."""
+    """List a folder, sorted by name. Raises SceneError if it cannot be listed."""
     try:
         return sorted(folder.iterdir())
     except OSError as error:
@@ -65,7 +65,7 @@ def listed(folder: Path) -> list[Path]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Content of a regular file. Raises SceneError."""
+    """Read a regular file. Raises SceneError."""
     try:
         return regular_file(path).read_bytes()
     except OSError as error:
@@ -73,12 +73,12 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """Content of a JSON file. Raises SceneError for no regular file, ValueError or RecursionError for no JSON."""
+    """Read a JSON file. Raises SceneError for no regular file, ValueError or RecursionError for no JSON."""
     return json.loads(read_bytes(path).decode("utf-8-sig"))
 
 
 def hash_of(path: Path) -> bytes:
-    """SHA-256 of a regular file. Raises SceneError."""
+    """Return SHA-256 of a regular file. Raises SceneError."""
     try:
         with regular_file(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
@@ -87,7 +87,7 @@ def hash_of(path: Path) -> bytes:
 
 
 def read_array(path: Path) -> np.ndarray:
-    """Real numbers of an .npy file. Raises SceneError; a shape that the file is too short for takes no memory."""
+    """Read real numbers from an .npy file. Raises SceneError, before memory is taken for a shape that cannot be."""
     try:
         values = np.load(regular_file(path), mmap_mode="r", allow_pickle=False)
     except (SceneError, MemoryError):
@@ -119,6 +119,21 @@ def check_view_name(name: str, where: str) -> str:
             f"printable characters and {LONGEST_NAME} bytes at most"
         )
     return name
+
+
+def check_scene_name(name: str) -> str:
+    """Return a scene's name. Raises SceneError for one that results cannot have."""
+    utf8_name(Path(name))
+    if is_hidden(name):
+        raise SceneError(f"the scene {name} begins with a dot, as hidden folders do; rename its folder")
+    if not name.strip() or not name.isprintable():
+        raise SceneError(f"the scene {name!r} has a name that cannot be printed; rename its folder")
+    return name
+
+
+def is_hidden(name: str) -> bool:
+    """Return whether a folder is hidden, so no scene: half of the commands would find results of hidden folders."""
+    return name.startswith(".")
 
 
 def _reason(path: Path, error: OSError) -> str:

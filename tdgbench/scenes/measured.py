@@ -21,7 +21,7 @@ UNMEASURED = 0.0  # image value of pixels that are not valid
 
 
 @dataclass(frozen=True)
-class Source:
+class ImageSource:
     """Files of a view's thermal image, its camera, and the size that it is resampled to."""
 
     path: Path
@@ -57,7 +57,7 @@ class Kept:
         return self._make().image if image is None else image
 
     def valid(self) -> np.ndarray:
-        """Of a view that is masked."""
+        """Return the mask (H, W) bool of a view that is masked."""
         valid, self._valid = self._valid, None
         valid = self._make().valid if valid is None else valid
         if valid is None:
@@ -76,7 +76,7 @@ class ThermalImages:
     counts: tuple[int, int] | None = None
 
     def load(self, name: str) -> np.ndarray:
-        """Image (H, W, channels) float32 in [0, 1] of a view."""
+        """Return the image (H, W, channels) float32 in [0, 1] of a view."""
         image = self.kept[name].image()
         if self.channels == 1 and image.shape[2] == 3:
             image = image[..., :1] if is_gray(image) else image.mean(axis=2, keepdims=True)
@@ -85,35 +85,35 @@ class ThermalImages:
         return np.ascontiguousarray(image, np.float32)
 
 
-def shown_images(sources: Mapping[str, Source], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
-    """Images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
+def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
+    """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
     kept = {}
     for name, source in sources.items():
         make = partial(_read_shown, source, radiometry)
         kept[name] = Kept(make(), make)
-    channels = decide_channels(wanted, all(one.channels == 1 for one in kept.values()))
+    channels = decide_channels(wanted, all(view.channels == 1 for view in kept.values()))
     return ThermalImages(kept, channels, None if radiometry is None else radiometry.range)
 
 
 def decide_channels(wanted: int | str, are_gray: bool) -> int:
-    """Number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
+    """Return the number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
     if wanted not in ("auto", 1, 3):
         raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
     return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
 
 
-def _read_shown(source: Source, radiometry: Radiometry | None) -> Measured:
+def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> Measured:
     image = read_image(source.path, radiometry)
     if is_gray(image):
         image = np.ascontiguousarray(image[..., :1])
-    image, valid = resample(image, read_mask(source, image), source)
+    image, valid = resample(image, read_hidden(source, image), source)
     if valid is not None:
         image[~valid] = UNMEASURED
     return Measured(image, valid)
 
 
-def read_mask(source: Source, image: np.ndarray) -> np.ndarray | None:
-    """Pixels (H, W) bool of an image (H, W, C) that the view's mask hides; None without a mask. Raises SceneError.
+def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
+    """Read the pixels (H, W) bool of an image (H, W, C) that the view's mask hides, or None. Raises SceneError.
 
     A mask hides where all its channels are 0. One of another size is resized; a pixel that is partly hidden is hidden.
     """
@@ -126,7 +126,7 @@ def read_mask(source: Source, image: np.ndarray) -> np.ndarray | None:
 
 
 def resample(
-    image: np.ndarray, invalid: np.ndarray | None, source: Source
+    image: np.ndarray, invalid: np.ndarray | None, source: ImageSource
 ) -> tuple[np.ndarray, np.ndarray | None]:  # fmt: skip
     """Undistort and resize an image (H, W, C) whose `invalid` pixels (H, W) bool count for nothing.
 
@@ -145,7 +145,7 @@ def resample(
     return _resample(np.where(invalid[..., None], np.float32(0), image), source), ~spoiled
 
 
-def _resample(image: np.ndarray, source: Source) -> np.ndarray:
+def _resample(image: np.ndarray, source: ImageSource) -> np.ndarray:
     if source.posed.undistortion is not None:
         image = source.posed.undistortion.apply(image)
     return resize(image, source.width, source.height)

@@ -56,7 +56,7 @@ class Thermogram:
 
 
 def is_radiometric(path: Path) -> bool:
-    """Whether a file holds temperatures: FLIR or DJI radiometric JPEG, TIFF of one 16-bit or float channel.
+    """Return whether a file holds temperatures: FLIR or DJI radiometric JPEG, TIFF of one 16-bit or float channel.
 
     Decides by the file's first bytes and headers, not by its name. Raises SceneError for what is no regular file.
     """
@@ -71,7 +71,7 @@ def is_radiometric(path: Path) -> bool:
 
 
 def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> np.ndarray:
-    """Temperatures (H, W) float64 in °C; NaN where the file holds none.
+    """Read temperatures (H, W) float64 in °C; NaN where the file holds none.
 
     FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
     counts × degC_per_count + degC_at_zero. Raises SceneError naming the file.
@@ -95,7 +95,7 @@ def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: 
 
 
 def read_thermogram(path: Path) -> Thermogram:
-    """Temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
+    """Read temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
     content = read_bytes(path)
     maker = _maker(io.BytesIO(content))
     if maker == "DJI":
@@ -147,7 +147,7 @@ def _decode(content: bytes, path: Path) -> Thermogram:
 
 
 def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:
-    """Counts (H, W) of the raw record. Byte order of a PNG is the one whose neighbours differ less.
+    """Return counts (H, W) of the raw record. Byte order of a PNG is the one whose neighbours differ less.
 
     Cameras write the 16-bit PNG in either order; flyr assumes swapped bytes.
     """
@@ -174,7 +174,7 @@ def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path)
 
 
 def _roughness(counts: np.ndarray) -> float:
-    """Mean difference of horizontal neighbours."""
+    """Return the mean difference of horizontal neighbours."""
     return float(np.abs(np.diff(counts.astype(np.int64), axis=1)).mean())
 
 
@@ -187,7 +187,7 @@ def _as_rgb(photo: np.ndarray) -> np.ndarray:
 
 
 def _valid_or_nan(celsius: np.ndarray, path: Path) -> np.ndarray:
-    """Temperatures with NaN where they are not finite or cannot be. Raises SceneError if none is left."""
+    """Return temperatures with NaN where they are not finite or cannot be. Raises SceneError if none is left."""
     celsius = celsius.astype(np.float64)
     celsius[~((celsius > TEMPERATURES[0]) & (celsius <= TEMPERATURES[1]))] = np.nan
     if np.isnan(celsius).all():
@@ -196,7 +196,7 @@ def _valid_or_nan(celsius: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _maker(file: BinaryIO) -> str | None:
-    """`FLIR` or `DJI` if a JPEG has raw counts of such a camera. Reads the headers of its segments alone."""
+    """Return `FLIR` or `DJI` if a JPEG has raw counts of such a camera. Reads the headers of its segments alone."""
     has_app3 = is_dji = False
     for marker, head in _segments(file):
         if marker == APP1 and head.startswith(FLIR_SEGMENT):
@@ -207,7 +207,7 @@ def _maker(file: BinaryIO) -> str | None:
 
 
 def _segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Marker and first 512 bytes of each segment of a JPEG before its pixels."""
+    """Yield marker and first 512 bytes of each segment of a JPEG before its pixels."""
     file.seek(2)
     while len(header := file.read(4)) == 4 and header[0] == 0xFF and header[1] != JPEG_SCAN:
         length = max(0, struct.unpack(">H", header[2:])[0] - 2)

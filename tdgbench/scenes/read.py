@@ -14,9 +14,9 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
-from tdgbench.scenes.layouts import LAYOUTS, Found, Layout, detect
+from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.measured import Source, ThermalImages, resample
+from tdgbench.scenes.measured import ImageSource, ThermalImages, resample
 from tdgbench.scenes.options import Description, ReadOptions
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
 from tdgbench.scenes.splits import split_names
@@ -42,14 +42,14 @@ class Outline:
 
 
 def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
-    """The scene in a folder, without decoding images. layout: None detects it, which a note says.
+    """Read the scene in a folder, without decoding images. layout: None detects it, which a note says.
 
     Raises SceneError naming the file or view and the remedy.
     """
     detected = layout is None
     layout = layout or detect(folder)
     if layout is None:
-        looks = "; ".join(f"{one.title}: {one.looks}" for one in LAYOUTS.values())
+        looks = "; ".join(f"{known.title}: {known.looks}" for known in LAYOUTS.values())
         raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
     found = layout.find(folder)
     thermal = _radiometric_files(folder, found) if options.thermal == "radiometric" else found.thermal
@@ -59,7 +59,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     masks = find_optional(folder / "masks", "masks")
     cameras = {name: _camera(found.posed[name], options) for name in names}
     sources = {
-        name: Source(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
+        name: ImageSource(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
         for name in names
     }
     views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
@@ -99,8 +99,8 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     )  # fmt: skip
 
 
-def _radiometric_files(folder: Path, found: Found) -> dict[str, Path]:
-    """Files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
+def _radiometric_files(folder: Path, found: SceneFiles) -> dict[str, Path]:
+    """Return files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
     if found.in_celsius:
         return found.thermal
     if not is_folder(folder / RAW_IMAGES):
@@ -120,7 +120,7 @@ def _radiometric_files(folder: Path, found: Found) -> dict[str, Path]:
 def _paired(
     folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path], skip_unpaired: bool
 ) -> tuple[list[str], list[str]]:
-    """Names of the views with a pose and a thermal image, and notes on the others."""
+    """Return names of the views with a pose and a thermal image, and notes on the others."""
     notes = []
     unposed = sorted(set(thermal) - set(posed))
     if unposed:
@@ -145,7 +145,7 @@ def _paired(
 def _split(
     folder: Path, names: list[str], how: str, shipped: Mapping[str, str]
 ) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
-    """Names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
+    """Return names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
     notes = []
     if how == "folder" and shipped:
         unplaced = [name for name in names if name not in shipped]
@@ -159,7 +159,7 @@ def _split(
 
 
 def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
-    """Camera of a view's images as they are resized."""
+    """Return the camera of a view's images as they are resized."""
     camera = posed.camera
     if options.principal_point == "center":
         K = camera.K.copy()
@@ -171,11 +171,11 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
 
 
-def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -> View:
-    """A view without its thermal image and mask."""
+def _make_view(folder: Path, source: ImageSource, camera: Camera, rgb: Path | None) -> View:
+    """Return a view without its thermal image and mask."""
     name = source.posed.name
     degC = _truth(folder, TRUE, name)
-    photo = None if rgb is None else Source(rgb, source.posed, camera.width, camera.height)
+    photo = None if rgb is None else ImageSource(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
         camera=camera,
@@ -188,7 +188,7 @@ def _make_view(folder: Path, source: Source, camera: Camera, rgb: Path | None) -
 
 
 def _truth(folder: Path, kind: str, name: str) -> Path | None:
-    """File of what is known of a view of a made scene."""
+    """Return the file of what is known of a view of a synthetic scene, or None."""
     path = folder / kind / f"{name}.npy"
     return regular_file(path) if is_there(path) else None
 
@@ -197,8 +197,8 @@ def _refuse(name: str) -> np.ndarray:
     raise SceneError(f"the thermal image of view {name} has not been read: this is an outline of its scene")
 
 
-def _load_rgb(source: Source) -> np.ndarray:
-    """RGB image of a view as float32 (height, width, 3)."""
+def _load_rgb(source: ImageSource) -> np.ndarray:
+    """Return RGB image of a view as float32 (height, width, 3)."""
     image, _ = resample(read_image(source.path), None, source)
     if image.shape[2] == 1:
         image = np.repeat(image, 3, axis=2)
@@ -206,7 +206,7 @@ def _load_rgb(source: Source) -> np.ndarray:
 
 
 def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
-    """Notes on masks/."""
+    """Return notes on masks/."""
     if not masks:
         return []
     unknown = sorted(set(masks) - set(names))
@@ -217,7 +217,7 @@ def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
 
 
 def _fingerprint(folder: Path, files: Iterable[Path]) -> str:
-    """Hash of the paths and contents of the files, each of which is read once."""
+    """Return the hash of the paths and contents of the files, each of which is read once."""
     digest = hashlib.sha256()
     for path in sorted(set(files)):
         content = hash_of(path)

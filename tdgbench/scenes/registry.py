@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_folder, listed
-from tdgbench.scenes.names import is_hidden
+from tdgbench.scenes.inputs import is_folder, is_hidden, listed
 
 GROUPS = {
     "day": "Day light conditions",
@@ -34,11 +33,11 @@ class RegisteredScene:
     aliases: tuple[str, ...] = ()
 
     def matches(self, folder: str) -> bool:
-        """Whether a folder name is the name or an alias, ignoring case, spaces and punctuation."""
+        """Return whether a folder name is the name or an alias, ignoring case, spaces and punctuation."""
         return _plain(folder) in {_plain(name) for name in (self.name, *self.aliases)}
 
     def find(self, dataset_folder: Path) -> Path | None:
-        """Folder of this scene inside the folder of its data set, or None. Raises SceneError if there are two."""
+        """Find this scene's folder inside that of its data set, or None. Raises SceneError if there are two."""
         if not is_folder(dataset_folder):
             return None
         found = [p for p in listed(dataset_folder) if not is_hidden(p.name) and self.matches(p.name) and is_folder(p)]

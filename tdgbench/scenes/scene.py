@@ -39,12 +39,12 @@ class Camera:
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the same image resampled to width × height px."""
+        """Return the camera of the same image resampled to width × height px."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(scale @ self.K, self.world_to_camera, width, height)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (N, 2) as (x, y) and depths z (N,) in world units, of world points (N, 3)."""
+        """Return pixels (N, 2) as (x, y) and depths z (N,) in world units, of world points (N, 3)."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         z = local[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -82,10 +82,10 @@ class View:
     thermal_path: Path | None = None
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
-    load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of made scenes
+    load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
 
     def with_thermal(self, image: np.ndarray, **changes: Any) -> View:
-        """This view with another thermal image (H, W, C), and with other fields. What was read besides is kept."""
+        """Return this view with another thermal image (H, W, C) and other fields, and with what was read besides."""
         other = replace(self, load_thermal=lambda: image, **changes)
         vars(other).update({name: vars(self)[name] for name in ("rgb", "valid") if name in vars(self)})
         return other
@@ -134,7 +134,7 @@ class View:
 
 
 def read_map(path: Path, what: str) -> np.ndarray:
-    """Finite numbers (H, W) of a .npy file. Raises SceneError, which says what they should be."""
+    """Read finite numbers (H, W) from an .npy file. Raises SceneError, which says what they should be."""
     values = read_array(path)
     if values.ndim != 2 or not np.isfinite(values).all():
         raise SceneError(f"{path} is no {what}: it must hold finite numbers of shape (H, W)")
@@ -160,7 +160,7 @@ class Scene:
     counts: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
 
     def fingerprint_with(self, *changes: bytes) -> str:
-        """Fingerprint of the scene with changed images. changes: all that the change depends on."""
+        """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""
         digest = hashlib.sha256(self.fingerprint.encode())
         for change in changes:
             digest.update(b"\0" + change)
@@ -193,6 +193,6 @@ class Scene:
 
 
 def extent_of(views: Sequence[View]) -> float:
-    """3DGS's scene extent in world units: 1.1 × the largest distance of a camera from their mean."""
+    """Return 3DGS's scene extent in world units: 1.1 × the largest distance of a camera from their mean."""
     centers = np.stack([view.camera.center for view in views])
     return float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())

@@ -38,7 +38,7 @@ def read_radiometry(path: Path) -> Radiometry | None:
     return _read(path, "min", "max")
 
 
-def read_bounds(path: Path) -> Radiometry | None:
+def read_temperature_bounds(path: Path) -> Radiometry | None:
     """Read ThermoScenes' `temperature_bounds.json`; None if there is no such file. Raises SceneError.
 
     Source of the keys, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
@@ -65,7 +65,7 @@ def _read(path: Path, lowest: str, highest: str) -> Radiometry | None:
 
 
 def check_range(low: Any, high: Any) -> TemperatureRange:
-    """The range of two finite numbers in °C, `low` below `high`. Raises ValueError or TypeError."""
+    """Return the range of two finite numbers in °C, `low` below `high`. Raises ValueError or TypeError."""
     low, high = finite_number(low), finite_number(high)
     if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:
         raise ValueError(f"min {low} and max {high} are no range in {TEMPERATURES[0]} to {TEMPERATURES[1]:g}")
@@ -73,7 +73,7 @@ def check_range(low: Any, high: Any) -> TemperatureRange:
 
 
 def finite_number(value: object) -> float:
-    """A finite number. Raises ValueError or TypeError."""
+    """Return a finite number. Raises ValueError or TypeError."""
     number = float(value)  # type: ignore[arg-type]
     if not math.isfinite(number) or isinstance(value, bool):
         raise ValueError(f"{value} is no finite number")
@@ -81,7 +81,7 @@ def finite_number(value: object) -> float:
 
 
 def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> TemperatureRange:
-    """Range between PERCENTILES of values (N,), temperatures in °C or counts, in whole steps: so many are 1.
+    """Return range between PERCENTILES of values (N,), temperatures in °C or counts, in whole steps: so many are 1.
 
     Raises ValueError if all values are equal.
 
@@ -95,7 +95,7 @@ def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> Temperature
 
 
 def sampled(values: np.ndarray, views: int) -> np.ndarray:
-    """Evenly spaced ones of the values (N,) of one of so many views, so that all views have MOST_SAMPLES at most.
+    """Return evenly spaced values of those (N,) of a view, so that all `views` have MOST_SAMPLES at most.
 
     >>> sampled(np.arange(9), views=250_000)
     array([0, 3, 6])

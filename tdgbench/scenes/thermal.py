@@ -15,18 +15,18 @@ from tdgbench.scenes.celsius import (
 )
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import storage
-from tdgbench.scenes.layouts import Found
-from tdgbench.scenes.measured import Source, ThermalImages, shown_images
+from tdgbench.scenes.layouts import SceneFiles
+from tdgbench.scenes.measured import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry, check_range
-from tdgbench.scenes.warped import Pictures, is_picture
+from tdgbench.scenes.warped import WarpedPictures, is_picture
 from tdgbench.text import some
 
 
 def thermal_images(
-    found: Found,
-    sources: Mapping[str, Source],
+    found: SceneFiles,
+    sources: Mapping[str, ImageSource],
     train: list[str],
     options: ReadOptions,
     published: TemperatureRange | None,
@@ -54,9 +54,9 @@ def thermal_images(
 
 
 def _of_images(
-    sources: Mapping[str, Source], train: list[str], options: ReadOptions, radiometry: Radiometry | None
+    sources: Mapping[str, ImageSource], train: list[str], options: ReadOptions, radiometry: Radiometry | None
 ) -> ThermalImages:  # fmt: skip
-    """Thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
+    """Read thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
     stored: dict[str, list[str]] = {}
     for name, source in sources.items():
         stored.setdefault(storage(source.path), []).append(name)
@@ -76,15 +76,15 @@ def _of_images(
 
 
 def _of_pictures(
-    found: Found,
-    sources: Mapping[str, Source],
+    found: SceneFiles,
+    sources: Mapping[str, ImageSource],
     pictures: list[str],
     train: list[str],
     options: ReadOptions,
     radiometry: Radiometry | None,
     published: TemperatureRange | None,
 ) -> ThermalImages:
-    """Thermal images of gray images of temperatures; views that are not in `pictures` have arrays."""
+    """Read thermal images from gray images of temperatures; views that are not in `pictures` have arrays."""
     notes = []
     if radiometry is None:
         if published is None:
@@ -102,6 +102,6 @@ def _of_pictures(
         notes.append(
             f"{len(alone)} gray images have none from before the warp; only constant fillers are found: {some(alone)}"
         )
-    reader = Pictures(radiometry, found.unwarped, options.fillers is None, array_reader(radiometry))
+    reader = WarpedPictures(radiometry, found.unwarped, options.fillers is None, array_reader(radiometry))
     images = measured_images(sources, reader, train, options, radiometry.range)
     return replace(images, notes=[*notes, *images.notes])

@@ -51,9 +51,9 @@ def check_intrinsics(
             raise _wrong(where, what, f"it must be {low:g}° to {high:g}°")
     if not 1 / MAX_PIXEL_ASPECT <= focal[0] / focal[1] <= MAX_PIXEL_ASPECT:
         raise _wrong(where, f"has focal lengths of {focal[0]:g} and {focal[1]:g} px", "they must be similar")
-    for centre, size in zip(principal, (width, height), strict=True):
-        if not -size <= centre <= 2 * size:
-            what = f"has its principal point at {centre:g} px of {size} px"
+    for center, size in zip(principal, (width, height), strict=True):
+        if not -size <= center <= 2 * size:
+            what = f"has its principal point at {center:g} px of {size} px"
             raise _wrong(where, what, "it must be less than an image's size outside the image")
 
 

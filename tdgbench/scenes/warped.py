@@ -36,7 +36,7 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R 601, as OpenCV reads
 
 
 @dataclass(frozen=True)
-class Pictures:
+class WarpedPictures:
     """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
 
     unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. arrays:
@@ -66,7 +66,7 @@ class Pictures:
         return Temperatures(degC, filler is not None, block, ends=True)
 
     def _gray(self, path: Path) -> np.ndarray:
-        """Image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
+        """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
         image = read_image(path, self.radiometry)
         if np.ptp(image, axis=2).max() > MOST_COLOR:
             raise SceneError(
@@ -77,7 +77,7 @@ class Pictures:
 
 
 def is_picture(path: Path) -> bool:
-    """Whether a file is an image of temperatures, not an array.
+    """Return whether a file is an image of temperatures, not an array.
 
     >>> is_picture(Path("1.JPG")), is_picture(Path("1.npy"))
     (True, False)
@@ -86,7 +86,7 @@ def is_picture(path: Path) -> bool:
 
 
 def filler_below(image: np.ndarray, lowest: float, block: int) -> np.ndarray:
-    """Pixels (H, W) bool of an image (H, W) that are a warp's filler, or spoiled by it.
+    """Return pixels (H, W) bool of an image (H, W) that are a warp's filler, or spoiled by it.
 
     lowest: of the image before the warp. block: side of the blocks in which a filler spoils its neighbours, px.
     """

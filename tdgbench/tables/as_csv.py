@@ -14,7 +14,7 @@ NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p"
 
 
 def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -> str:
-    """CSV text. as_is: columns of text that begins with a number of ours. na_rep: for missing values.
+    """Return CSV text. as_is: columns of text that begins with a number of ours. na_rep: for missing values.
 
     >>> print(as_csv(pd.DataFrame({"scene": ["=1+1", "a,b"], "value": [-1.5, 2.0]})), end="")
     scene,value
@@ -29,7 +29,7 @@ def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """CSV text, with n/a for missing numbers.
+    """Return CSV text, with n/a for missing numbers.
 
     >>> print(to_csv(pd.DataFrame({"scene": ["a", "b"], "value": [1.25, float("nan")]})), end="")
     scene,value

@@ -24,7 +24,7 @@ FOLLOWS, OFF, UNKNOWN = "follows", "does not follow", "cannot be recomputed"
 
 @cache
 def between_papers() -> pd.DataFrame:
-    """One row per method, dataset, scene and metric that two papers or more print.
+    """Return one row per method, dataset, scene and metric that two papers or more print.
 
     Columns: PLACE, papers (their number), low, high, spread (high − low), scenes (1, or those of the average), values
     (in words), note (where a source does not settle its method). The scene SHARED is the average over the scenes that
@@ -42,7 +42,7 @@ def between_papers() -> pd.DataFrame:
 
 
 def with_others(differences: pd.DataFrame) -> pd.DataFrame:
-    """The table with others_low, others_high (NaN without another paper's number), and papers (including this one)."""
+    """Return the table with others_low, others_high (NaN without another paper's number), and the number of papers."""
     others = _numbers().query("source != @PAPER").groupby(PLACE)["value"]
     ranges = others.agg(others_low="min", others_high="max", papers="count").reset_index()
     if "scene" not in differences:  # the ablation: averages, which other papers take over other scenes
@@ -53,7 +53,7 @@ def with_others(differences: pd.DataFrame) -> pd.DataFrame:
 
 
 def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> str:
-    """The paper's gains over its baseline against the spread between papers on the baseline, in words.
+    """Return the paper's gains over its baseline against the spread between papers on the baseline, in words.
 
     main: a main table. over: `overall` (the average gain) or `scenes` (every scene's). Empty where the table has no
     gain, or lacks the scenes that papers share.
@@ -77,7 +77,7 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> st
 
 
 def all_averages() -> pd.DataFrame:
-    """The averages of every source, checked: source, and the columns of `check_averages`."""
+    """Return the averages of every source, checked: source, and the columns of `check_averages`."""
     paper = published_main()
     places = zip(paper["metric"], paper["scene"], strict=True)
     paper["half_unit"] = [half_unit(metric, scene) for metric, scene in places]
@@ -89,7 +89,7 @@ def all_averages() -> pd.DataFrame:
 
 
 def check_averages(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per average: KEYS, printed, mean (of its rows), tolerance, verdict.
+    """Return one row per average: KEYS, printed, mean (of its rows), tolerance, verdict.
 
     table: KEYS, value and half_unit (half a unit of the last printed digit; 0 for numbers that were not rounded).
     tolerance: the largest difference between the printed average and the mean of the printed rows due to rounding.
@@ -111,7 +111,7 @@ def check_averages(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _numbers() -> pd.DataFrame:
-    """source, PLACE, value, printed_as of all papers: scores of single scenes."""
+    """Return source, PLACE, value, printed_as of all papers: scores of single scenes."""
     paper = published_main().assign(source=PAPER)
     table = pd.concat([paper.assign(printed_as=paper["method"]), published_elsewhere()], ignore_index=True)
     chosen = ~table["scene"].isin((AVERAGE, OVERALL)) & (table["metric"] != HOURS.name)
@@ -135,7 +135,7 @@ def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[s
 
 
 def _gains(main: pd.DataFrame, metric: str) -> pd.Series:
-    """The gain of the paper's method over its baseline, by scene; scenes without both are dropped."""
+    """Return the gain of the paper's method over its baseline, by scene; scenes without both are dropped."""
     pair = paper_pair()
     chosen = main[(main["metric"] == metric) & main["method"].isin(pair)]
     wide = chosen.pivot_table(index="scene", columns="method", values="value", aggfunc="first")
@@ -145,7 +145,7 @@ def _gains(main: pd.DataFrame, metric: str) -> pd.Series:
 
 
 def _overall(gains: pd.Series, group: pd.DataFrame, metric: str) -> str:
-    """The average gain, and the gain over the scenes that papers share, which alone compares with the spread there."""
+    """Return the average gain, and that over the scenes that papers share, which alone compares with the spread."""
     if not gains.get(OVERALL, np.nan) > 0:
         return ""
     shared = group[group["scene"] == SHARED].iloc[0]

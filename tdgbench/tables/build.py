@@ -5,7 +5,8 @@ findings.txt says in sentences what they hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -24,12 +25,29 @@ from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
 from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
-from tdgbench.tables.statistics import compare, intervals, over_seeds
-from tdgbench.tables.tables import Tables
-from tdgbench.tables.verdicts import Verdict, verdict
+from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
+from tdgbench.tables.verdicts import ScoreVerdict, verdict
 
 INITS = ("random", "colmap")  # of the paper's Table 2
 ABLATION_KEYS = ["method", "init", "metric"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """The tables of an experiment. difference and papers are None where nothing is published for these scenes."""
+
+    kind: str  # main, ablation or readings
+    main: pd.DataFrame
+    latex: str
+    difference: pd.DataFrame | None
+    folder: Path
+    records: list[Record]  # the cells behind the tables
+    findings: list[str]  # in sentences
+    problems: list[str]  # what could not be read
+    comparisons: Sequence[MethodComparison] = ()  # of methods with their baselines
+    papers: pd.DataFrame | None = None  # spread between papers
+    readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
+    effects: pd.DataFrame | None = None
 
 
 def build_tables(experiment: Path) -> Tables:
@@ -46,14 +64,14 @@ def build_tables(experiment: Path) -> Tables:
 
 
 def _main(results: Results, experiment: Path) -> Tables:
-    """The main table and what goes with it; with table=readings, those of the readings as well."""
+    """Build the main table and what goes with it; with table=readings, those of the readings as well."""
     records, plan = results.records, results.plan
     bold = with_bold(with_averages(scene_rows(records, plan)))
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
     main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-    comparisons = [compare(main, pair) for pair in methods.pairs()]
+    comparisons = [compare_methods(main, pair) for pair in methods.pairs()]
     cells = reading_cells(records) if plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
@@ -99,7 +117,7 @@ def _write(tables: Tables) -> None:
 
 
 def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """One row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
+    """Return one row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
 
     >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
     >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
@@ -115,20 +133,22 @@ def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> 
 
 
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The differences with our std and number of seeds, the fields of each Verdict, and other papers' numbers."""
+    """Return the differences with our std and seeds, the fields of each ScoreVerdict, and other papers' numbers."""
     merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
     judged = [
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
-    found = pd.DataFrame(judged, columns=list(Verdict._fields), index=merged.index).rename(columns={"word": "verdict"})
+    found = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index).rename(
+        columns={"word": "verdict"}
+    )
     found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
     return with_others(pd.concat([merged, found], axis=1))
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
-    """method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
+    """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
 
     The best init is bold. points: origin of the first points. Scores of training views show overfitting; scores of the
     RGB model show what random points do to it.
@@ -151,7 +171,7 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
 
 
 def ablation_as_published(inits: Iterable[str]) -> pd.DataFrame:
-    """Table 2 with its row of random points repeated for each kind of them: the paper does not name its kind."""
+    """Return Table 2 with its row of random points repeated for each kind of them: the paper does not name its kind."""
     published = published_ablation()
     kinds = [init for init in inits if init.startswith("random")]
     random = published[published["init"] == "random"]

@@ -53,22 +53,22 @@ class Cell:
         return json.dumps([*place, config, budget], sort_keys=True)
 
     def log(self) -> pd.DataFrame | None:
-        """log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if there is no such file."""
+        """Read log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if it is not there."""
         return _read_csv(self.folder / "log.csv")
 
     def views(self) -> pd.DataFrame | None:
-        """views.csv: view and its scores, NaN for n/a; None if there is no such file."""
+        """Read views.csv: view and its scores, NaN for n/a; None if there is no such file."""
         return _read_csv(self.folder / "views.csv")
 
 
 def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
-    """The cells of an experiment that have scores."""
+    """Return the cells of an experiment that have scores."""
     return [Cell(record, cell_folder_of(experiment, record)) for record in records if record.failure is None]
 
 
 @cache
 def _read_csv(path: Path) -> pd.DataFrame | None:
-    """A table of numbers, but for its column `view`; None if the path is no CSV file."""
+    """Read a table of numbers, but for its column `view`; None if the path is no CSV file."""
     try:
         check_regular(path)
         table = pd.read_csv(path)

@@ -15,11 +15,11 @@ from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv, to_csv
 from tdgbench.tables.between_papers import all_averages, between_papers
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.claims import Evidence, check_all, evidence_of, load_claims
+from tdgbench.tables.claims import ClaimEvidence, check_all, evidence_of, load_claims
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show, show_averages, show_claims, show_findings, show_papers, show_problems
+from tdgbench.tables.show import show_averages, show_claims, show_findings, show_papers, show_problems, show_tables
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -39,7 +39,7 @@ def _tables(experiment: Path) -> int:
         tables = build_tables(experiment)
     except (ValueError, OSError) as error:
         return _refused(error)
-    show(tables, console())
+    show_tables(tables, console())
     show_findings(tables.findings)
     return int(bool(tables.problems))
 
@@ -64,7 +64,7 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     Write them to each experiment, with the check of every paper's averages. Raises ValueError for an empty experiment.
     """
     ours = evidence_of(experiments) if experiments else None
-    found = check_all(load_claims(), Evidence(published_main(), published_ablation(), printed=True), ours)
+    found = check_all(load_claims(), ClaimEvidence(published_main(), published_ablation(), printed=True), ours)
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)

@@ -15,43 +15,43 @@ from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.results import NO_RECORD
-from tdgbench.tables.statistics import Comparison
+from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
-BUILT_IN = "synthetic"  # data set of the built-in scenes
+SYNTHETIC = "synthetic"  # data set
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
 def findings_of_methods(
     main: pd.DataFrame,
     difference: pd.DataFrame | None,
-    comparisons: Iterable[Comparison],
+    comparisons: Iterable[MethodComparison],
     effects: pd.DataFrame | None,
 ) -> list[str]:
-    """The findings of a main table, one sentence each, in one line each; none where nothing is compared."""
-    found = [sentence for one in comparisons for sentence in _comparison(one, main)]
+    """Return the findings of a main table, one sentence each, in one line each; none where nothing is compared."""
+    found = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
     found += [] if effects is None else _effects(effects)
     found += [] if difference is None else [published(difference)]
     return [one_line(sentence) for sentence in (*found, *(_caveats(main) if found else ()))]
 
 
 def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) -> list[str]:
-    """The findings of an ablation, in the same form."""
+    """Return the findings of an ablation, in the same form."""
     found = [*_ablation(main), *([] if difference is None else [published(difference)])]
     return [one_line(sentence) for sentence in found]
 
 
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
-    """What the findings of a main table are no evidence of."""
+    """Yield what the findings of a main table are no evidence of."""
     scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
-    if set(scenes["dataset"]) == {BUILT_IN}:
+    if set(scenes["dataset"]) == {SYNTHETIC}:
         once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
         yield f"These scenes are built in, so this is no evidence on the paper's claims{once}"
 
 
 def published(differences: pd.DataFrame) -> str:
-    """How many published scores are reproduced, and what would decide the others. differences: of difference.csv.
+    """Say how many published scores are reproduced, and what would decide the others. differences: difference.csv.
 
     Of one seed nothing is decided, so that all wait for more of them.
     """
@@ -71,7 +71,7 @@ def published(differences: pd.DataFrame) -> str:
 
 
 def claims_in_words(claims: pd.DataFrame) -> list[str]:
-    """How many of the paper's claims hold. claims: from `check_all`."""
+    """Say how many of the paper's claims hold. claims: from `check_all`."""
     sides = {"published": "By the published tables", "ours": "By our results"}
     found = []
     for side, evidence in sides.items():
@@ -81,8 +81,8 @@ def claims_in_words(claims: pd.DataFrame) -> list[str]:
     return found
 
 
-def _comparison(comparison: Comparison, main: pd.DataFrame) -> Iterable[str]:
-    """A method against its baseline: scenes, averages, training time."""
+def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:
+    """Compare a method with its baseline: scenes, averages, training time."""
     pair, paired, speed = comparison
     both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]
     if both["method"].nunique() < 2:
@@ -114,7 +114,7 @@ def _comparison(comparison: Comparison, main: pd.DataFrame) -> Iterable[str]:
 
 
 def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
-    """The widest averages of a method beside those of its baseline; nothing where they are n/a."""
+    """Yield the widest averages of a method beside those of its baseline; nothing where they are n/a."""
     known = widest_average(both).dropna(subset="value")
     texts = {(r.method, r.metric): as_text(r.metric, r.value, r.scene) for r in known.itertuples()}
     parts = [
@@ -127,7 +127,7 @@ def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
 
 
 def _ablation(main: pd.DataFrame) -> Iterable[str]:
-    """The first points with which each method scores best. main: an ablation."""
+    """Yield the first points with which each method scores best. main: an ablation."""
     for method, group in main.groupby("method", sort=False):
         parts = []
         for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):
@@ -141,7 +141,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
 
 
 def _effects(effects: pd.DataFrame) -> Iterable[str]:
-    """The changes that raise or lower the first published score. effects: from `readings.effects`."""
+    """Yield the changes that raise or lower the first published score. effects: from `readings.effects`."""
     metric = PUBLISHED_SCORES[0]
     rows = with_setup(widest_average(effects), "effect")
     rows = rows[rows["metric"] == metric]
@@ -162,7 +162,7 @@ def _changes(number: int) -> str:
 
 
 def _why_not(rows: pd.DataFrame, otherwise: str) -> str:
-    """Why nothing can be said of some rows. otherwise: what to say if several reasons, or none, are known."""
+    """Return why nothing can be said of some rows. otherwise: what to say if several reasons, or none, are known."""
     reasons = list(dict.fromkeys(rows.loc[rows["value"].isna(), "reason"])) if rows["value"].isna().all() else []
     if reasons == [NO_RECORD]:
         return "n/a: no scene is on disk, or none was run"

@@ -35,7 +35,7 @@ NEED_T1 = "ÐÞðþ÷"
 
 
 def escape(text: str) -> str:
-    r"""Text as LaTeX, in one line. What pdflatex cannot print is given by its number.
+    r"""Escape text for LaTeX, in one line. What pdflatex cannot print is given by its number.
 
     >>> print(escape("50 % of a_b"), escape("[a]"), escape("é 熱"))
     50 \% of a\_b {[}a] é \texttt{U+71B1}
@@ -55,12 +55,12 @@ def _escaped(c: str) -> str:
 
 
 def comment(text: str) -> str:
-    """A line of LaTeX that is not printed."""
+    """Return a line of LaTeX that is not printed."""
     return f"% {one_line(text)}"
 
 
 def main_table(rows: pd.DataFrame) -> str:
-    """Scenes down, methods × measures across; a standalone `tabular` that needs the package booktabs."""
+    """Return a standalone `tabular` of scenes down, methods × measures across; it needs the package booktabs."""
     columns = list(dict.fromkeys(rows["method"]))
     cells = {
         (r.method, r.dataset, r.scene, r.metric): _number(r.value, digits(r.metric, r.scene), r.bold)
@@ -98,7 +98,7 @@ def main_table(rows: pd.DataFrame) -> str:
 
 
 def papers_table(rows: pd.DataFrame) -> str:
-    """Scenes down; for each score the papers' numbers, in the order of the comment, and their spread.
+    """Return a `tabular` of scenes down; for each score the papers' numbers, in the comment's order, and their spread.
 
     rows: from `between_papers`.
     """
@@ -129,7 +129,7 @@ def papers_table(rows: pd.DataFrame) -> str:
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
-    """Methods × inits down, PSNR / SSIM across, as the paper's Table 2, of test views, training views, other models.
+    """Return a `tabular` as the paper's Table 2: methods × inits down, PSNR / SSIM of views and models across.
 
     Several kinds of random points are named.
 
@@ -155,7 +155,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
 
 
 def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
-    """Two tabulars: average scores by method and iterations, and the change that each difference makes.
+    """Return two tabulars: average scores by method and iterations, and the change that each difference makes.
 
     rows: from `readings`. changes: from `effects`. With one scene, its numbers take the place of an average.
     """
@@ -175,7 +175,7 @@ def readings_table(rows: pd.DataFrame, changes: pd.DataFrame) -> str:
 
 
 def _head(first: str, titles: list[str]) -> list[str]:
-    """Opening lines of a tabular with the columns `first`, iterations and `titles`."""
+    """Return opening lines of a tabular with the columns `first`, iterations and `titles`."""
     return [
         rf"\begin{{tabular}}{{lr{'c' * len(titles)}}}",
         r"\toprule",
@@ -202,7 +202,7 @@ def _change(values: pd.DataFrame, metric: str) -> str:
 
 
 def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:
-    """PSNR / SSIM of a model and its views; bold if either is best."""
+    """Return PSNR / SSIM of a model and its views; bold if either is best."""
     text = " / ".join(_number(values.loc[name, "value"], digits(name, OVERALL), False) for name in names)
     return rf"\textbf{{{text}}}" if bool(values.loc[list(names), "bold"].any()) else text
 

@@ -49,7 +49,7 @@ ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
 
 
 def measure(name: str) -> Measure:
-    """The description of a number by its name on disk.
+    """Return the description of a number by its name on disk.
 
     >>> measure("ssim").title, measure("train_psnr").digits
     ('SSIM ↑', 2)
@@ -58,7 +58,7 @@ def measure(name: str) -> Measure:
 
 
 def digits(name: str, scene: str = "") -> int:
-    """Digits after the decimal point, as the paper prints them: its overall average of SSIM has four.
+    """Return digits after the decimal point, as the paper prints them: its overall average of SSIM has four.
 
     >>> digits("ssim"), digits("ssim", OVERALL)
     (3, 4)
@@ -70,7 +70,7 @@ def digits(name: str, scene: str = "") -> int:
 
 
 def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
-    """A number as a reader sees it: with the paper's digits; hours, which files keep as numbers, as h:mm:ss.
+    """Return a number as a reader sees it: with the paper's digits; hours, which files keep as numbers, as h:mm:ss.
 
     form: format of numbers that are no time, in the place of the paper's digits; with `+`, times have a sign, too.
 
@@ -84,7 +84,7 @@ def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
 
 
 def half_unit(name: str, scene: str = "") -> float:
-    """Half a unit of the last printed digit: how far a printed number may be from the number itself.
+    """Return the half a unit of the last printed digit: how far a printed number may be from the number itself.
 
     >>> half_unit("psnr")
     0.005
@@ -93,7 +93,7 @@ def half_unit(name: str, scene: str = "") -> float:
 
 
 def gain(name: str, new: Any, old: Any) -> Any:
-    """By how much the new value is better, in the measure's unit. Arrays broadcast.
+    """Return by how much the new value is better, in the measure's unit. Arrays broadcast.
 
     >>> gain("lpips", 0.25, 0.5)
     0.25

@@ -33,7 +33,7 @@ class MethodPair(NamedTuple):
 
 
 def entry(name: str) -> MethodEntry:
-    """A method's entry; without a file or a label, its name is printed.
+    """Return a method's entry; without a file or a label, its name is printed.
 
     >>> entry("tdg_released").label, entry("unheard_of").label
     ('TDg as released', 'unheard_of')
@@ -42,7 +42,7 @@ def entry(name: str) -> MethodEntry:
 
 
 def label(column: str) -> str:
-    """A column's method as it is printed; what follows the name (points, overrides) stays.
+    """Return a column's method as it is printed; what follows the name (points, overrides) stays.
 
     >>> label("tdg (random)")
     'TDg (random)'
@@ -52,19 +52,19 @@ def label(column: str) -> str:
 
 
 def rank(column: str) -> tuple[int, str]:
-    """Sorting key of a column: its method's `order`, then its name."""
+    """Return the sorting key of a column: its method's `order`, then its name."""
     return entry(column.split(" ")[0]).order, column
 
 
 def pairs() -> list[MethodPair]:
-    """Every method that names another one to be compared with, in the order of columns."""
+    """Return every method that names another one to be compared with, in the order of columns."""
     entries = _entries(conf_folder())
     found = [MethodPair(name, e.compared_with) for name, e in entries.items() if e.compared_with is not None]
     return sorted(found, key=lambda pair: rank(pair.method))
 
 
 def paper_pair() -> MethodPair:
-    """The pair of the published table, which the paper's claims are about.
+    """Return the pair of the published table, which the paper's claims are about.
 
     >>> paper_pair()
     MethodPair(method='tdg', baseline='msmg')

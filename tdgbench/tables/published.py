@@ -17,7 +17,7 @@ PAPER = "tdg"  # the source whose tables are reproduced
 
 
 @dataclass(frozen=True)
-class Source:
+class PublishedSource:
     """A paper or page with numbers.
 
     methods: by printed name, our method (`as`), whether the source settles it (`sure`), and a `note`.
@@ -32,7 +32,7 @@ class Source:
 
 
 def published_main() -> pd.DataFrame:
-    """Table 1: method, dataset, group, scene, metric, value, bold; averages are rows whose scene contains `Average`."""
+    """Read Table 1: method, dataset, group, scene, metric, value, bold. Scenes of averages contain `Average`."""
     table = pd.read_csv(FOLDER / "table1.csv", keep_default_na=False)
     table["value"] = table["value"].astype(float)
     table["bold"] = table["bold"].astype(str).str.lower() == "true"
@@ -40,18 +40,18 @@ def published_main() -> pd.DataFrame:
 
 
 def published_ablation() -> pd.DataFrame:
-    """Table 2: method, init, metric, value; means over the 14 scenes."""
+    """Read Table 2: method, init, metric, value; means over the 14 scenes."""
     return pd.read_csv(FOLDER / "table2.csv")
 
 
-def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, Source]:
-    """The sources of the numbers, by their name in the CSV files."""
+def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSource]:
+    """Load the sources of the numbers, by their name in the CSV files."""
     found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
-    return {name: Source(**entry) for name, entry in found.items()}
+    return {name: PublishedSource(**entry) for name, entry in found.items()}
 
 
 def published_elsewhere() -> pd.DataFrame:
-    """Numbers of other papers for the same scenes.
+    """Read numbers of other papers for the same scenes.
 
     Columns: source, method, dataset, group, scene, metric, value, half_unit (of the last printed digit), printed_as.
     method is our name where sources.yaml has one, else the printed name (printed_as).
@@ -62,7 +62,7 @@ def published_elsewhere() -> pd.DataFrame:
     unknown = set(table["source"]) - set(sources)
     if unknown:
         raise ValueError(f"{FOLDER / 'sources.yaml'} lacks {', '.join(sorted(unknown))}")
-    table["half_unit"] = table["value"].map(half_unit)
+    table["half_unit"] = table["value"].map(printed_half_unit)
     table["value"] = table["value"].astype(float)
     table["printed_as"] = table["method"]
     table["method"] = [
@@ -73,10 +73,10 @@ def published_elsewhere() -> pd.DataFrame:
     return table.assign(group="")[columns]
 
 
-def half_unit(printed: str) -> float:
-    """Half a unit of the last digit of a printed number: how far it may be from the number itself.
+def printed_half_unit(printed: str) -> float:
+    """Return the half a unit of the last digit of a printed number: how far it may be from the number itself.
 
-    >>> half_unit("27.42")
+    >>> printed_half_unit("27.42")
     0.005
     """
     return 0.5 * 10.0 ** int(Decimal(printed).as_tuple().exponent)

@@ -59,27 +59,28 @@ EFFECTS = (
 
 
 def compared_methods() -> list[Effect]:
-    """EFFECTS, and every other pair that a method's `compared_with` names."""
+    """Return EFFECTS, and every other pair that a method's `compared_with` names."""
     known = {(effect.after, effect.before) for effect in EFFECTS}
     more = [pair for pair in methods.pairs() if pair not in known]
     return [*EFFECTS, *(Effect(f"{methods.label(a)} for {methods.label(b)}", b, a) for a, b in more)]
 
 
 def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
-    """One row per finished cell and known number: method, iterations, PLACE, metric, value."""
+    """Return one row per finished cell and known number: method, iterations, PLACE, metric, value."""
     rows = []
     for record in records:
         if record.failure is not None:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         head = [record.method, planned_iterations(record), *place]
-        values = {metric: metric_value(record, metric)[0] for metric in (*SCORES, *(one.name for one in OF_RECORDS))}
+        names = (*SCORES, *(quantity.name for quantity in OF_RECORDS))
+        values = {metric: metric_value(record, metric)[0] for metric in names}
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 
 
 def readings(cells: pd.DataFrame) -> pd.DataFrame:
-    """method, iterations, init, split, dataset, scene, metric, value, std, seeds, published: means over seeds.
+    """Return method, iterations, init, split, dataset, scene, metric, value, std, seeds, published: means over seeds.
 
     Averages are over the scenes that every method and length has; a seed that lacks one of them has no average.
     published: the paper's number, beside its baseline at the most iterations and its method at the fewest.
@@ -106,7 +107,7 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the widest average; with one scene alone, all rows."""
+    """Return the rows of the widest average; with one scene alone, all rows."""
     for name in (OVERALL, AVERAGE):
         if (rows["scene"] == name).any():
             return rows[rows["scene"] == name]
@@ -114,7 +115,7 @@ def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
-    """The rows with first points and split added to a column's text, where the table has several of them."""
+    """Return the rows with first points and split added to a column's text, where the table has several of them."""
     varied = [name for name in ("init", "split") if rows[name].nunique() > 1]
     if not varied:
         return rows
@@ -123,7 +124,7 @@ def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
 
 
 def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:
-    """(dataset, scene) that every method and length has."""
+    """Return (dataset, scene) that every method and length has."""
     scores = cells[cells["metric"] == "psnr"]
     found = [set(zip(g["dataset"], g["scene"], strict=True)) for _, g in scores.groupby(["method", "iterations"])]
     return set.intersection(*found) if found else set()
@@ -142,7 +143,7 @@ def _with_published(found: pd.DataFrame) -> pd.DataFrame:
 
 
 def effects(cells: pd.DataFrame) -> pd.DataFrame:
-    """effect, iterations, init, split, dataset, scene, metric, kind, change, low, high, seeds, scenes.
+    """Return effect, iterations, init, split, dataset, scene, metric, kind, change, low, high, seeds, scenes.
 
     kind: `difference` (after − before), or `ratio` (after / before) for hours and Gaussians. low, high: the 95 %
     interval over seeds, NaN for one seed. The rows are the compared methods at each length; fewer iterations, method
@@ -169,7 +170,7 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes(both: pd.DataFrame) -> pd.DataFrame:
-    """Changes by scene, and over all scenes that every seed has."""
+    """Return changes by scene, and over all scenes that every seed has."""
     ratio = both["metric"].map(lambda name: measure(name).ratio)
     before, after = both["value_before"], both["value_after"]
     logs = np.log((after / before).where(ratio, 1.0))
@@ -191,7 +192,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
 
 
 def _interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean, and its 95 % Student interval; NaN for fewer than two values."""
+    """Return the mean, and its 95 % Student interval; NaN for fewer than two values."""
     mean = float(values.mean())
     if len(values) < 2:
         return mean, float("nan"), float("nan")
@@ -200,7 +201,7 @@ def _interval(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows for a reader: each change of the widest average, with its interval. changes: from `effects`."""
+    """Return heads and rows for a reader: each change of the widest average with its interval. changes: `effects`."""
     heads = ["change", "iterations", "scene", *(measure(name).change for name in COMPARED)]
     rows = []
     shown = with_setup(widest_average(changes), "effect")
@@ -211,7 +212,7 @@ def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
 
 
 def change_as_text(row: Any) -> str:
-    """A change with its interval, where it has one. row: of `effects`, or None."""
+    """Return a change with its interval, where it has one. row: of `effects`, or None."""
     if row is None:
         return "n/a"
     form = ".2f" if row.kind == "ratio" else f"+.{digits(row.metric)}f"

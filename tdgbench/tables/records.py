@@ -44,7 +44,7 @@ def read_results(experiment: Path) -> Results:
 
 
 def _read_plan(experiment: Path, problems: list[str]) -> Plan:
-    """The plan; without one, or with a broken one, the default plan."""
+    """Return the plan; without one, or with a broken one, the default plan."""
     try:
         return read_plan(experiment)
     except (OSError, ValueError) as error:
@@ -53,7 +53,7 @@ def _read_plan(experiment: Path, problems: list[str]) -> Plan:
 
 
 def _with_planned_names(experiment: Path, folder: Path, record: Record, plan: Plan) -> Record:
-    """The record with the names of the planned cell whose folder it is, which may differ from that folder's names."""
+    """Return the record with the names of the planned cell whose folder it is; that folder's names may differ."""
     for candidate in _planned(record, plan):
         if cell_folder_of(experiment, candidate) == folder:
             return candidate
@@ -69,7 +69,7 @@ def _planned(record: Record, plan: Plan) -> Iterator[Record]:
 
 
 def _view_problems(folder: Path, record: Record) -> list[str]:
-    """A finished cell's views.csv, if it is there but unusable."""
+    """Return the problem of a finished cell's views.csv, if it is there but unusable."""
     try:
         if record.failure is None:
             read_views(folder / "views.csv")

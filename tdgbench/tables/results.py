@@ -24,7 +24,7 @@ NO_RECORD = "not run, or the scene is not on disk"
 
 
 def method_label(record: Record, with_init: bool) -> str:
-    """The method's column. Inits other than COLMAP (if `with_init`) and other overrides get separate columns.
+    """Return the method's column. Inits other than COLMAP (if `with_init`) and other overrides get separate columns.
 
     >>> method_label(Record("tdg", "synthetic", "orbit", "random", 0, "demo", "budget=short"), with_init=True)
     'tdg (random) [budget=short]'
@@ -36,7 +36,7 @@ def method_label(record: Record, with_init: bool) -> str:
 
 
 def metric_value(record: Record, metric: str) -> tuple[float, str]:
-    """The value (NaN for n/a), and the reason for n/a."""
+    """Return the value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, record.why_failed
     described = measure(metric)
@@ -50,13 +50,13 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
 
 
 def planned_iterations(record: Record) -> int:
-    """Iterations of a cell's budget; those that it made, where its record has no budget."""
+    """Return iterations of a cell's budget; those that it made, where its record has no budget."""
     planned = record.setting("budget.iterations")
     return planned if isinstance(planned, int) else record.iterations
 
 
 def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
-    """Rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a without a record.
+    """Return rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a without a record.
 
     With `init` only its records count, and inits do not make columns.
     """
@@ -82,7 +82,7 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
 
 
 def with_splits(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
-    """The rows with `split`, the split of their cells' views (`a + b` for an average over both)."""
+    """Return the rows with `split`, the split of their cells' views (`a + b` for an average over both)."""
     splits: dict[str, dict[tuple[str, str], set[str]]] = {}
     for record in records:
         of_method = splits.setdefault(method_label(record, with_init=True), {})
@@ -98,12 +98,12 @@ def with_splits(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
 
 
 def split_notes(main: pd.DataFrame) -> list[str]:
-    """The test views in words, one line for each split in a main table."""
+    """Return the test views in words, one line for each split in a main table."""
     return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
 
 
 def mask_notes(records: Iterable[Record]) -> list[str]:
-    """One line with the share of masked test pixels of each scene that has some; none if no scene has.
+    """Return a line with the share of masked test pixels of each scene that has some; none if no scene has.
 
     >>> lion = Record("tdg", "ThermalMix", "Lion", "colmap", 0, "", "", masked={"train": 0.1, "test": 0.125})
     >>> mask_notes([lion, Record("tdg", "synthetic", "orbit", "colmap", 0, "", "")])
@@ -117,7 +117,7 @@ def mask_notes(records: Iterable[Record]) -> list[str]:
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows and their averages per data set and overall; an average over a missing number is n/a."""
+    """Return the rows and their averages per data set and overall; an average over a missing number is n/a."""
     parts = []
     datasets = list(dict.fromkeys(rows["dataset"]))
     for method, of_method in rows.groupby("method", sort=False):
@@ -149,7 +149,7 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def first_points(ablation: pd.DataFrame) -> list[str]:
-    """The origin of each init's first points in an ablation, in words, where it is known."""
+    """Return the origin of each init's first points in an ablation, in words, where it is known."""
     hows = ablation.groupby("init", sort=False)["points"].first()
     return [f"{init}: {how}" for init, how in hows.items() if how]
 
@@ -166,7 +166,7 @@ def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.Dat
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:
-    """The planned scenes and those of records; with one of the paper's scenes, all of them."""
+    """Return the planned scenes and those of records; with one of the paper's scenes, all of them."""
     found = {(s.dataset, s.scene): s for s in plan.scenes}
     for r in records:
         found.setdefault((r.dataset, r.scene), Description(r.scene, r.dataset, r.group))

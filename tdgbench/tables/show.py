@@ -9,19 +9,19 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from tdgbench.tables.between_papers import FOLLOWS, OFF, UNKNOWN
+from tdgbench.tables.build import Tables
 from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.results import first_points, mask_notes, split_notes
-from tdgbench.tables.tables import Tables
-from tdgbench.tables.verdicts import in_words
+from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
-def show(tables: Tables, console: Console) -> None:
+def show_tables(tables: Tables, console: Console) -> None:
     """Print the main table and its differences from the published one; `show_findings` follows."""
     if tables.kind == "ablation":
         _show_ablation(tables, console)
@@ -42,7 +42,7 @@ def show(tables: Tables, console: Console) -> None:
         for metric, group in tables.difference[known].groupby("metric", sort=False):
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
-            _say(console, f"{text}; {in_words(group)}")
+            _say(console, f"{text}; {verdicts_in_words(group)}")
     if tables.papers is not None:
         show_papers(tables.papers, console)
 
@@ -104,7 +104,7 @@ def _say(console: Console, text: str, soft_wrap: bool = True) -> None:
 
 
 def _name(name: object) -> Text:
-    """A name in a table: no markup, one line."""
+    """Return a name in a table: no markup, one line."""
     return Text(one_line(str(name)))
 
 
@@ -131,7 +131,7 @@ def _show_main(tables: Tables, console: Console) -> None:
 
 def _show_ablation(tables: Tables, console: Console) -> None:
     described = [measure(metric) for metric in ABLATION]
-    heads = (one.column + (f", {one.part}" if one.part else "") for one in described)
+    heads = (metric.column + (f", {metric.part}" if metric.part else "") for metric in described)
     table = Table("method", "first points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
@@ -143,7 +143,7 @@ def _show_ablation(tables: Tables, console: Console) -> None:
 
 
 def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Console) -> None:
-    """Averages by method and length, then the change that each difference makes, with its 95 % interval over seeds.
+    """Print averages by method and length, then the change of each difference, with its 95 % interval over seeds.
 
     Single scenes are in readings.csv and effects.csv.
     """

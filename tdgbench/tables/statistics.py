@@ -24,7 +24,7 @@ COVERAGE = 0.95
 
 
 def half_width(std: Any, count: Any, tail: float) -> Any:
-    """Half of Student's interval of a mean over `count` values (2 or more) with sample standard deviation std.
+    """Return half of Student's interval of a mean over `count` values (2 or more) with sample standard deviation.
 
     tail: probability outside of the interval on each side. Arrays broadcast.
 
@@ -35,7 +35,7 @@ def half_width(std: Any, count: Any, tail: float) -> Any:
 
 
 def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
-    """KEYS, seeds, std: the sample standard deviation over seeds of each number, averages included (NaN below two)."""
+    """Return KEYS, seeds, std: the sample standard deviation over seeds, averages included (NaN below two)."""
     seeds = sorted({record.seed for record in records})
     parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan, init)) for seed in seeds]
     if not parts:
@@ -45,7 +45,7 @@ def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd
 
 
 def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
-    """KEYS, low, high: 95 % bootstrap interval of each mean, which resamples seeds and, of each seed, test views."""
+    """Return KEYS, low, high: 95 % bootstrap interval of each mean, resampling seeds and, of each seed, test views."""
     rng = np.random.default_rng(SEED)
     cells: dict[tuple[str, str, str, str], list[dict[str, np.ndarray]]] = {}
     for record in sorted(records, key=lambda r: (r.title, r.seed)):
@@ -55,8 +55,8 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
     replicates: dict[tuple[str, ...], np.ndarray] = {}
     for key, seeds in cells.items():
         for metric in seeds[0]:
-            if all(metric in one for one in seeds):
-                replicates[(*key, metric)] = _replicates([one[metric] for one in seeds], rng)
+            if all(metric in values for values in seeds):
+                replicates[(*key, metric)] = _replicates([values[metric] for values in seeds], rng)
     rows = [_row(key, drawn) for key, drawn in replicates.items()]
     for method in dict.fromkeys(key[0] for key in replicates):
         datasets = list(dict.fromkeys(key[1] for key in replicates if key[0] == method))
@@ -70,8 +70,8 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
-    """Every number of a cell: scores by view, hours as one value."""
-    found = {one.name: np.array([one.of_record(record)]) for one in OF_RECORDS if one.published}
+    """Return every number of a cell: scores by view, hours as one value."""
+    found = {quantity.name: np.array([quantity.of_record(record)]) for quantity in OF_RECORDS if quantity.published}
     try:
         rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
     except (FileNotFoundError, ValueError):  # `read_results` reports it
@@ -84,7 +84,7 @@ def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
 
 
 def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
-    """REPLICATES means, each of seeds drawn with replacement and of each one's views drawn with replacement."""
+    """Draw REPLICATES means: seeds are drawn with replacement, and so are each one's views."""
     drawn = np.empty(REPLICATES)
     for i in range(REPLICATES):
         chosen = rng.integers(len(seeds), size=len(seeds))
@@ -97,7 +97,7 @@ def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
     return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
 
 
-class Comparison(NamedTuple):
+class MethodComparison(NamedTuple):
     """A method against its baseline. paired: from `paired_tests`. speed: from `speed_table`."""
 
     pair: MethodPair
@@ -105,13 +105,13 @@ class Comparison(NamedTuple):
     speed: pd.DataFrame
 
 
-def compare(main: pd.DataFrame, pair: MethodPair) -> Comparison:
+def compare_methods(main: pd.DataFrame, pair: MethodPair) -> MethodComparison:
     """Compare the two methods of a main table."""
-    return Comparison(pair, paired_tests(main, pair), speed_table(main, pair))
+    return MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair))
 
 
 def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """dataset, group, scene, ratio: hours of the method over those of its baseline, which compare between machines."""
+    """Return dataset, group, scene, ratio: hours over the baseline's, which compare between machines."""
     hours = main[main["metric"] == HOURS.name]
     wide = hours.pivot_table(index=["dataset", "group", "scene"], columns="method", values="value", sort=False)
     if not set(pair) <= set(wide):
@@ -120,14 +120,14 @@ def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
 
 
 def speed_table(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """dataset, group, scene, ours, published: hours of the method over those of its baseline."""
+    """Return dataset, group, scene, ours, published: hours of the method over those of its baseline."""
     ours = speed_ratios(main, pair).rename(columns={"ratio": "ours"})
     published = speed_ratios(published_main(), pair).rename(columns={"ratio": "published"})
     return ours.merge(published, on=["dataset", "group", "scene"], how="left")
 
 
 def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """metric, scenes, better, p: Wilcoxon's signed-rank test over scenes that a method is better (one-sided)."""
+    """Return metric, scenes, better, p of Wilcoxon's one-sided signed-rank test over scenes that a method is better."""
     single = main[~main["scene"].isin((AVERAGE, OVERALL))]
     rows = []
     for metric, group in single[~single["metric"].isin(TRAINING)].groupby("metric", sort=False):

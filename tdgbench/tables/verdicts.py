@@ -36,7 +36,7 @@ NEVER, UNKNOWN = "n/a", "unknown"
 ONE_SEED = "one seed has no spread"
 
 
-class Verdict(NamedTuple):
+class ScoreVerdict(NamedTuple):
     """A verdict and its grounds.
 
     margin: of the metric (NaN: none). low, high: interval of our mean (NaN below two seeds). seeds_needed: a number,
@@ -53,7 +53,7 @@ class Verdict(NamedTuple):
 
 @cache
 def load_margins(path: Path = FOLDER / "margins.yaml") -> dict[str, float]:
-    """The margin of each metric, in its unit. Raises ValueError for a margin that is not positive or has no reason."""
+    """Load each metric's margin, in its unit. Raises ValueError for one that is not positive or has no reason."""
     found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for metric, entry in found.items():
         if not entry.get("reason") or not entry.get("margin", 0) > 0:
@@ -61,16 +61,16 @@ def load_margins(path: Path = FOLDER / "margins.yaml") -> dict[str, float]:
     return {metric: float(entry["margin"]) for metric, entry in found.items()}
 
 
-def interval(mean: Any, std: Any, seeds: Any) -> tuple[Any, Any]:
-    """Student's 90 % interval of a mean over seeds. std: sample standard deviation. Arrays broadcast."""
+def seeds_interval(mean: Any, std: Any, seeds: Any) -> tuple[Any, Any]:
+    """Return Student's 90 % interval of a mean over seeds. std: sample standard deviation. Arrays broadcast."""
     half = half_width(std, seeds, ALPHA)
     return mean - half, mean + half
 
 
-def judge(low: Any, high: Any, published: float, half_unit: float, margin: float, higher: bool = True) -> Any:
-    """Verdicts for intervals low … high. half_unit: of the last printed digit. higher: whether higher is better.
+def judge_score(low: Any, high: Any, published: float, half_unit: float, margin: float, higher: bool = True) -> Any:
+    """Judge intervals low … high. half_unit: of the last printed digit. higher: whether higher is better.
 
-    >>> judge(np.array([24.0, 23.0, 24.1]), np.array([24.1, 23.1, 24.5]), 24.06, 0.005, 0.2).tolist()
+    >>> judge_score(np.array([24.0, 23.0, 24.1]), np.array([24.1, 23.1, 24.5]), 24.06, 0.005, 0.2).tolist()
     ['reproduced', 'worse', 'undecided']
     """
     inside = (low >= published + half_unit - margin) & (high <= published - half_unit + margin)
@@ -79,7 +79,7 @@ def judge(low: Any, high: Any, published: float, half_unit: float, margin: float
 
 
 def seeds_needed(distance: float, std: float, half_unit: float, margin: float) -> str:
-    """Number of seeds that would decide four of five repetitions, if distance and std are the true ones.
+    """Return the number of seeds that would decide four of five repetitions, if distance and std are the true ones.
 
     distance: |our mean − published|. `n/a` where it is at the margin, to half a unit of print.
 
@@ -100,12 +100,12 @@ def seeds_needed(distance: float, std: float, half_unit: float, margin: float) -
 
 
 def _power(shift: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Power of a one-sided t test at a true difference of `shift` standard errors (noncentral t)."""
+    """Return the power of a one-sided t test at a true difference of `shift` standard errors (noncentral t)."""
     return stats.nct.sf(stats.t.isf(ALPHA, seeds - 1), seeds - 1, np.minimum(shift, 50.0))
 
 
-def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> Verdict:
-    """The verdict on one published number. ours, std: mean and sample standard deviation over seeds (std NaN for one).
+def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> ScoreVerdict:
+    """Judge one published number. ours, std: mean and sample standard deviation over seeds (std NaN for one).
 
     An average over scenes is judged like a scene, by the spread of averages over the seeds that all scenes have.
 
@@ -116,30 +116,30 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
     margin = load_margins().get(metric, nan)
     if np.isnan(margin):
         why = "hours depend on the machine" if metric == HOURS.name else f"no margin is stated for {metric}"
-        return Verdict(UNDECIDED, nan, nan, nan, NEVER, why)
+        return ScoreVerdict(UNDECIDED, nan, nan, nan, NEVER, why)
     if np.isnan(ours):
-        return Verdict(UNDECIDED, margin, nan, nan, UNKNOWN, "no number of ours")
+        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, "no number of ours")
     if seeds < 2 or np.isnan(std):
-        return Verdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
+        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     rounding = half_unit(metric, scene)
-    low, high = (float(end) for end in interval(ours, std, seeds))
-    word = str(judge(low, high, published, rounding, margin, measure(metric).higher_is_better))
+    low, high = (float(end) for end in seeds_interval(ours, std, seeds))
+    word = str(judge_score(low, high, published, rounding, margin, measure(metric).higher_is_better))
     if word != UNDECIDED:
-        return Verdict(word, margin, low, high, "", "")
+        return ScoreVerdict(word, margin, low, high, "", "")
     needed = seeds_needed(abs(ours - published), std, rounding, margin)
     why = "the difference is at the margin" if needed == NEVER else "the interval crosses the margin"
-    return Verdict(word, margin, low, high, needed, why)
+    return ScoreVerdict(word, margin, low, high, needed, why)
 
 
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:
-    """The rows of difference.csv on published numbers that a verdict is about: those whose metric has a margin."""
+    """Return the rows of difference.csv that a verdict is about: those whose metric has a margin."""
     return differences[differences["metric"].isin(load_margins())]
 
 
-def in_words(judged: pd.DataFrame) -> str:
-    """Counts of verdicts, and the seeds that would decide the undecided ones. judged: verdict, seeds_needed.
+def verdicts_in_words(judged: pd.DataFrame) -> str:
+    """Return counts of verdicts, and the seeds that would decide the undecided ones. judged: verdict, seeds_needed.
 
-    >>> in_words(pd.DataFrame({"verdict": ["reproduced", "undecided"], "seeds_needed": ["", "7"]}))
+    >>> verdicts_in_words(pd.DataFrame({"verdict": ["reproduced", "undecided"], "seeds_needed": ["", "7"]}))
     '1 reproduced, 1 undecided (7 seeds would decide 1)'
     """
     counts = judged["verdict"].value_counts()
@@ -149,7 +149,7 @@ def in_words(judged: pd.DataFrame) -> str:
 
 
 def seeds_in_words(judged: pd.DataFrame) -> str:
-    """How many seeds would decide the undecided verdicts; empty if all are decided.
+    """Return how many seeds would decide the undecided verdicts; empty if all are decided.
 
     >>> seeds_in_words(pd.DataFrame({"verdict": ["undecided"] * 2, "seeds_needed": ["3", "> 100"]}))
     '3 seeds would decide 1; more than 100 for 1'

@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.camera import Response, ThermalCamera, in_gauge
+from tdgbench.thermal.camera import ThermalCamera, ViewResponses, in_gauge
 
 
 class Truth(NamedTuple):
     """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C."""
 
-    response: Response
+    response: ViewResponses
     vignette: np.ndarray
     pattern: np.ndarray
 
 
-class Errors(NamedTuple):
+class ThermalCameraErrors(NamedTuple):
     """Estimated minus true: offsets (V,) in °C, gains (V,), vignette (H, W) in °C, fixed pattern (H, W) in °C."""
 
     offsets: np.ndarray
@@ -29,19 +29,19 @@ class Errors(NamedTuple):
 
 
 def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
-    """The true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
+    """Return the true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
     true, index = truth.camera, truth.index(list(views))
     gains = true.gains[index]
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
-    response = in_gauge(Response(offsets + true.pattern.mean(), gains))
+    response = in_gauge(ViewResponses(offsets + true.pattern.mean(), gains))
     return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
 
 
-def errors_of(camera: ThermalCamera, truth: CameraTruth) -> Errors:
-    """Errors of an estimate in °C."""
+def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
+    """Return the errors of an estimate in °C."""
     true = truth_in_gauge(truth, camera.views, camera.reference)
     height, width = true.vignette.shape
-    return Errors(
+    return ThermalCameraErrors(
         camera.offsets - true.response.offsets,
         camera.gains - true.response.gains,
         camera.map(width, height) - true.vignette,

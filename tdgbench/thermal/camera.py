@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.thermal.pattern import line_map
-from tdgbench.thermal.polynomials import evaluate
+from tdgbench.thermal.maps import evaluate, line_map
 
 
-class Response(NamedTuple):
+class ViewResponses(NamedTuple):
     """Offset and gain of each view, (V,)."""
 
     offsets: np.ndarray
@@ -29,7 +28,7 @@ class Response(NamedTuple):
 class ThermalCamera:
     """Estimated response of V training views. Values are in °C, or in image units where a scene has no temperatures.
 
-    vignette: (K,) coefficients of `polynomials`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
+    vignette: (K,) coefficients of `maps`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
     sightings: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
@@ -58,7 +57,7 @@ class ThermalCamera:
     notes: tuple[str, ...] = ()
 
     def of_view(self, name: str) -> tuple[float, float]:
-        """Offset and gain of a view; the gain of a view that is no training view is 1. Raises KeyError."""
+        """Return the offset and gain of a view; the gain of a view that is no training view is 1. Raises KeyError."""
         if name in self.expected:
             return self.expected[name], 1.0
         if name not in self.views:
@@ -72,18 +71,18 @@ class ThermalCamera:
         return "" if self.unit == "image" else f" {self.unit}"
 
     def map(self, width: int, height: int) -> np.ndarray:
-        """Vignette (height, width) of an image."""
+        """Return the vignette (height, width) of an image."""
         return evaluate(self.vignette, width, height)
 
     def pattern(self, width: int, height: int) -> np.ndarray:
-        """Fixed pattern (height, width) of an image; 0 where there is none.
+        """Return fixed pattern (height, width) of an image; 0 where there is none.
 
         Raises ValueError for an image of another size than those that it was estimated from.
         """
         return line_map(self.columns, self.rows, width, height)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """What the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
         return self.map(width, height) + self.pattern(width, height)
 
     @property
@@ -108,11 +107,11 @@ class Unknown:
     reason: str
 
 
-def in_gauge(response: Response) -> Response:
-    """The same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
+def in_gauge(response: ViewResponses) -> ViewResponses:
+    """Return the same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
 
-    >>> in_gauge(Response(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
+    >>> in_gauge(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])
     """
     gains = response.gains / response.gains.mean()
-    return Response(response.offsets - gains * response.offsets.mean(), gains)
+    return ViewResponses(response.offsets - gains * response.offsets.mean(), gains)

@@ -25,7 +25,7 @@ Curve = Callable[[np.ndarray, np.ndarray | None], np.ndarray]  # image (H, W) an
 
 
 def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
-    """The scene with another contrast in all its thermal images, of training and test views alike.
+    """Return the scene with another contrast in all its thermal images, of training and test views alike.
 
     Masked pixels have no part in it. The scene has a fingerprint of its own, and temperatures, also true ones, only
     where the contrast keeps them. Raises SceneError for images in pseudo-colour.
@@ -62,7 +62,7 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
 
 
 def _changed(view: View, curve: Curve) -> np.ndarray:
-    """(H, W, C) float32 in [0, 1]; 0 at masked pixels. A view without a valid pixel stays as it is."""
+    """Return the image (H, W, C) float32 in [0, 1]; 0 at masked pixels, unchanged without a valid pixel."""
     if view.valid is not None and not view.valid.any():
         return view.thermal
     image = curve(view.thermal.mean(axis=2, dtype=np.float64), view.valid).clip(0, 1)
@@ -72,7 +72,7 @@ def _changed(view: View, curve: Curve) -> np.ndarray:
 
 
 def _values(view: View) -> np.ndarray:
-    """Valid values (N,)."""
+    """Return valid values (N,)."""
     return _at(view.thermal.mean(axis=2, dtype=np.float64), view.valid)
 
 
@@ -96,7 +96,7 @@ def _percentile(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 
 def _clahe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Contrast-limited adaptive histogram equalisation (Zuiderveld 1994), by scikit-image.
+    """Apply contrast-limited adaptive histogram equalisation (Zuiderveld 1994), by scikit-image.
 
     In the place of masked pixels stand the nearest valid ones.
     """
@@ -111,7 +111,7 @@ def _clahe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 
 def _bbhe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Brightness-preserving bi-histogram equalisation (Kim 1997): values below and above the mean apart.
+    """Apply brightness-preserving bi-histogram equalisation (Kim 1997): values below and above the mean apart.
 
     Each part is spread over the range between the ends of the image's values and their mean.
     """
@@ -123,23 +123,23 @@ def _bbhe(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 
 def _equalized(image: np.ndarray, values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Image values by the share of the values below them, from `low` to `high`."""
+    """Replace image values by the share of the values below them, from `low` to `high`."""
     counts, edges = np.histogram(values, BINS, (low, max(high, low + SMALLEST)))
     shares = np.concatenate([[0], np.cumsum(counts)]) / max(counts.sum(), 1)
     return low + (high - low) * np.interp(image, edges, shares)
 
 
 def midway(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Quantiles (BINS + 1,) that lie midway between those of several images' values (Delon 2004): their mean.
+    """Return quantiles (BINS + 1,) that lie midway between those of several images' values (Delon 2004): their mean.
 
     >>> midway([np.array([0.0, 0.2]), np.array([0.4, 0.6])])[[0, -1]].tolist()
     [0.2, 0.4]
     """
-    return np.mean([np.quantile(one, QUANTILES) for one in values if one.size], axis=0)
+    return np.mean([np.quantile(image, QUANTILES) for image in values if image.size], axis=0)
 
 
 def _to_quantiles(target: np.ndarray) -> Curve:
-    """Gives each image the quantiles `target`: histograms become alike over time."""
+    """Return a curve that gives each image the quantiles `target`: histograms become alike over time."""
 
     def curve(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
         own, place = np.unique(np.quantile(_at(image, valid), QUANTILES), return_inverse=True)

@@ -23,7 +23,7 @@ class Corrected(NamedTuple):
 
 
 def correct_values(values: np.ndarray, view: str, camera: ThermalCamera) -> np.ndarray:
-    """Temperatures (H, W), or image values, as an ideal camera would show them: the inverse of the response.
+    """Invert the response: temperatures (H, W), or image values, as an ideal camera would show them.
 
     values: (H, W) in the camera's unit. view: the name of a view; raises KeyError for an unknown one.
     """
@@ -33,7 +33,7 @@ def correct_values(values: np.ndarray, view: str, camera: ThermalCamera) -> np.n
 
 
 def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
-    """The scene with corrected training views; test views stay as they are.
+    """Return the scene with corrected training views; test views stay as they are.
 
     Nothing is clipped: image values 0 and 1 of the training views are other values of the given scene where they have
     to be, and a note says which. The fingerprint is another one, so that nothing made from the images before, like
@@ -64,7 +64,7 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
 
 
 def in_one_range(scene: Scene, response: ImageResponse) -> Scene:
-    """A corrected scene whose test views have the range of its training views, too: what changes both needs that."""
+    """Return a corrected scene whose test views have the training views' range, too: what changes both needs that."""
     if (response.low, response.high) == (0.0, 1.0):
         return scene
 
@@ -94,8 +94,9 @@ def _measured(values: np.ndarray, view: View) -> np.ndarray:
 
 
 def _range(values: list[np.ndarray]) -> tuple[float, float]:
-    """Image values that become 0 and 1: these, or the ends of all values (N,), to the next thousandth outwards."""
-    low, high = min(float(one.min()) for one in values if one.size), max(float(one.max()) for one in values if one.size)
+    """Return image values that become 0 and 1: these, or the ends of all values (N,), to the next thousandth."""
+    known = [array for array in values if array.size]
+    low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)
 
 
@@ -106,12 +107,12 @@ def _fingerprint(scene: Scene, camera: ThermalCamera) -> str:
 
 
 def _corrected_values(view: View, camera: ThermalCamera, scale: float, zero: float) -> np.ndarray:
-    """Corrected values (H, W) of a training view in the camera's unit."""
+    """Return corrected values (H, W) of a training view in the camera's unit."""
     return correct_values(scale * view.thermal.mean(axis=2, dtype=np.float64) + zero, view.name, camera)
 
 
 def _image(values: np.ndarray, view: View, scene: Scene) -> np.ndarray:
-    """Image (H, W, C) of values (H, W); 0 where nothing was measured."""
+    """Return the image (H, W, C) of values (H, W); 0 where nothing was measured."""
     if view.valid is not None:
         values = np.where(view.valid, values, 0.0)
     return np.repeat(values[..., None], scene.channels, axis=2).astype(np.float32)

@@ -12,7 +12,7 @@ from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
-from tdgbench.thermal.polynomials import basis
+from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.priors import Drift, Widths, places
 from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 
@@ -22,7 +22,7 @@ FEWEST_TRAINING_VIEWS = 3
 
 
 def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
-    """The thermal camera of a scene, from its training views; or why it cannot be estimated.
+    """Estimate the thermal camera of a scene from its training views, or say why it cannot be estimated.
 
     In °C where the scene has a range of temperatures, else in image units. Test views are not read.
     """
@@ -51,14 +51,14 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
 
 
 def units(scene: Scene) -> tuple[str, float, float]:
-    """Unit of a scene's cameras, and its values: value = scale × image value + zero."""
+    """Return the unit of a scene's cameras, and its values: value = scale × image value + zero."""
     if scene.temperature is None:
         return "image", 1.0, 0.0
     return "°C", scene.temperature.max - scene.temperature.min, scene.temperature.min
 
 
 def _well_seen(seen: Sightings, views: int) -> Sightings:
-    """The sightings of views that have enough of them."""
+    """Return the sightings of views that have enough of them."""
     while True:
         counts = np.bincount(seen.view, minlength=views)
         keep = (counts >= FEWEST_SIGHTINGS)[seen.view]
@@ -106,7 +106,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
 
 
 def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> Data:
-    """Values in the scene's unit. Views of several sizes have no common columns and rows."""
+    """Return values in the scene's unit. Views of several sizes have no common columns and rows."""
     sizes = np.array([(view.camera.width, view.camera.height) for view in train])
     shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
     across, down = (shares * PATCHES).astype(int).T
@@ -116,7 +116,7 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
         point=seen.point,
         view=seen.view,
         slope=scale * seen.slope,
-        terms=basis(*shares.T),
+        terms=legendre_basis(*shares.T),
         patch=(seen.view * PATCHES + down) * PATCHES + across,
         column=seen.x.astype(int),
         row=seen.y.astype(int),
@@ -128,7 +128,7 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
 
 
 def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard errors of offsets, gains and coefficients in the gauge."""
+    """Return the standard errors of offsets, gains and coefficients in the gauge."""
     covariance, gains = found.covariance(), found.response.gains / found.response.gains.mean()
     change = np.eye(len(covariance))
     for first in (0, views):  # the derivative of `in_gauge` where the mean offset is about 0
@@ -139,7 +139,7 @@ def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
-    """What a prior decided, and how the offsets change in time."""
+    """Return what a prior decided, and how the offsets change in time."""
     notes = []
     if undetermined:
         directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"
@@ -157,7 +157,7 @@ def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
 
 
 def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.ndarray) -> list[str]:
-    """unsure: (V,) standard errors of the gains, as shares of their prior."""
+    """Return notes for the record. unsure: (V,) standard errors of the gains, as shares of their prior."""
     left_out = [name for name, used in terms._asdict().items() if not used]
     notes = []
     if left_out:

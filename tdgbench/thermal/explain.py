@@ -1,4 +1,10 @@
-"""What explains the values of points in different views: a response and a fixed pattern that held-out views support."""
+"""What explains the values of points in different views: a response and a fixed pattern that held-out views support.
+
+How far a fitted response is evidence, a jackknife over clusters of points tells. Errors that the model does not describe
+(reflections, sunlit slopes, points that moved) are alike over large parts of a scene. In a direction that the values
+hardly determine they become large, and no standard error shows it. What changes as much as it is large when a part of
+the scene is left out is not known, and is held back.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tdgbench.thermal.evidence import held_back
-from tdgbench.thermal.fit import HUBER, Data, Fit, Terms, fit
-from tdgbench.thermal.pattern import line_pattern
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.camera import ViewResponses
+from tdgbench.thermal.fit import HUBER, Data, Fit, System, Terms, deviation, fit, predict
+from tdgbench.thermal.maps import TERMS, line_pattern
 from tdgbench.thermal.priors import NORMAL, Drift, Widths, drift_of
 from tdgbench.thermal.sightings import BLUR
 
@@ -40,7 +45,7 @@ class Explained:
     rows: np.ndarray | None = None
 
     def blurred(self, data: Data) -> np.ndarray:
-        """Fixed pattern (S,) in the blurred values."""
+        """Return fixed pattern (S,) in the blurred values."""
         return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
@@ -62,7 +67,7 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
         lines = _lines(data, left, weights)
         if not terms.pattern:
             shown = [left, left - _held_out_pattern(data, left, weights)]
-            terms = terms._replace(pattern=_simplest([one[weights > 0] for one in shown]) == 1)
+            terms = terms._replace(pattern=_simplest([errors[weights > 0] for errors in shown]) == 1)
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
@@ -72,7 +77,7 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
 
 
 def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
-    """The simplest terms with which the other views predict the values of held-out views clearly better.
+    """Choose the simplest terms with which the other views predict the values of held-out views clearly better.
 
     A drift that the terms do not describe, or a reflection, can look like a gain. Correcting it would not make the
     temperatures of the points truer, which views that were not used for it tell. Values are predicted as a test view's
@@ -93,7 +98,7 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
 def prior(
     data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None
 ) -> np.ndarray:  # fmt: skip
-    """Precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width, by itself."""
+    """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width."""
     variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
     precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
     if drift is not None and places is not None:
@@ -102,7 +107,7 @@ def prior(
 
 
 def _drift(found: Fit, data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
-    """How the offsets change along the sequence; None if they are not estimated, or if there is no sequence."""
+    """Return how the offsets change along the sequence; None if they are not estimated, or if there is no sequence."""
     if not terms.offsets or np.isnan(places).any():
         return None
     offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
@@ -110,28 +115,28 @@ def _drift(found: Fit, data: Data, terms: Terms, widths: Widths, places: np.ndar
 
 
 def _within_points(values: np.ndarray, weights: np.ndarray, data: Data) -> np.ndarray:
-    """Values (S,) less the weighted mean of their point."""
+    """Return values (S,) less the weighted mean of their point."""
     total = np.maximum(np.bincount(data.point, weights, data.points), 1e-12)
     return values - (np.bincount(data.point, weights * values, data.points) / total)[data.point]
 
 
 def _lines(data: Data, left: np.ndarray, weights: np.ndarray) -> Lines:
-    """Patterns of columns and rows of what is left (S,) of the values."""
+    """Return patterns of columns and rows of what is left (S,) of the values."""
     columns = line_pattern(left, weights, data.column, data.size[0])
     rows = line_pattern(left - _at(columns, None, data), weights, data.row, data.size[1])
     return columns, rows
 
 
 def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Fixed pattern (S,) at values, each from views of other folds."""
+    """Return fixed pattern (S,) at values, each from views of other folds."""
     pattern, fold = np.zeros(len(left)), data.view % FOLDS
-    for one in range(FOLDS):
-        pattern[fold == one] = _at(*_lines(data, left, np.where(fold == one, 0, weights)), data)[fold == one]
+    for number in range(FOLDS):
+        pattern[fold == number] = _at(*_lines(data, left, np.where(fold == number, 0, weights)), data)[fold == number]
     return pattern
 
 
 def _simplest(errors: list[np.ndarray]) -> int:
-    """The first of several models, by their errors (S,) of the same values, that a later one does not clearly beat."""
+    """Return the first of several models, by errors (S,) of the same values, that no later one clearly beats."""
     best = 0
     for index in range(1, len(errors)):
         if _size(errors[index], errors[0]) < BETTER * _size(errors[best], errors[0]):
@@ -140,7 +145,7 @@ def _simplest(errors: list[np.ndarray]) -> int:
 
 
 def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
-    """Root mean square of errors (S,), outliers cut off at CUT robust standard deviations of the simplest model's."""
+    """Return the root mean square of errors (S,), cut off at CUT robust standard deviations of the simplest model's."""
     if not simplest.size:
         return 1.0
     cut = CUT * NORMAL * float(np.median(np.abs(simplest)))
@@ -150,7 +155,7 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
 def held_out_errors(
     data: Data, terms: Terms, widths: Widths, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Errors of the values of views that are held out in turn, predicted from the points' temperatures in other views.
+    """Predict the values of views, held out in turn, from the points' temperatures in other views; return the errors.
 
     The first are of values of which none is read: the view has the offset that its neighbours in the sequence let
     expect, and gain 1. The second are after the gain and offset that fit the other half of the image.
@@ -178,7 +183,7 @@ def held_out_errors(
 
 
 def _halves(x: np.ndarray, y: np.ndarray, is_right: np.ndarray) -> np.ndarray:
-    """Errors (N,) of values in each half of an image, after the robust line through those of the other half."""
+    """Return errors (N,) of values in each half of an image, after the robust line through those of the other half."""
     left = [np.zeros(0)]
     for half in (is_right, ~is_right):
         if np.count_nonzero(~half) >= FEWEST_VALUES and half.any():
@@ -188,7 +193,7 @@ def _halves(x: np.ndarray, y: np.ndarray, is_right: np.ndarray) -> np.ndarray:
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Gain and offset of a robust line through values."""
+    """Return the gain and offset of a robust line through values."""
     terms, weights = np.stack([x - x.mean(), np.ones_like(x)], axis=1), np.ones_like(x)
     line = np.zeros(2)
     for _ in range(FIT_ROUNDS):
@@ -205,6 +210,54 @@ def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
 
 
 def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.ndarray:
-    """Pattern (S,) of columns and rows at values."""
+    """Return pattern (S,) of columns and rows at values."""
     across = 0.0 if columns is None else columns[data.column]
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
+
+
+LEAST = 1e-9  # variance of a direction, in those of the prior
+
+
+def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
+    """Return the fit, each direction shrunk towards an ideal camera by what the jackknife leaves of its evidence."""
+    free = terms.free(data)
+    if not free.any():
+        return found
+    theta = np.concatenate([*found.response, found.vignette])
+    system = System(data, theta, found.temperatures, found.reference, found.weights)
+    told, axes = system.directions(precision, free)
+    given = precision[np.ix_(free, free)]
+    others = [_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
+    moved = np.stack(others)[:, free] @ given @ axes
+    count = len(others)
+    variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
+    drawn = told / (told + 1)  # the share of a value that the prior leaves
+    known = np.minimum(told, drawn**2 / np.maximum(variance, LEAST))
+    place = (theta - data.ideal)[free] @ given @ axes
+    kept = np.where(drawn > 0, place / np.maximum(drawn, LEAST), 0.0) * known / (known + 1)
+    theta = data.ideal
+    theta[free] += axes @ kept
+    temperatures = _temperatures(data, theta, found)
+    residuals = data.value - predict(data, theta, temperatures, found.reference)
+    response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
+    return replace(
+        found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
+        after=deviation(residuals), known=lambda: known,
+    )  # fmt: skip
+
+
+def _without(
+    data: Data, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
+) -> np.ndarray:  # fmt: skip
+    """Change (2 V + K,) of the parameters if a cluster of points is left out."""
+    keep = data.cluster != cluster
+    rest, residuals = data.kept(keep), found.residuals[keep]
+    system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])
+    return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
+
+
+def _temperatures(data: Data, theta: np.ndarray, found: Fit) -> np.ndarray:
+    """Return temperatures (P,) that fit the values best, given the other parameters."""
+    system = System(data, theta, found.temperatures, found.reference, found.weights)
+    residuals = data.value - predict(data, theta, found.temperatures, found.reference)
+    return found.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))

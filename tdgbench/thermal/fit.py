@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
-from tdgbench.thermal.camera import Response
+from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.priors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
@@ -56,7 +56,7 @@ class Data:
     size: tuple[int, int]
 
     def kept(self, keep: np.ndarray) -> Data:
-        """The values where `keep` (S,) is true; views and points keep their numbers."""
+        """Return the values where `keep` (S,) is true; views and points keep their numbers."""
         arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
 
@@ -75,20 +75,20 @@ class Terms(NamedTuple):
     pattern: bool = False
 
     def free(self, data: Data) -> np.ndarray:
-        """Which of the parameters (2 V + K,) are estimated."""
+        """Return which of the parameters (2 V + K,) are estimated."""
         return np.repeat([self.offsets, self.gains, self.vignette], [data.views, data.views, data.terms.shape[1]])
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Response of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
+    """Responses of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
     covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
     the mean of their point; after: of the residuals. known: gives (F,), what the values tell of each direction of the
     F estimated parameters, as inverse variances in those of the prior.
     """
 
-    response: Response
+    response: ViewResponses
     vignette: np.ndarray
     temperatures: np.ndarray
     reference: float
@@ -127,7 +127,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
         if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * deviation(residuals):
             break
     inflated = residuals * _inflation(robust, data)
-    response = Response(theta[: data.views], theta[data.views : 2 * data.views])
+    response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
         response, theta[2 * data.views :], temperatures, reference, residuals, weights,
         partial(system.covariance, inflated, data, precision, free), before, deviation(residuals),
@@ -136,7 +136,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
 
 
 def predict(data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
-    """Values (S,) that the model gives. theta: offsets, gains and coefficients, (2 V + K,)."""
+    """Return values (S,) that the model gives. theta: offsets, gains and coefficients, (2 V + K,)."""
     offsets, gains, vignette = np.split(theta, [data.views, 2 * data.views])
     degC = temperatures[data.point]
     return degC + (gains[data.view] - 1) * (degC - reference) + offsets[data.view] + data.terms @ vignette
@@ -178,7 +178,7 @@ class System:
     def solve(
         self, residuals: np.ndarray, pull: np.ndarray, precision: np.ndarray, free: np.ndarray
     ) -> np.ndarray:  # fmt: skip
-        """Step of offsets, gains and coefficients, 0 where not `free`. pull, precision: of the prior."""
+        """Return the step of offsets, gains and coefficients, 0 where not `free`. pull, precision: of the prior."""
         weighted, pulled = self.weights * residuals, (self.by_point @ residuals) / self.curvature
         right = np.r_[
             self.by_view.T @ weighted - self.from_views.T @ pulled, self.terms.T @ weighted - self.from_terms.T @ pulled
@@ -189,7 +189,7 @@ class System:
         return step
 
     def directions(self, precision: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the values tell of each direction of the F `free` parameters (F,), and the directions (F, F) by column.
+        """Return what the values tell of each direction of the F `free` parameters (F,), and the directions (F, F).
 
         In units of the prior: the eigenvalues of the normal matrix by its precision, and vectors that it makes
         orthonormal.
@@ -199,7 +199,7 @@ class System:
         return np.maximum(known, 0.0), axes
 
     def covariance(self, residuals: np.ndarray, data: Data, precision: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Of offsets, gains and coefficients, robust to errors that are alike in a patch of a view."""
+        """Return the covariance of offsets, gains and coefficients, robust to errors that a patch of a view shares."""
         count, weighted = len(residuals), self.weights * residuals
         size = int(data.patch.max()) + 1
         by_patch = csr_matrix((weighted, (data.patch, np.arange(count))), shape=(size, count))
@@ -216,33 +216,33 @@ class System:
         return inverse @ (scores.T @ scores) @ inverse
 
     def temperature_step(self, residuals: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Step (P,) of the temperatures, given that of the other parameters."""
+        """Return the step (P,) of the temperatures, given that of the other parameters."""
         views = self.by_view.shape[1]
         moved = self.from_views @ step[:views] + self.from_terms @ step[views:]
         return (self.by_point @ residuals - moved) / self.curvature
 
 
 def _means(data: Data) -> np.ndarray:
-    """Mean (P,) of the values of each point; 0 of points without values."""
+    """Return the mean (P,) of the values of each point; 0 of points without values."""
     return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
 
 
 def deviation(residuals: np.ndarray) -> float:
-    """Robust standard deviation."""
+    """Return the robust standard deviation."""
     return NORMAL * float(np.median(np.abs(residuals)))
 
 
 def _sigma(residuals: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Standard deviation (S,) of residuals, by the slope of the image: of each of SLOPE_BINS quantiles."""
+    """Return the standard deviation (S,) of residuals, by the slope of the image: of each of SLOPE_BINS quantiles."""
     edges = np.unique(np.quantile(slope, np.linspace(0, 1, SLOPE_BINS + 1)[1:-1]))
     bins = np.digitize(slope, edges)
     floor = max(0.1 * deviation(residuals), 1e-9)
-    deviations = [deviation(residuals[bins == one]) if (bins == one).any() else 0.0 for one in range(len(edges) + 1)]
+    deviations = [deviation(residuals[bins == b]) if (bins == b).any() else 0.0 for b in range(len(edges) + 1)]
     return np.maximum(np.array(deviations), floor)[bins]
 
 
 def _shared(weights: np.ndarray, residuals: np.ndarray, patch: np.ndarray) -> np.ndarray:
-    """Weights (S,) that take into account that a patch has an error of its own, given inverse variances (S,).
+    """Return weights (S,) that take into account that a patch has an error of its own, given inverse variances (S,).
 
     Its variance is that of the patches' means, less what the values' own errors give these.
     """
@@ -257,7 +257,7 @@ def _shared(weights: np.ndarray, residuals: np.ndarray, patch: np.ndarray) -> np
 
 
 def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:
-    """Factor (S,) on residuals for the covariance, given Tukey's weights (S,).
+    """Return factor (S,) on residuals for the covariance, given Tukey's weights (S,).
 
     Each point's temperature takes one of its values' degrees of freedom. The curvature of Tukey's ρ is less than its
     weight: (1 − u²) (1 − 5 u²), not (1 − u²)², of the residual u over TUKEY standard deviations.
@@ -268,7 +268,7 @@ def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:
 
 
 def _weights(scaled: np.ndarray, robust: bool) -> np.ndarray:
-    """Weights (S,) of residuals in standard deviations: Tukey's if `robust`, else Huber's."""
+    """Return weights (S,) of residuals in standard deviations: Tukey's if `robust`, else Huber's."""
     size = np.abs(scaled)
     if robust:
         return np.where(size < TUKEY, (1 - (size / TUKEY) ** 2) ** 2, 0.0)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.maps import TERMS
 
 SHUTTER = 6.0  # standard deviations of the steps between successive views; a larger step is a shutter event
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation
@@ -24,7 +24,7 @@ FEWEST = 6  # views with an offset, to tell whether it changes smoothly
 
 
 def places(names: Sequence[str]) -> dict[str, float]:
-    """Places of views in the sequence, by the numbers in their names; NaN if one has none.
+    """Return places of views in the sequence, by the numbers in their names; NaN if one has none.
 
     Names with time stamps or counters stand in the order of capture. Whether it is an order in time, the offsets tell.
 
@@ -51,7 +51,7 @@ class Widths(NamedTuple):
 
     @classmethod
     def of(cls, unit: str, spread: float) -> Widths:
-        """spread: standard deviation of the scene's values.
+        """Return the widths for a unit. spread: standard deviation of the scene's values.
 
         In °C: uncooled cameras are off by up to ±5 °C in a flight (Kelly et al. 2019), and exact to some 5 % (FLIR
         Lepton Engineering Datasheet 500-0659-00-09). Images of automatic gain control are stretched by any factor.
@@ -61,7 +61,7 @@ class Widths(NamedTuple):
         return cls(0.5 * spread, 0.3, 0.2 * spread)
 
     def of_vignette(self) -> np.ndarray:
-        """Standard deviations (K,) of the polynomials' coefficients."""
+        """Return the standard deviations (K,) of the polynomials' coefficients."""
         by_degree = {1: 0.5, 2: 1.0, 3: 0.5, 4: 0.25}
         return self.vignette * np.array([by_degree[sum(degrees)] for degrees in TERMS])
 
@@ -75,22 +75,22 @@ class Drift(NamedTuple):
     events: tuple[float, ...] = ()  # places between views at which the shutter closed
 
     def covariance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Covariance (A, B) of the smooth part of the offsets at places (A,) and (B,): Matérn, ν = 3/2."""
+        """Return the covariance (A, B) of the smooth part of the offsets at places (A,) and (B,): Matérn, ν = 3/2."""
         far = np.sqrt(3) * np.abs(a[:, None] - b[None]) / self.length
         same = np.searchsorted(self.events, a)[:, None] == np.searchsorted(self.events, b)[None]
         return np.asarray(self.variance * (1 - self.jitter) * (1 + far) * np.exp(-far) * same)
 
     def prior(self, places: np.ndarray) -> np.ndarray:
-        """Covariance (V, V) of the offsets at places (V,)."""
+        """Return the covariance (V, V) of the offsets at places (V,)."""
         return self.covariance(places, places) + self.variance * max(self.jitter, JITTERS[0]) * np.eye(len(places))
 
     def expected(self, at: np.ndarray, places: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """Offsets (A,) that those (V,) of views at places (V,) let expect at other places (A,)."""
+        """Return offsets (A,) that those (V,) of views at places (V,) let expect at other places (A,)."""
         return np.asarray(self.covariance(at, places) @ np.linalg.solve(self.prior(places), offsets))
 
 
 def drift_of(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
-    """The drift that explains estimated offsets (V,) at places (V,) best (largest likelihood).
+    """Return the drift that explains estimated offsets (V,) at places (V,) best (largest likelihood).
 
     known: (V,) views whose offset was estimated. width: standard deviation of offsets as cameras have them, beyond
     which no variance goes.
@@ -101,12 +101,12 @@ def drift_of(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: 
         return Drift(width**2, 1.0, LENGTHS[0])
     events = shutter_events(x, y)
     tried = [Drift(1.0, jitter, length, events) for jitter in JITTERS for length in LENGTHS]
-    best = max(tried, key=lambda one: _likelihood(one, x, y))
+    best = max(tried, key=lambda drift: _likelihood(drift, x, y))
     return best._replace(variance=min(variance, width**2))
 
 
 def shutter_events(places: np.ndarray, offsets: np.ndarray) -> tuple[float, ...]:
-    """Places between successive views at which the offset jumps as it does nowhere else."""
+    """Return places between successive views at which the offset jumps as it does nowhere else."""
     order = np.argsort(places)
     x, steps = places[order], np.diff(offsets[order])
     usual = NORMAL * float(np.median(np.abs(steps - np.median(steps))))
@@ -115,7 +115,7 @@ def shutter_events(places: np.ndarray, offsets: np.ndarray) -> tuple[float, ...]
 
 
 def _likelihood(drift: Drift, x: np.ndarray, y: np.ndarray) -> float:
-    """Log likelihood of offsets, their variance being that which fits best."""
+    """Return the log likelihood of offsets, their variance being that which fits best."""
     factor = cho_factor(drift.prior(x), lower=True)
     spread = float(y @ cho_solve(factor, y)) / len(y)
     return -0.5 * len(y) * np.log(spread) - float(np.log(np.diag(factor[0])).sum())

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from tdgbench.thermal.pattern import line_map
-from tdgbench.thermal.polynomials import TERMS, evaluate
+from tdgbench.thermal.maps import TERMS, evaluate, line_map
 
 
 @with_config(ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -20,7 +19,7 @@ class ImageResponse:
 
     shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), T = low + (high − low) · render.
     offsets, gains: by view. Those of test views are not read from them: an offset is what the neighbours in the
-    sequence let expect, a gain is 1. vignette: (K,) coefficients of `polynomials`. columns, rows: fixed pattern.
+    sequence let expect, a gain is 1. vignette: (K,) coefficients of `maps`. columns, rows: fixed pattern.
     """
 
     reference: float = 0.0
@@ -39,11 +38,11 @@ class ImageResponse:
             raise ValueError(f"the range of a response ends at {self.high:g}, not above {self.low:g}")
 
     def temperatures(self, render: np.ndarray) -> np.ndarray:
-        """Values (H, W, C) float32 that an ideal camera would show of a render, not clipped."""
+        """Return values (H, W, C) float32 that an ideal camera would show of a render, not clipped."""
         return render if (self.low, self.high) == (0.0, 1.0) else _float32(self.low + (self.high - self.low) * render)
 
     def of(self, render: np.ndarray, view: str) -> np.ndarray:
-        """What the camera shows of a render (H, W, C) of a view, float32, not clipped."""
+        """Return what the camera shows of a render (H, W, C) of a view, float32, not clipped."""
         values = self.temperatures(render)
         if self.is_ideal:
             return values
@@ -53,16 +52,16 @@ class ImageResponse:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether it shows temperatures as they are."""
+        """True if it shows temperatures as they are."""
         return not (self.offsets or self.gains or self.vignette or self.columns or self.rows)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """What the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
         pattern = line_map(self.columns, self.rows, width, height)
         return pattern + evaluate(np.array(self.vignette), width, height) if self.vignette else pattern
 
     def as_json(self) -> dict[str, Any]:
-        """Its numbers, as a record holds them."""
+        """Return its numbers, as a record holds them."""
         return {name: value for name, value in asdict(self).items() if value not in ((), {})}
 
 
@@ -70,7 +69,7 @@ IDEAL = ImageResponse()  # shows renders as they are
 
 
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
-    """The response that a record states; that of an ideal camera where it states none. Raises ValueError."""
+    """Return the response that a record states; that of an ideal camera where it states none. Raises ValueError."""
     return TypeAdapter(ImageResponse).validate_python({} if stated is None else stated)
 
 

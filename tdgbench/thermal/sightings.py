@@ -43,7 +43,7 @@ class Sightings:
     points: int
 
     def kept(self, keep: np.ndarray) -> Sightings:
-        """The sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
+        """Return the sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
         keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
         left, point = np.unique(self.point[keep], return_inverse=True)
         arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y", "cluster")}
@@ -51,7 +51,7 @@ class Sightings:
 
 
 def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
-    """Sightings of points (N, 3), of MOST_POINTS of them at most, in views with thermal images of one channel."""
+    """Find sightings of at most MOST_POINTS of the points (N, 3), in views with thermal images of one channel."""
     used = np.zeros(len(points), bool)
     used[:: max(1, -(-len(points) // MOST_POINTS))] = True
     parts: list[tuple[np.ndarray, ...]] = []
@@ -59,21 +59,21 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
         number, x, y = _seen(view.camera, points, used)
         value, detail, slope, usable = _values(view, x, y)
         whole = (number, np.full(len(number), index), value, detail, slope, x, y)
-        parts.append(tuple(one[usable] for one in whole))
-    point, of_view, value, detail, slope, x, y = (np.concatenate(one) for one in zip(*parts, strict=True))
+        parts.append(tuple(array[usable] for array in whole))
+    point, of_view, value, detail, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     found = Sightings(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
     return found.kept(np.ones(len(point), bool))
 
 
 def _clusters(points: np.ndarray) -> np.ndarray:
-    """Cluster (N,) of each point (N, 3), of CLUSTERS; k-means, of the middle of the scene whatever lies far away."""
+    """Cluster points (N, 3) into CLUSTERS by k-means, of the scene's middle whatever lies far away; return (N,)."""
     middle, size = np.median(points, axis=0), np.median(np.abs(points - np.median(points, axis=0)), axis=0)
     near = np.clip((points - middle) / max(float(size.max()), 1e-12), -FAR, FAR)
     return np.asarray(kmeans2(near, min(CLUSTERS, len(points)), seed=0, minit="++")[1])
 
 
 def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers and positions x and y in px of the `used` points that a camera sees; all points hide others."""
+    """Return numbers and positions x and y in px of the `used` points that a camera sees; all points hide others."""
     width = min(grid_width([camera], points), camera.width)
     grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
     number = visible_points(grid, points, OCCLUSION).number
@@ -83,7 +83,7 @@ def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndar
 
 
 def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Values, details and slopes at positions in px, and whether each was measured.
+    """Return values, details and slopes at positions in px, and whether each was measured.
 
     With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
     pixel's centre to the position by the gradient of the blurred image.
@@ -92,7 +92,7 @@ def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     height, width = image.shape
     row, column = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
     smooth = ndimage.gaussian_filter(image, BLUR, mode="nearest")
-    down, right = (one[row, column] for one in np.gradient(smooth))
+    down, right = (slope[row, column] for slope in np.gradient(smooth))
     value = smooth[row, column] + down * (y - row - 0.5) + right * (x - column - 0.5)
     size = 2 * MARGIN + 1
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)

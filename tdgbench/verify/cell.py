@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tdgbench.bench.cameras import read_all_cameras
-from tdgbench.bench.hashes import cell_files, file_problems
+from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.record import FILE
 from tdgbench.bench.scores import read_views
+from tdgbench.bench.stored import cell_files, file_problems
 from tdgbench.verify import facts
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import Pictures, picture_problems
@@ -28,7 +28,7 @@ def verify_cell(folder: Path) -> list[str]:
         return found.problems
     found.check("its files", file_problems, folder, record.hashes)
     found.check("its settings", facts.setting_problems, record)
-    cameras = found.read("cameras.json", read_all_cameras, folder)
+    cameras = found.read("cameras.json", read_cameras, folder)
     rows = found.read("views.csv", read_views, folder / "views.csv")
     log = found.read("log.csv", read_log, folder)
     if log is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.reading import read_table, read_text
 from tdgbench.bench.record import FILE, Record, schema_problems
-from tdgbench.bench.scores import finite_number
+from tdgbench.bench.scores import finite_field
 
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 
@@ -60,4 +60,4 @@ def read_log(folder: Path) -> list[dict[str, float]]:
     rows = read_table(folder / "log.csv")
     if not rows or rows[0][: len(names)] != names:
         raise ValueError(f"its first line does not begin with {','.join(names)}")
-    return [{name: finite_number(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]
+    return [{name: finite_field(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.bench import stored_parts
-from tdgbench.bench.cameras import read_all_cameras
-from tdgbench.bench.hashes import file_problems
+from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.reading import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
+from tdgbench.bench.stored import file_problems
 from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import Camera, View
 from tdgbench.scoring import to_8bit
@@ -107,7 +107,7 @@ def open_cell(folder: Path) -> ViewedCell:
     for problem in file_problems(folder, record.hashes):
         raise ValueError(f"{folder} is damaged: {problem}; run the cell again, or see tdgbench verify")
     try:
-        cameras = read_all_cameras(folder)
+        cameras = read_cameras(folder)
         paths = {modality: folder / files_of(modality).model for modality in LABELS}
         models = {modality: load_ply(path) for modality, path in paths.items() if path.exists()}
         method = StoredMethod(folder, record, cameras) if (folder / stored_parts.FILE).exists() else None

@@ -7,7 +7,7 @@ from tdgbench.bench.cameras import read_cameras, write_cameras
 def test_round_trip(small_scene, tmp_path):
     write_cameras(tmp_path / "cameras.json", small_scene)
     for part, views in (("train", small_scene.train), ("test", small_scene.test)):
-        found = read_cameras(tmp_path / "cameras.json", part)
+        found = read_cameras(tmp_path)[part]
         assert list(found) == [view.name for view in views]
         for view in views:
             camera = found[view.name]
@@ -20,4 +20,4 @@ def test_round_trip(small_scene, tmp_path):
 def test_a_file_without_cameras_is_named(tmp_path, content):
     (tmp_path / "cameras.json").write_text(content)
     with pytest.raises(ValueError, match=r"cameras\.json holds no cameras"):
-        read_cameras(tmp_path / "cameras.json", "test")
+        read_cameras(tmp_path)

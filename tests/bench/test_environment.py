@@ -25,5 +25,5 @@ def test_the_code_that_sets_a_training_up_is_hashed():
     packages = {name.split(".")[1] for name in run.stdout.split()}
     bookkeeping = {"bench", "files", "resources", "text", "terminal", "signals", "tools"}
     assert packages - bookkeeping <= {Path(name).name for name in HASHED}
-    assert {"tdgbench/bench/setup.py", "tdgbench/bench/response.py"} <= set(HASHED)
+    assert "tdgbench/bench/setup.py" in HASHED
     assert all((ROOT / name).exists() for name in HASHED)

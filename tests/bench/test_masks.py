@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.masks import has_mask, in_words, masked_share, read_mask, write_mask
+from tdgbench.bench.masks import has_mask, masked_in_words, masked_share, read_mask, write_mask
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views
 from tdgbench.priors import PriorError
@@ -108,8 +108,10 @@ def test_shares_and_words(small_gray_scene):
     scene = masked_scene(small_gray_scene)
     masked = [0 if view.valid is None else (~view.valid).sum() for view in scene.train]
     assert masked_share(scene.train) == sum(masked) / (36 * 48 * len(scene.train)) > 0.1
-    assert masked_share([]) == 0.0 and in_words({}) == ""
-    assert in_words({"train": 0.0, "test": 0.25}).startswith("0.0 % of the training and 25.0 % of the test pixels")
+    assert masked_share([]) == 0.0 and masked_in_words({}) == ""
+    assert masked_in_words({"train": 0.0, "test": 0.25}).startswith(
+        "0.0 % of the training and 25.0 % of the test pixels"
+    )
 
 
 def test_masks_on_disk(small_gray_scene, tmp_path):

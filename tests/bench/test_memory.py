@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench import memory
-from tdgbench.bench.memory import PeakMemory
+from tdgbench.bench import machine
+from tdgbench.bench.machine import PeakMemory
 from tdgbench.splats.cpu import scratch
 from tdgbench.splats.cpu.scratch import Workspace
 from tests.helpers.paths import ROOT
@@ -15,7 +15,7 @@ from tests.helpers.paths import ROOT
 MEGABYTES = 200
 SCRIPT = f"""
 import json, time
-from tdgbench.bench.memory import SAMPLE_SECONDS, PeakMemory
+from tdgbench.bench.machine import SAMPLE_SECONDS, PeakMemory
 
 def grow_and_shrink():
     block = bytearray({MEGABYTES} * 1024 * 1024)
@@ -46,7 +46,7 @@ def test_scratch_memory_of_the_cell_before_is_given_back():
     assert left == 0
     if second.mb is not None:
         Workspace().take("test", MEGABYTES * 2**20, np.uint8)[:] = 1
-        assert memory._read("VmRSS") > second.mb + 0.8 * MEGABYTES
+        assert machine._read("VmRSS") > second.mb + 0.8 * MEGABYTES
 
 
 def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
@@ -64,7 +64,7 @@ def test_the_gpu_is_asked_only_for_work_on_it(monkeypatch):
 
 
 def test_reports_nothing_where_the_platform_does_not(monkeypatch, tmp_path):
-    monkeypatch.setattr(memory, "STATUS", tmp_path / "nothing")
+    monkeypatch.setattr(machine, "STATUS", tmp_path / "nothing")
     with PeakMemory() as peak:
         pass
     assert peak.mb is None

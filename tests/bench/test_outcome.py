@@ -1,4 +1,4 @@
-from tdgbench.bench.outcome import Outcome, finished, finished_cells
+from tdgbench.bench.outcome import Outcome, finished, finished_records
 from tdgbench.bench.record import Failure
 from tests.helpers.records import record, write
 
@@ -28,4 +28,4 @@ def test_finished_cells_are_those_that_were_asked_for_and_have_a_result(tmp_path
     write(tmp_path, seed=2)
     titles = [f"tdg on RGBT-Scenes/Truck, colmap, seed {seed}" for seed in ("0 [all]", "1", "2")]
     outcomes = [Outcome("kept", titles[0]), Outcome("ok", titles[1]), Outcome("elsewhere", titles[2])]
-    assert [(one.method, one.seed) for one in finished_cells(tmp_path, outcomes)] == [("tdg", 0)]
+    assert [(one.method, one.seed) for one in finished_records(tmp_path, outcomes)] == [("tdg", 0)]

@@ -4,7 +4,7 @@ from rich.console import Console
 from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.response import prepare
+from tdgbench.bench.setup import correct_scene
 from tests.helpers.configs import SMALL, config
 
 STILL = (
@@ -48,7 +48,7 @@ def test_what_cannot_be_estimated_is_a_note(record_of):
 
 
 def test_images_stay_where_the_camera_is_unknown(small_scene):
-    found = prepare(small_scene)
+    found = correct_scene(small_scene)
     assert found.scene is small_scene and "pseudo-colour" in found.facts["unknown"]
 
 

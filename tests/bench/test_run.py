@@ -5,9 +5,9 @@ from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
 from tdgbench.bench.cell import run_cell
-from tdgbench.bench.hashes import hashes_of_content
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.stored import hashes_of_content
 from tdgbench.training import checkpoint as checkpoints
 from tests.helpers.configs import SMALL, config
 

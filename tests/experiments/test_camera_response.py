@@ -6,7 +6,7 @@ from tdgbench.experiments.camera_response import compare
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.accuracy import truth_in_gauge
-from tdgbench.thermal.polynomials import TERMS, basis
+from tdgbench.thermal.maps import TERMS, legendre_basis
 
 NAMES = [f"view{index}" for index in range(12)]
 ERRORS = ThermalErrors(walk_degC=3.0, gain=0.05)
@@ -37,7 +37,7 @@ def test_a_vignette_that_is_found_has_no_errors():
     true = truth(vignette_degC=2.0)
     in_gauge = truth_in_gauge(true, NAMES, true.camera.reference)
     grid = [(np.arange(size) + 0.5) / size for size in (40, 30)]
-    terms = basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
+    terms = legendre_basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
     shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.vignette.ravel(), rcond=None)[0]
     found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
     none = compare(record(estimated=found), {}, true, NAMES)

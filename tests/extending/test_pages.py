@@ -255,7 +255,7 @@ def test_render_channel(page, small_results, monkeypatch):
     from normals import normal_map
 
     cell = next(small_results.glob("cells/tdg/*/orbit/colmap/seed0"))
-    gaussians, cameras = load_ply(cell / "model.ply"), read_cameras(cell / "cameras.json", "test")
+    gaussians, cameras = load_ply(cell / "model.ply"), read_cameras(cell)["test"]
     view, camera = next(iter(cameras.items()))
     normals = normal_map(gaussians, camera)
     lengths = normals.norm(dim=-1)

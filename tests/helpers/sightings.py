@@ -6,7 +6,7 @@ import numpy as np
 
 from tdgbench.thermal.explain import prior
 from tdgbench.thermal.fit import PATCHES, Data
-from tdgbench.thermal.polynomials import TERMS, basis
+from tdgbench.thermal.maps import TERMS, legendre_basis
 from tdgbench.thermal.priors import Widths
 
 SIZE = (64, 48)
@@ -30,7 +30,7 @@ def sightings(
     point, view = np.nonzero(rng.random((points, views)) < 0.5)
     x, y = rng.random((2, len(point)))
     value = degC[point] + (gains[view] - 1) * (degC[point] - 20) + offsets[view]
-    value += basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
+    value += legendre_basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
     value += 0 if columns is None else columns[(x * SIZE[0]).astype(int)]
     value += rng.normal(0, noise, len(value)) + 10 * (rng.random(len(value)) < outliers)
     return _data(value, point, view, (x, y), point % CLUSTERS, (views, points)), degC
@@ -54,7 +54,7 @@ def along_a_line(
     degC = 20 + 5 * np.sin(5 * place) + rng.normal(0, 2, points)
     change = rng.normal(0, error, CLUSTERS)[cluster[point]] * (2 * camera[view] / travel - 1)
     value = degC[point] + change + rng.normal(0, noise, len(point))
-    value += basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
+    value += legendre_basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
     return _data(value, point, view, (x, y), cluster[point], (views, points))
 
 
@@ -66,4 +66,4 @@ def _data(
     (x, y), (views, points), flat = place, counts, np.zeros(len(value))
     column, row = (x * SIZE[0]).astype(int), (y * SIZE[1]).astype(int)
     patch = (view * PATCHES + (y * PATCHES).astype(int)) * PATCHES + (x * PATCHES).astype(int)
-    return Data(value, flat, point, view, flat, basis(x, y), patch, column, row, cluster, views, points, SIZE)
+    return Data(value, flat, point, view, flat, legendre_basis(x, y), patch, column, row, cluster, views, points, SIZE)

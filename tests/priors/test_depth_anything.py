@@ -6,7 +6,7 @@ import torch
 
 from tdgbench.priors import PriorUnavailableError, prepare
 from tdgbench.priors.depth_anything import DepthAnythingPrior
-from tdgbench.priors.hub import chosen_device
+from tdgbench.priors.prior import chosen_device
 
 transformers = pytest.importorskip("transformers", reason="the extra `depth` is not installed")
 

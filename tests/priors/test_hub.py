@@ -6,7 +6,7 @@ import pytest
 
 from tdgbench.bench.failures import of_environment
 from tdgbench.priors import PriorUnavailableError, prepare
-from tdgbench.priors.hub import loading
+from tdgbench.priors.prior import loading
 from tests.priors.estimators import make
 
 OTHERS = {

@@ -10,7 +10,7 @@ from tdgbench.scenes import SceneError
 from tdgbench.scenes.celsius import array_reader
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
-from tdgbench.scenes.warped import BLOCK, Pictures, filler_below, is_picture
+from tdgbench.scenes.warped import BLOCK, WarpedPictures, filler_below, is_picture
 
 H, W = 120, 160
 RANGE = Radiometry(TemperatureRange(20.0, 45.5))  # 0.1 °C a level
@@ -83,9 +83,9 @@ def write(tmp_path):
     return act
 
 
-def reader(path: Path, mask: bool = True) -> Pictures:
+def reader(path: Path, mask: bool = True) -> WarpedPictures:
     before = path.parents[1] / "thermal" / path.name
-    return Pictures(RANGE, {path.stem: before} if before.exists() else {}, mask, array_reader(RANGE))
+    return WarpedPictures(RANGE, {path.stem: before} if before.exists() else {}, mask, array_reader(RANGE))
 
 
 def test_temperatures(write):

@@ -8,11 +8,10 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from tdgbench.tables.build import build_tables
+from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.latex import escape
 from tdgbench.tables.measures import AVERAGE
-from tdgbench.tables.show import show
-from tdgbench.tables.tables import Tables
+from tdgbench.tables.show import show_tables
 from tdgbench.text import from_csv, one_line
 from tests.helpers.names import NAMES
 from tests.helpers.records import write
@@ -59,7 +58,7 @@ def test_latex_has_one_row_per_scene(tables):
 def test_the_terminal_shows_every_name_and_obeys_none(tables):
     out = StringIO()
     main = tables.main[tables.main["method"].isin(["tdg", "[/red]"])]
-    show(replace(tables, main=main), Console(file=out, width=400, force_terminal=False))
+    show_tables(replace(tables, main=main), Console(file=out, width=400, force_terminal=False))
     text = out.getvalue()
     for scene in dict.fromkeys(main["scene"]):
         assert one_line(scene) in text, scene

@@ -8,8 +8,8 @@ from tdgbench.tables.build import difference
 from tdgbench.tables.measures import KEYS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import (
     PAPER,
-    half_unit,
     load_sources,
+    printed_half_unit,
     published_ablation,
     published_elsewhere,
     published_main,
@@ -48,9 +48,9 @@ def test_averages_follow_from_the_rows():
     merged = difference(ours, table[table["scene"].str.contains("Average")], KEYS)
     assert len(merged) == 2 * 4 * 3
     for row in merged.itertuples():
-        half_unit = 0.5 * 10 ** -digits(row.metric, row.scene)
+        printed_half_unit = 0.5 * 10 ** -digits(row.metric, row.scene)
         rows_rounding = 0.5 * 10 ** -digits(row.metric)
-        assert abs(row.difference) <= half_unit + rows_rounding, row
+        assert abs(row.difference) <= printed_half_unit + rows_rounding, row
 
 
 def test_bold_follows_from_the_rows():
@@ -111,4 +111,4 @@ def test_spot_checks_of_others(source, printed_as, method, scene, metric, value)
 
 @pytest.mark.parametrize(("printed", "half"), [("0.17", 0.005), ("25.30", 0.005), ("0.8896", 0.00005), ("55", 0.5)])
 def test_half_a_unit_of_print(printed, half):
-    assert half_unit(printed) == pytest.approx(half)
+    assert printed_half_unit(printed) == pytest.approx(half)

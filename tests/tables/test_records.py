@@ -18,7 +18,7 @@ from tdgbench.scenes import Description
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show
+from tdgbench.tables.show import show_tables
 from tests.helpers.records import write
 
 ORBIT, NIGHT = (Description(name, "synthetic", "360") for name in ("orbit", "night"))
@@ -138,7 +138,7 @@ def test_settings_of_any_type_do_not_end_the_tables(experiment):
         path.write_text(json.dumps(content))
     for kind in ("readings", "ablation", "main"):
         Plan(kind, scenes=[ORBIT, NIGHT], methods=["tdg"], inits=["colmap"]).write(experiment)
-        show(build_tables(experiment), Console(file=StringIO()))
+        show_tables(build_tables(experiment), Console(file=StringIO()))
 
 
 def test_claims_go_on_without_a_broken_record(experiment, capsys):

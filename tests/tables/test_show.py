@@ -10,7 +10,7 @@ from rich.console import Console
 
 from tdgbench.scenes.registry import SCENES
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show
+from tdgbench.tables.show import show_tables
 from tests.helpers.paths import ROOT
 from tests.helpers.records import published_as_records, write
 
@@ -18,7 +18,7 @@ from tests.helpers.records import published_as_records, write
 def test_prints_numbers_reasons_and_differences(tmp_path):
     write(tmp_path, scores={"lpips": None}, missing={"lpips": "no backbone"})
     out = StringIO()
-    show(build_tables(tmp_path), Console(file=out, width=120))
+    show_tables(build_tables(tmp_path), Console(file=out, width=120))
     text = out.getvalue()
     assert "20.00" in text and "0:06:00" in text and "no backbone" in text
     assert "3 of 136 published numbers" in text and "psnr: ours − published -6.280" in text
@@ -50,6 +50,6 @@ def test_masked_test_pixels_are_named_in_one_line(tmp_path):
         write(tmp_path, method, "Truck", masked={"train": 0.0, "test": 0.0})
     tables = build_tables(tmp_path)
     out = StringIO()
-    show(tables, Console(file=out, width=120))
+    show_tables(tables, Console(file=out, width=120))
     assert out.getvalue().count("test pixels without a thermal value, which no score counts: Lion 12.5 %\n") == 1
     assert not any("masked" in path.read_text() for path in (tmp_path / "tables").glob("*.csv"))

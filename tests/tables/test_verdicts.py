@@ -15,12 +15,12 @@ from tdgbench.tables.verdicts import (
     UNDECIDED,
     UNKNOWN,
     WORSE,
-    in_words,
-    interval,
-    judge,
+    judge_score,
     load_margins,
+    seeds_interval,
     seeds_needed,
     verdict,
+    verdicts_in_words,
 )
 
 NAN = float("nan")
@@ -67,7 +67,7 @@ def test_undecided_says_why(metric, ours, std, seeds, needed, why):
 
 def test_the_interval_is_students():
     values = np.array([27.1, 27.4, 27.2])
-    low, high = interval(values.mean(), values.std(ddof=1), 3)
+    low, high = seeds_interval(values.mean(), values.std(ddof=1), 3)
     assert (low, high) == pytest.approx(stats.t.interval(0.9, 2, values.mean(), stats.sem(values)))
 
 
@@ -77,8 +77,8 @@ def test_no_word_is_wrong_in_more_than_5_percent(seeds, rounding):
     """At the margin itself, the worst place, and for the worst rounding of the published number."""
     draws, unit, margin = 20_000, 10.0 ** -digits("psnr"), load_margins()["psnr"]
     runs = np.random.default_rng(seeds).normal(margin, 0.15, (draws, seeds))  # around a true value of 0
-    low, high = interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
-    words = judge(low, high, rounding * unit, unit / 2, margin)
+    low, high = seeds_interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
+    words = judge_score(low, high, rounding * unit, unit / 2, margin)
     tolerance = 4 * np.sqrt(0.05 * 0.95 / draws)
     for word in (REPRODUCED, BETTER, WORSE):
         assert (words == word).mean() <= 0.05 + tolerance, word
@@ -94,8 +94,8 @@ def test_that_many_seeds_decide_four_of_five(distance, std):
     for seeds in (needed, needed - 1):
         if seeds >= 2:
             runs = np.random.default_rng(needed).normal(distance, std, (20_000, seeds))
-            low, high = interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
-            rates.append((judge(low, high, 0.0, 0.005, 0.2) != UNDECIDED).mean())
+            low, high = seeds_interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
+            rates.append((judge_score(low, high, 0.0, 0.005, 0.2) != UNDECIDED).mean())
     assert rates[0] >= 0.8 - 0.012 and all(rate < 0.8 + 0.012 for rate in rates[1:])
 
 
@@ -106,11 +106,11 @@ def test_counts_in_words():
             "seeds_needed": ["", "", "4", "9", "> 100", NEVER, UNKNOWN],
         }
     )
-    assert in_words(judged) == (
+    assert verdicts_in_words(judged) == (
         "1 reproduced, 1 better, 5 undecided (4 to 9 seeds would decide 2; more than 100 for 1; "
         "no number of seeds for 1; unknown for 1)"
     )
-    assert in_words(judged.iloc[:2]) == "1 reproduced, 1 better"
+    assert verdicts_in_words(judged.iloc[:2]) == "1 reproduced, 1 better"
 
 
 def test_a_margin_needs_its_reason(tmp_path):

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.evidence import held_back
+from tdgbench.thermal.explain import held_back
 from tdgbench.thermal.fit import Terms, fit
-from tdgbench.thermal.polynomials import TERMS as POLYNOMIALS
-from tdgbench.thermal.polynomials import evaluate
+from tdgbench.thermal.maps import TERMS as POLYNOMIALS
+from tdgbench.thermal.maps import evaluate
 from tests.helpers.sightings import along_a_line, loose, sightings
 
 TERMS = Terms(vignette=True, offsets=True)

@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.thermal.explain import choose_terms, explain, held_out_errors, prior
 from tdgbench.thermal.fit import Terms
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.maps import TERMS
 from tdgbench.thermal.priors import Drift
 from tests.helpers.sightings import DEGC, NOWHERE, along_a_line, loose, sightings
 

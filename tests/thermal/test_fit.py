@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.camera import Response, in_gauge
+from tdgbench.thermal.camera import ViewResponses, in_gauge
 from tdgbench.thermal.fit import Terms, fit
 from tests.helpers.sightings import loose, sightings
 
@@ -10,7 +10,7 @@ ALL = Terms(vignette=True, offsets=True, gains=True)
 
 
 def true_response(reference):
-    return in_gauge(Response(OFFSETS + (GAINS - 1) * (reference - 20), GAINS))
+    return in_gauge(ViewResponses(OFFSETS + (GAINS - 1) * (reference - 20), GAINS))
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.05])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from tdgbench.thermal.pattern import line_pattern
+from tdgbench.thermal.maps import line_pattern
 
 
 def drawn(pattern, noise=0.2, count=20_000):

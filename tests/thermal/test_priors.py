@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.maps import TERMS
 from tdgbench.thermal.priors import FEWEST, Widths, drift_of, places, shutter_events
 
 PLACES = np.arange(60.0)

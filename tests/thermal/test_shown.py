@@ -6,7 +6,7 @@ import pytest
 
 from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ImageResponse, corrected, read_response
-from tdgbench.thermal.polynomials import TERMS
+from tdgbench.thermal.maps import TERMS
 from tests.helpers.layouts import celsius
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.hashes import hashes
 from tdgbench.bench.key import cell_key
 from tdgbench.bench.record import Record
+from tdgbench.bench.stored import hashes
 from tdgbench.verify import verify_cell
 
 VIEW = "view000"

@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from tdgbench.bench.hashes import hashes
+from tdgbench.bench.stored import hashes
 from tdgbench.view.cells import open_cells
 from tdgbench.view.command import has_screen, main
 from tests.helpers.paths import ROOT

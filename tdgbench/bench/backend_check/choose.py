@@ -36,7 +36,7 @@ COMPARED = (*NAMES, "means2d")  # density control reads the last one
 LONGEST_REASON = 300  # characters
 
 
-class Choice(NamedTuple):
+class AutoBackend(NamedTuple):
     """What `auto` stands for."""
 
     backend: str
@@ -44,7 +44,7 @@ class Choice(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class BackendCheck:
     """Outcome of a check. Errors are the largest ones so far, relative; NaN where one is not finite."""
 
     reason: str = ""  # why the backend must not train; empty if it may
@@ -55,31 +55,31 @@ class Verdict:
 
 
 def training_backend(name: str) -> str:
-    """Name of the backend that trains; `auto` is chosen once in a process, which prints why."""
+    """Return the name of the backend that trains; `auto` is chosen once in a process, which prints why."""
     return auto().backend if name == "auto" else name
 
 
 @cache
-def auto() -> Choice:
-    """What `auto` stands for in this process."""
+def auto() -> AutoBackend:
+    """Return what `auto` stands for in this process."""
     choice = choose(check)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
     return choice
 
 
-def choose(run: Callable[[str], Verdict]) -> Choice:
-    """The backend to train with. run: checks a backend on the current GPU.
+def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
+    """Return the backend to train with. run: checks a backend on the current GPU.
 
     Without a GPU it is the CPU's, with nothing to say. Where GPUs differ, every model has to pass.
     """
     if not torch.cuda.is_available():
-        return Choice(AUTO["cpu"])
+        return AutoBackend(AUTO["cpu"])
     backend = AUTO[GPU]
     models = {torch.cuda.get_device_name(i): i for i in reversed(range(torch.cuda.device_count()))}
     reason = load_backend(backend).why_not()
     if reason is not None:
-        return Choice(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
+        return AutoBackend(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
     say(
         "checking gsplat against the reference; its first use compiles kernels for minutes",
         "note:",
@@ -91,12 +91,12 @@ def choose(run: Callable[[str], Verdict]) -> Choice:
         with torch.cuda.device(index):
             verdict = run(backend)
         if verdict.reason:
-            return Choice(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
+            return AutoBackend(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
         lines.append(f"{name} trains: {_acceptance(verdict)}")
-    return Choice(backend, "; ".join(lines))
+    return AutoBackend(backend, "; ".join(lines))
 
 
-def check(backend: str) -> Verdict:
+def check(backend: str) -> BackendCheck:
     """Compare a backend with the reference, each scene several times. Never raises an Exception: that is a verdict."""
     start = time.perf_counter()
     worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
@@ -106,11 +106,11 @@ def check(backend: str) -> Verdict:
             reason = reason or _compare(name, make(), backend, worst)
     except Exception as error:
         reason = shortened(message(error), LONGEST_REASON)
-    return Verdict(reason, **worst, seconds=round(time.perf_counter() - start, 1))
+    return BackendCheck(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 
 def scenes() -> dict[str, Callable[[], Cloud]]:
-    """The three scenes, by what they are like."""
+    """Return the three scenes, by what they are like."""
     return {"gray, harmonics of degree 3": _gray, "colours, many tiles": _colors, "hidden, faint and opaque": _extremes}
 
 
@@ -133,7 +133,7 @@ def _compare(name: str, scene: Cloud, backend: str, worst: dict[str, float]) -> 
 
 
 def _spread(first: Rendered, other: Rendered) -> float:
-    """Largest difference of two results of one scene: of a pixel, or of a gradient relative to its norm; 0: equal."""
+    """Return the largest difference of two results of one scene: of a pixel, or of a gradient relative to its norm."""
     parts = [(first.image - other.image).abs().max()]
     for name in COMPARED:
         gradient = first.gradients[name]
@@ -142,17 +142,17 @@ def _spread(first: Rendered, other: Rendered) -> float:
 
 
 def _gray() -> Cloud:
-    """Thermal values as most trainings hold them."""
+    """Return thermal values as most trainings hold them."""
     return cloud(100, seed=1, width=53, height=37, degree=3)
 
 
 def _colors() -> Cloud:
-    """More Gaussians in more tiles, so that sums over tiles have an order to lose."""
+    """Return more Gaussians in more tiles, so that sums over tiles have an order to lose."""
     return cloud(200, seed=2, width=72, height=56, channels=3)
 
 
 def _extremes() -> Cloud:
-    """Gaussians behind the camera and beside its image, below the threshold of alpha, near its cap, thin and large."""
+    """Return Gaussians behind and beside the camera, below the threshold of alpha, near its cap, thin and large."""
     scene = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
     scene.means[:15, 2] *= -1
     scene.means[15:30, 0] += 40.0
@@ -163,7 +163,7 @@ def _extremes() -> Cloud:
     return scene
 
 
-def _acceptance(verdict: Verdict) -> str:
+def _acceptance(verdict: BackendCheck) -> str:
     sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
     return (
         f"gsplat {installed_version()} agrees with the reference (image within {verdict.image:.0e} of "
@@ -172,7 +172,7 @@ def _acceptance(verdict: Verdict) -> str:
     )
 
 
-def _refusal(backend: str, verdict: Verdict) -> str:
+def _refusal(backend: str, verdict: BackendCheck) -> str:
     return (
         f"gsplat {installed_version()} did not pass its check: {verdict.reason} (checked in {verdict.seconds:g} s; "
         f"backend={backend} trains with it all the same)"

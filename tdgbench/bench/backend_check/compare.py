@@ -19,7 +19,7 @@ from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.view import NEAR_PLANE
 
 NAMES = ("means", "quats", "scales", "opacities", "colors")
-IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 5e-5, 2e-4  # of a float32 backend's `Errors`
+IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 5e-5, 2e-4  # of a float32 backend's errors
 MOVED = 1e-4  # relative change of the thresholds that reveals undecided pixels
 SMALL = 1e-4  # share of the largest gradient that smaller gradients are measured against
 
@@ -52,7 +52,7 @@ class Rendered(NamedTuple):
     gradients: dict[str, Tensor]  # of a weighted sum of `image`, by the names in NAMES and `means2d` (N, 2)
 
 
-class Errors(NamedTuple):
+class BackendErrors(NamedTuple):
     """Largest errors of a pixel, relative to its channel's range (at least 1), and of a gradient, to its norm."""
 
     image: float
@@ -68,19 +68,19 @@ class Expected:
     scale: Tensor  # (D + 2,): range of each channel
     undecided: Tensor  # (H, W) bool: pixels that a rounding error could flip
 
-    def errors(self, got: Rendered, names: Sequence[str] = NAMES) -> Errors:
-        """Errors of what a backend computed with these weights. names: of the gradients to compare."""
+    def errors(self, got: Rendered, names: Sequence[str] = NAMES) -> BackendErrors:
+        """Return the errors of what a backend computed with these weights. names: of the gradients to compare."""
         image = ((got.image - self.rendered.image).abs() / self.scale).amax(dim=-1)
         want = {name: self.rendered.gradients[name] for name in names}
         floor = SMALL * torch.stack([gradient.norm() for gradient in want.values()]).max()
         gradients = [_relative(got.gradients[name], gradient, floor) for name, gradient in want.items()]
-        return Errors(_largest(torch.where(self.undecided, 0.0, image)), _largest(torch.stack(gradients)))
+        return BackendErrors(_largest(torch.where(self.undecided, 0.0, image)), _largest(torch.stack(gradients)))
 
 
 def cloud(
     count: int, seed: int = 0, width: int = 40, height: int = 30, degree: int | None = None, channels: int = 1
 ) -> Cloud:
-    """A random cloud 1 to 5 units in front of a turned, off-centre camera."""
+    """Return a random cloud 1 to 5 units in front of a turned, off-centre camera."""
     g = torch.Generator().manual_seed(seed)
     means = torch.cat([torch.rand(count, 2, generator=g) * 3 - 1.5, torch.rand(count, 1, generator=g) * 4 + 1], dim=1)
     shape = (count, channels) if degree is None else (count, (degree + 1) ** 2, channels)
@@ -129,7 +129,7 @@ def render(scene: Cloud, backend: str, weights: Tensor | None = None, blending: 
 
 
 def expected(scene: Cloud, backend: str, seed: int = 0) -> Expected:
-    """What a backend should compute of a cloud, with that backend's constants. seed: of the weights."""
+    """Return what a backend should compute of a cloud, with that backend's constants. seed: of the weights."""
     constants = load_backend(backend).constants() or AS_3DGS
     low, high = (render(scene, "reference", None, constants.moved(f)).image for f in (1 - MOVED, 1 + MOVED))
     scale = high.abs().amax(dim=(0, 1)).clamp_min(1.0) if high.numel() else torch.ones(high.shape[-1])
@@ -140,13 +140,13 @@ def expected(scene: Cloud, backend: str, seed: int = 0) -> Expected:
 
 
 def _relative(got: Tensor, want: Tensor, floor: Tensor) -> Tensor:
-    """Norm of the difference of two gradients, relative to that of `want`, but at least to `floor`."""
+    """Return the norm of the difference of two gradients, relative to that of `want`, but at least to `floor`."""
     difference = (got - want).norm()
     return torch.where(difference == 0, difference, difference / want.norm().maximum(floor).clamp_min(1e-12))
 
 
 def _largest(values: Tensor) -> float:
-    """Largest value; NaN if any value is NaN, 0 if there are no values."""
+    """Return the largest value; NaN if any value is NaN, 0 if there are no values."""
     if values.numel() == 0:
         return 0.0
     return float("nan") if bool(values.isnan().any()) else values.max().item()

@@ -14,8 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from tdgbench.data.get.sources import BadFileError, GetError, Source
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_folder, is_there, listed, read_bytes
-from tdgbench.scenes.names import check_scene_name, is_hidden
+from tdgbench.scenes.inputs import check_scene_name, is_folder, is_hidden, is_there, listed, read_bytes
 
 FILE = ".download.json"
 

@@ -14,7 +14,7 @@ from tdgbench.experiments.sweep.cells import PlannedCell, counted
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show, show_findings
+from tdgbench.tables.show import show_findings, show_tables
 from tdgbench.terminal import as_printed, console, say
 
 FAILED = ("failed", "missing", "no prior")
@@ -76,11 +76,11 @@ def _cells(count: int) -> str:
 def _write_all(experiment: Path) -> tuple[str, list[str]]:
     """Write tables, pictures and report of all cells on disk; print and return them in words, and what was found."""
     tables = build_tables(experiment)
-    show(tables, console())
+    show_tables(tables, console())
     places = {"tables": tables.folder}
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
         places["pictures"] = experiment / "strip.png"
     places["report"] = write_report(experiment, tables)
     lines = [f"{what}: {place}" for what, place in places.items()]
     say("\n".join(lines))
-    return as_printed(lambda console: show(tables, console)) + "\n".join(lines), tables.findings
+    return as_printed(lambda console: show_tables(tables, console)) + "\n".join(lines), tables.findings

@@ -4,8 +4,7 @@ The files are read and checked here; pycolmap, whose reader allocates without en
 camera models and writes models.
 """
 
-from tdgbench.scenes.colmap.model import RegisteredImage, read_model
+from tdgbench.scenes.colmap.model import RegisteredImage, read_model, write_model
 from tdgbench.scenes.colmap.pinhole import Undistortion
-from tdgbench.scenes.colmap.write import write_model
 
 __all__ = ["RegisteredImage", "Undistortion", "read_model", "write_model"]

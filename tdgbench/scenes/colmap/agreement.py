@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ImageEntry, Tables
+from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ImageEntry, ModelTables
 
 FEWEST = 10  # observations of a view from which it is judged
 FAR = 0.05  # median error of a wrong view, × diagonal of the image
 NEAR = 0.02  # median error of a good view stays below; COLMAP drops observations that are 4 px off, some 0.005
 
 
-def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
-    """Notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
+def check_agreement(model: ModelTables, poses: dict[int, np.ndarray], cameras: dict[int, pycolmap.Camera]) -> list[str]:
+    """Return notes on the model. Raises DamagedModelError for a view that disagrees where the others agree.
 
     poses: world to camera (3, 4) by image id. cameras: as in the model, with distortion, by camera id.
     """
@@ -21,8 +21,8 @@ def check_agreement(model: Tables, poses: dict[int, np.ndarray], cameras: dict[i
     return [*_missing_points(model, points[0]), *_reprojection(model, points, poses, cameras)]
 
 
-def _missing_points(model: Tables, ids: np.ndarray) -> list[str]:
-    """A note if images show points that the model does not hold (ids (P,), ascending)."""
+def _missing_points(model: ModelTables, ids: np.ndarray) -> list[str]:
+    """Return a note if images show points that the model does not hold (ids (P,), ascending)."""
     shown = np.concatenate([image.point_ids for image in model.images.values()])
     shown = shown[shown != NO_POINT]
     if not len(ids) or not len(shown):
@@ -40,12 +40,12 @@ def _missing_points(model: Tables, ids: np.ndarray) -> list[str]:
 
 
 def _reprojection(
-    model: Tables,
+    model: ModelTables,
     points: tuple[np.ndarray, np.ndarray],
     poses: dict[int, np.ndarray],
     cameras: dict[int, pycolmap.Camera],
 ) -> list[str]:
-    """Notes on views whose points do not project to where they are shown. Raises DamagedModelError."""
+    """Return notes on views whose points do not project to where they are shown. Raises DamagedModelError."""
     errors = {}
     for image_id, image in model.images.items():
         pixels, xyz = _observations(image, *points)
@@ -74,14 +74,14 @@ def _reprojection(
     return []
 
 
-def _all_points(model: Tables) -> tuple[np.ndarray, np.ndarray]:
-    """Ids (P,), ascending, and positions (P, 3)."""
+def _all_points(model: ModelTables) -> tuple[np.ndarray, np.ndarray]:
+    """Return ids (P,), ascending, and positions (P, 3)."""
     order = np.argsort(model.points.ids)
     return model.points.ids[order], model.points.xyz[order]
 
 
 def _observations(image: ImageEntry, ids: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The compared 2-D points (N, 2) of an image whose 3-D points the model holds, and these (N, 3)."""
+    """Return the compared 2-D points (N, 2) of an image whose 3-D points the model holds, and these (N, 3)."""
     wanted = image.point_ids[image.compared]
     rows = np.minimum(np.searchsorted(ids, wanted), max(len(ids) - 1, 0))
     known = ids[rows] == wanted if len(ids) else np.zeros(len(wanted), bool)
@@ -89,7 +89,7 @@ def _observations(image: ImageEntry, ids: np.ndarray, xyz: np.ndarray) -> tuple[
 
 
 def _median_error(pixels: np.ndarray, xyz: np.ndarray, pose: np.ndarray, camera: pycolmap.Camera) -> float:
-    """Median distance between projections and 2-D points, × diagonal; infinite if most points lie behind."""
+    """Return the median distance between projections and 2-D points, × diagonal; infinite if most points lie behind."""
     local = xyz @ pose[:, :3].T + pose[:, 3]
     front = local[:, 2] > 0
     if front.mean() < 0.5:

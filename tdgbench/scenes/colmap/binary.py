@@ -16,11 +16,11 @@ from tdgbench.scenes.colmap.tables import (
     SENSORS,
     CameraEntry,
     DamagedModelError,
-    Frame,
+    FrameEntry,
     ImageEntry,
     Points,
-    Pose,
-    Rig,
+    PoseEntry,
+    RigEntry,
     Sensor,
     camera_models,
     to_compare,
@@ -62,7 +62,7 @@ class _Cursor:
         return values
 
     def count(self, form: Struct, what: str, smallest: int) -> int:
-        """A number of items of at least `smallest` bytes each, which the rest of the file has room for."""
+        """Read a number of items of at least `smallest` bytes each, which the rest of the file has room for."""
         (count,) = self.take(form)
         if count * smallest > len(self.data) - self.at:
             raise self.damaged(
@@ -101,7 +101,7 @@ class _Cursor:
 
 
 def read_cameras(path: Path) -> list[CameraEntry]:
-    """Rows of cameras.bin. Raises SceneError."""
+    """Read the rows of cameras.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("camera", CAMERA.size):
         camera_id, model, width, height = file.take(CAMERA)
@@ -113,7 +113,7 @@ def read_cameras(path: Path) -> list[CameraEntry]:
 
 
 def read_images(path: Path) -> list[ImageEntry]:
-    """Rows of images.bin. Raises SceneError."""
+    """Read the rows of images.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("image", IMAGE.size + 1 + COUNT.size):
         image_id, *pose, camera_id = file.take(IMAGE)
@@ -124,13 +124,13 @@ def read_images(path: Path) -> list[ImageEntry]:
         point_ids = points["point"].copy()
         compared = to_compare(point_ids)
         found.append(
-            ImageEntry(image_id, Pose.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
+            ImageEntry(image_id, PoseEntry.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
         )  # fmt: skip
     return found
 
 
 def read_points(path: Path) -> Points:
-    """Rows of points3D.bin. Raises SceneError."""
+    """Read the rows of points3D.bin. Raises SceneError."""
     file = _Cursor(path)
     count = file.count(COUNT, "points", POINT.itemsize)
     starts = _starts_of_points(file, count)
@@ -147,7 +147,7 @@ def read_points(path: Path) -> Points:
 
 
 def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
-    """First byte (P,) of each point; the cursor ends behind the last."""
+    """Return first byte (P,) of each point; the cursor ends behind the last."""
     data, size, to_length = file.data, len(file.data), POINT.fields["track"][1]  # type: ignore[index]
     starts, at, track_size = [], file.at, TRACK.itemsize
     length_at = COUNT.unpack_from
@@ -165,12 +165,12 @@ def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
     return np.array(starts, np.int64)
 
 
-def read_rigs(path: Path) -> list[Rig]:
-    """Rows of rigs.bin. Raises SceneError."""
+def read_rigs(path: Path) -> list[RigEntry]:
+    """Read the rows of rigs.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("rig", 2 * UINT.size):
         (rig_id,) = file.take(UINT)
-        sensors: dict[Sensor, Pose | None] = {}
+        sensors: dict[Sensor, PoseEntry | None] = {}
         for index in range(file.count(UINT, "sensors", SENSOR.size)):
             sensor = file.sensor()
             if sensor in sensors:
@@ -178,13 +178,13 @@ def read_rigs(path: Path) -> list[Rig]:
             has_pose = file.take(FLAG)[0] if index > 0 else 0
             if has_pose not in (0, 1):
                 raise file.damaged(f"{file.row} has {has_pose} where 0 or 1 says whether a sensor has a pose")
-            sensors[sensor] = Pose.of(file.take(POSE)) if has_pose else None
-        found.append(Rig(rig_id, sensors))
+            sensors[sensor] = PoseEntry.of(file.take(POSE)) if has_pose else None
+        found.append(RigEntry(rig_id, sensors))
     return found
 
 
-def read_frames(path: Path) -> list[Frame]:
-    """Rows of frames.bin. Raises SceneError."""
+def read_frames(path: Path) -> list[FrameEntry]:
+    """Read the rows of frames.bin. Raises SceneError."""
     file, found = _Cursor(path), []
     for _ in file.rows("frame", FRAME.size + UINT.size):
         frame_id, rig_id, *pose = file.take(FRAME)
@@ -192,5 +192,5 @@ def read_frames(path: Path) -> list[Frame]:
         for _ in range(file.count(UINT, "data ids", DATA.size)):
             sensor = file.sensor()
             data.append((sensor, file.take(COUNT)[0]))
-        found.append(Frame(frame_id, rig_id, Pose.of(pose), data))
+        found.append(FrameEntry(frame_id, rig_id, PoseEntry.of(pose), data))
     return found

@@ -1,4 +1,4 @@
-"""Read a COLMAP model: registered images with checked pinhole cameras, and sparse points."""
+"""Read a COLMAP model, binary or text: registered images with checked pinhole cameras, sparse points; and write one."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import pycolmap
 
+from tdgbench.scenes.colmap import binary, text
 from tdgbench.scenes.colmap.agreement import check_agreement
-from tdgbench.scenes.colmap.files import read_tables
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
 from tdgbench.scenes.colmap.references import camera_poses, check_points
-from tdgbench.scenes.colmap.tables import REMEDY, Points
+from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ModelTables, Points, by_id
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_view_name
+from tdgbench.scenes.inputs import check_view_name, is_there
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.validate import check_camera
 
@@ -69,8 +69,68 @@ def read_model(folder: Path) -> ReadModel:
 
 
 def _cloud(points: Points) -> PointCloud | None:
-    """Points in the order of their ids, or None if there are none."""
+    """Return points in the order of their ids, or None if there are none."""
     if not len(points.ids):
         return None
     order = np.argsort(points.ids)
     return PointCloud(points.xyz[order], points.colors[order].astype(np.float32) / np.float32(255))
+
+
+FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
+NEEDED = ("cameras", "images", "points3D")
+
+
+def read_tables(folder: Path) -> ModelTables:
+    """Read a model's files. Raises SceneError naming the file and the remedy."""
+    suffix = next((s for s in FORMATS if all(is_there(folder / (name + s)) for name in NEEDED)), None)
+    if suffix is None:
+        raise SceneError(f"{folder} is not a COLMAP model: {_missing(folder)}; {REMEDY}")
+    reader = FORMATS[suffix]
+    cameras, images, points, rigs, frames = (
+        folder / (name + suffix) for name in ("cameras", "images", "points3D", "rigs", "frames")
+    )
+    if is_there(rigs) != is_there(frames):
+        there, absent = (rigs, frames) if is_there(rigs) else (frames, rigs)
+        raise DamagedModelError(there, f"{absent.name} is missing beside it")
+    return ModelTables(
+        folder,
+        suffix,
+        by_id(cameras, reader.read_cameras(cameras), "camera"),
+        by_id(images, reader.read_images(images), "image"),
+        reader.read_points(points),
+        by_id(rigs, reader.read_rigs(rigs), "rig") if is_there(rigs) else {},
+        by_id(frames, reader.read_frames(frames), "frame") if is_there(frames) else {},
+    )
+
+
+def _missing(folder: Path) -> str:
+    """Return which files the most complete format lacks."""
+    lacking = {s: [name + s for name in NEEDED if not is_there(folder / (name + s))] for s in FORMATS}
+    names = min(lacking.values(), key=len)
+    return f"it has no {', '.join(names)}"
+
+
+def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud) -> None:
+    """Write a binary COLMAP model of views (file name, camera), which share one K, and points."""
+    model = pycolmap.Reconstruction()
+    for index, (name, camera) in enumerate(views, start=1):
+        K = camera.K
+        if index == 1:
+            first = pycolmap.Camera(
+                model="PINHOLE",
+                width=camera.width,
+                height=camera.height,
+                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
+                camera_id=1,
+            )
+            model.add_camera_with_trivial_rig(first)
+        elif not np.array_equal(K, views[0][1].K):
+            raise ValueError("all views of a written model share one camera")
+        rotation = pycolmap.Rotation3d(camera.world_to_camera[:3, :3])
+        pose = pycolmap.Rigid3d(rotation, camera.world_to_camera[:3, 3])
+        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=index), pose)
+    colors = np.round(points.colors * 255).astype(np.uint8)
+    for xyz, color in zip(points.points, colors, strict=True):
+        model.add_point3D(xyz, pycolmap.Track(), color)
+    folder.mkdir(parents=True, exist_ok=True)
+    model.write_binary(str(folder))

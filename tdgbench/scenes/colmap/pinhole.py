@@ -77,7 +77,7 @@ class Undistortion:
 
 
 def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, pycolmap.Camera, Undistortion | None]:
-    """Intrinsics of a camera as a pinhole at the world's origin, COLMAP's camera, and how to resample images.
+    """Return a camera as a pinhole at the world's origin, COLMAP's camera, and how to resample images.
 
     where: file and camera, for messages. A camera that is no pinhole becomes pycolmap's undistorted one. Raises
     SceneError for numbers that cannot be a camera's.

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, Pose, Sensor, Tables
+from tdgbench.scenes.colmap.tables import NO_POINT, DamagedModelError, ModelTables, PoseEntry, Sensor
 from tdgbench.scenes.validate import MAX_COORDINATE
 
 UNIT_TOLERANCE = 1e-3  # of a quaternion's norm; COLMAP writes 1 to the last digits
@@ -19,7 +19,7 @@ ROUNDING = 1e-12  # of that norm
 POSE_TOLERANCE = 1e-6  # between images and frames; of the translation, as a share of its length where that is above 1
 
 
-def check_points(model: Tables) -> None:
+def check_points(model: ModelTables) -> None:
     """Raise DamagedModelError for a point twice or not finite, or a track of what the images do not hold."""
     points, path = model.points, model.file("points3D")
     ids, counts = np.unique(points.ids, return_counts=True)
@@ -40,7 +40,7 @@ def check_points(model: Tables) -> None:
         _check_tracks(model)
 
 
-def _check_tracks(model: Tables) -> None:
+def _check_tracks(model: ModelTables) -> None:
     images = sorted(model.images)
     rows = np.searchsorted(images, points_images := model.points.track_images.astype(np.int64))
     rows = np.minimum(rows, len(images) - 1)
@@ -65,8 +65,8 @@ def _check_tracks(model: Tables) -> None:
         raise DamagedModelError(model.file("points3D"), what)
 
 
-def camera_poses(model: Tables) -> dict[int, np.ndarray]:
-    """World to camera (3, 4) by image id. Raises DamagedModelError for references to nothing and damaged numbers."""
+def camera_poses(model: ModelTables) -> dict[int, np.ndarray]:
+    """Return world to camera (3, 4) by image id. Raises DamagedModelError for references to nothing or damage."""
     for image in model.images.values():
         _check_pose(model, "images", f"image {image.name!r}", image.pose)
         if image.camera_id not in model.cameras:
@@ -93,8 +93,8 @@ def camera_poses(model: Tables) -> dict[int, np.ndarray]:
     return poses
 
 
-def _frame_of_images(model: Tables) -> dict[int, tuple[int, Sensor]]:
-    """Frame and sensor of each image that frames name."""
+def _frame_of_images(model: ModelTables) -> dict[int, tuple[int, Sensor]]:
+    """Return the frame and sensor of each image that frames name."""
     for rig in model.rigs.values():
         for sensor, pose in rig.sensors.items():
             if sensor.type == "CAMERA" and sensor.id not in model.cameras:
@@ -124,8 +124,8 @@ def _frame_of_images(model: Tables) -> dict[int, tuple[int, Sensor]]:
     return placed
 
 
-def _pose_in_frame(model: Tables, image_id: int, frame_id: int, sensor: Sensor) -> pycolmap.Rigid3d:
-    """Pose of an image: that of its frame, and for all but the rig's reference sensor, of its sensor in the rig."""
+def _pose_in_frame(model: ModelTables, image_id: int, frame_id: int, sensor: Sensor) -> pycolmap.Rigid3d:
+    """Return the pose of an image: that of its frame, and of its sensor in the rig unless that is the reference."""
     image, frame = model.images[image_id], model.frames[frame_id]
     if sensor.id != image.camera_id:
         raise DamagedModelError(
@@ -141,7 +141,7 @@ def _pose_in_frame(model: Tables, image_id: int, frame_id: int, sensor: Sensor) 
     return _rigid(in_rig) * _rigid(frame.pose)
 
 
-def _check_pose(model: Tables, file: str, what: str, pose: Pose) -> None:
+def _check_pose(model: ModelTables, file: str, what: str, pose: PoseEntry) -> None:
     norm = math.hypot(*pose.quaternion)
     if not np.isfinite([norm, *pose.translation]).all():
         raise DamagedModelError(model.file(file), f"the pose of {what} is not finite")
@@ -149,8 +149,8 @@ def _check_pose(model: Tables, file: str, what: str, pose: Pose) -> None:
         raise DamagedModelError(model.file(file), f"the quaternion of {what} has length {norm:.6g}; it must be 1")
 
 
-def _rigid(pose: Pose) -> pycolmap.Rigid3d:
-    """A pose whose rotation is one: pycolmap takes a quaternion of another length as it is."""
+def _rigid(pose: PoseEntry) -> pycolmap.Rigid3d:
+    """Return a pose whose rotation is one: pycolmap takes a quaternion of another length as it is."""
     w, x, y, z = pose.quaternion
     quaternion, norm = np.array([x, y, z, w]), math.hypot(*pose.quaternion)
     if abs(norm - 1) > ROUNDING:

@@ -24,15 +24,15 @@ class DamagedModelError(SceneError):
         super().__init__(f"{path} is damaged: {what}; {remedy}")
 
 
-class Pose(NamedTuple):
+class PoseEntry(NamedTuple):
     """A rotation and a translation, from world or rig to camera or rig."""
 
     quaternion: tuple[float, ...]  # w, x, y, z
     translation: tuple[float, ...]
 
     @classmethod
-    def of(cls, numbers) -> Pose:
-        """Pose of 7 numbers as COLMAP writes them: qw, qx, qy, qz, tx, ty, tz."""
+    def of(cls, numbers) -> PoseEntry:
+        """Return the pose of 7 numbers as COLMAP writes them: qw, qx, qy, qz, tx, ty, tz."""
         return cls(tuple(numbers[:4]), tuple(numbers[4:7]))
 
 
@@ -60,7 +60,7 @@ class ImageEntry(NamedTuple):
     """A row of the images file."""
 
     id: int
-    pose: Pose  # camera from world
+    pose: PoseEntry  # camera from world
     camera_id: int
     name: str
     point_ids: np.ndarray  # (N,) uint64, of the 3-D points of its 2-D points; NO_POINT without one
@@ -79,24 +79,24 @@ class Points(NamedTuple):
     track_points2D: np.ndarray  # (T,) uint32, indices into the image's 2-D points
 
 
-class Rig(NamedTuple):
+class RigEntry(NamedTuple):
     """A row of the rigs file."""
 
     id: int
-    sensors: dict[Sensor, Pose | None]  # sensor from rig; of the first, the reference, it is the identity
+    sensors: dict[Sensor, PoseEntry | None]  # sensor from rig; of the first, the reference, it is the identity
 
 
-class Frame(NamedTuple):
+class FrameEntry(NamedTuple):
     """A row of the frames file."""
 
     id: int
     rig_id: int
-    pose: Pose  # rig from world
+    pose: PoseEntry  # rig from world
     data: list[tuple[Sensor, int]]  # id of the sensor's data: of a camera, an image id
 
 
 @dataclass(frozen=True)
-class Tables:
+class ModelTables:
     """A model as read, each row by its id. Models of COLMAP before 3.12 have no rigs and no frames."""
 
     folder: Path
@@ -104,16 +104,16 @@ class Tables:
     cameras: dict[int, CameraEntry]
     images: dict[int, ImageEntry]
     points: Points
-    rigs: dict[int, Rig] = field(default_factory=dict)
-    frames: dict[int, Frame] = field(default_factory=dict)
+    rigs: dict[int, RigEntry] = field(default_factory=dict)
+    frames: dict[int, FrameEntry] = field(default_factory=dict)
 
     def file(self, name: str) -> Path:
-        """Path of `cameras`, `images`, `points3D`, `rigs` or `frames`."""
+        """Return the path of `cameras`, `images`, `points3D`, `rigs` or `frames`."""
         return self.folder / (name + self.suffix)
 
 
 def to_compare(point_ids: np.ndarray) -> np.ndarray:
-    """Indices of at most MOST_COMPARED 2-D points with a 3-D point, evenly spaced.
+    """Return indices of at most MOST_COMPARED 2-D points with a 3-D point, evenly spaced.
 
     >>> to_compare(np.array([7, NO_POINT, 8], np.uint64))
     array([0, 2])
@@ -124,7 +124,7 @@ def to_compare(point_ids: np.ndarray) -> np.ndarray:
 
 @cache
 def camera_models() -> dict[int, tuple[str, int]]:
-    """Name and number of parameters of COLMAP's camera models, by model id.
+    """Return the name and number of parameters of COLMAP's camera models, by model id.
 
     >>> camera_models()[1]
     ('PINHOLE', 4)
@@ -138,7 +138,7 @@ def camera_models() -> dict[int, tuple[str, int]]:
 
 
 def by_id(path: Path, rows: list, what: str) -> dict:
-    """The rows by id. Raises DamagedModelError if two have the same."""
+    """Return the rows by id. Raises DamagedModelError if two have the same."""
     found = {row.id: row for row in rows}
     if len(found) < len(rows):
         seen: set[int] = set()

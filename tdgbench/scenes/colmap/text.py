@@ -17,11 +17,11 @@ from tdgbench.scenes.colmap.tables import (
     SENSORS,
     CameraEntry,
     DamagedModelError,
-    Frame,
+    FrameEntry,
     ImageEntry,
     Points,
-    Pose,
-    Rig,
+    PoseEntry,
+    RigEntry,
     Sensor,
     camera_models,
     to_compare,
@@ -46,7 +46,7 @@ class _Line:
 
     @property
     def is_plain(self) -> bool:
-        """Whether Python reads its numbers as COLMAP does, which knows neither 1_0 nor other alphabets' digits."""
+        """True if Python reads its numbers as COLMAP does, which knows neither 1_0 nor other alphabets' digits."""
         return "_" not in self.text and self.text.isascii()
 
     def damaged(self, what: str) -> DamagedModelError:
@@ -104,7 +104,7 @@ class _Line:
 
 
 def _text_lines(path: Path) -> list[str]:
-    """Lines of a whole file. Raises SceneError if it is cut or not UTF-8."""
+    """Return lines of a whole file. Raises SceneError if it is cut or not UTF-8."""
     raw = read_bytes(path)
     if HEADER in raw[:HEADER_SIZE] and not raw.endswith(NEWLINE):
         raise DamagedModelError(path, f"its last line, {raw.count(NEWLINE) + 1}, has no end")
@@ -116,7 +116,7 @@ def _text_lines(path: Path) -> list[str]:
 
 
 def _lines(path: Path) -> Iterator[_Line]:
-    """The lines that are neither empty nor comments."""
+    """Yield the lines that are neither empty nor comments."""
     for number, text in enumerate(_text_lines(path), start=1):
         line = _Line(path, number, text)
         if line.words and line.words[0][0] != "#":
@@ -135,7 +135,7 @@ def _complete(path: Path, rows: Sized) -> None:
 
 
 def read_cameras(path: Path) -> list[CameraEntry]:
-    """Rows of cameras.txt. Raises SceneError."""
+    """Read the rows of cameras.txt. Raises SceneError."""
     sizes, found = dict(camera_models().values()), []
     for line in _lines(path):
         camera_id, model = line.integer(), line.word()
@@ -149,7 +149,7 @@ def read_cameras(path: Path) -> list[CameraEntry]:
 
 
 def read_images(path: Path) -> list[ImageEntry]:
-    """Rows of images.txt: two lines each, the second with the 2-D points, which may be empty. Raises SceneError."""
+    """Read the rows of images.txt: two lines each, the second of 2-D points or empty. Raises SceneError."""
     lines, found, at = _text_lines(path), [], 0
     while at < len(lines):
         text = lines[at]
@@ -157,7 +157,7 @@ def read_images(path: Path) -> list[ImageEntry]:
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         head = _Line(path, at, text)
-        image_id, pose, camera_id = head.integer(), Pose.of(head.floats(7)), head.integer()
+        image_id, pose, camera_id = head.integer(), PoseEntry.of(head.floats(7)), head.integer()
         head.word()
         name = text.split(maxsplit=9)[9].strip()
         points = _Line(path, at + 1, lines[at] if at < len(lines) else "")
@@ -168,7 +168,7 @@ def read_images(path: Path) -> list[ImageEntry]:
 
 
 def _points2D(line: _Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Point ids, and numbers and positions of the compared 2-D points, of x, y, id, x, y, id ...; -1 is no id.
+    """Return point ids, and numbers and positions of the compared 2-D points, of x, y, id, x, y, id ...; -1 is no id.
 
     Of the other positions, which nothing needs, only the characters are checked: to read 10 million would take seconds.
     """
@@ -183,7 +183,7 @@ def _points2D(line: _Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def read_points(path: Path) -> Points:
-    """Rows of points3D.txt. Raises SceneError."""
+    """Read the rows of points3D.txt. Raises SceneError."""
     ids: list[int] = []
     xyz: list[float] = []
     colors: list[int] = []
@@ -231,7 +231,7 @@ class _BadTrackError(Exception):
 
 
 def _tracks(rows: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (P,) of tracks and their numbers (2 L,), all rows at once: image id, index, image id, index ..."""
+    """Return lengths (P,) of tracks and their numbers (2 L,), all rows at once: image id, index, image id, index ..."""
     text = "".join(row + "\n" for row in rows).encode()
     characters = np.frombuffer(text, np.uint8)
     is_digit = (characters >= ord("0")) & (characters <= ord("9"))
@@ -252,34 +252,34 @@ def _tracks(rows: list[str]) -> tuple[np.ndarray, np.ndarray]:
     return words // 2, numbers.astype(np.uint32)
 
 
-def read_rigs(path: Path) -> list[Rig]:
-    """Rows of rigs.txt. Raises SceneError."""
+def read_rigs(path: Path) -> list[RigEntry]:
+    """Read the rows of rigs.txt. Raises SceneError."""
     found = []
     for line in _lines(path):
         rig_id, count = line.integer(), line.integer()
-        sensors: dict[Sensor, Pose | None] = {}
+        sensors: dict[Sensor, PoseEntry | None] = {}
         for index in range(min(count, line.left())):
             sensor = line.sensor()
             if sensor in sensors:
                 raise line.damaged(f"has {sensor.type} {sensor.id} twice")
             has_pose = index > 0 and line.integer(1) == 1
-            sensors[sensor] = Pose.of(line.floats(7)) if has_pose else None
+            sensors[sensor] = PoseEntry.of(line.floats(7)) if has_pose else None
         if len(sensors) < count:
             raise line.damaged(f"counts {count} sensors, but has {len(sensors)}")
         line.end()
-        found.append(Rig(rig_id, sensors))
+        found.append(RigEntry(rig_id, sensors))
     _complete(path, found)
     return found
 
 
-def read_frames(path: Path) -> list[Frame]:
-    """Rows of frames.txt. Raises SceneError."""
+def read_frames(path: Path) -> list[FrameEntry]:
+    """Read the rows of frames.txt. Raises SceneError."""
     found = []
     for line in _lines(path):
-        frame_id, rig_id, pose, count = line.integer(), line.integer(), Pose.of(line.floats(7)), line.integer()
+        frame_id, rig_id, pose, count = line.integer(), line.integer(), PoseEntry.of(line.floats(7)), line.integer()
         if line.left() != 3 * count:
             raise line.damaged(f"counts {count} data ids, but has {line.left() / 3:g}")
         data = [(line.sensor(), line.integer(2**64 - 1)) for _ in range(count)]
-        found.append(Frame(frame_id, rig_id, pose, data))
+        found.append(FrameEntry(frame_id, rig_id, pose, data))
     _complete(path, found)
     return found

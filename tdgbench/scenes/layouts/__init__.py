@@ -3,15 +3,15 @@
 from pathlib import Path
 
 from tdgbench.scenes.layouts import thermalmix, thermoscenes
-from tdgbench.scenes.layouts.layout import Found, Layout
+from tdgbench.scenes.layouts.layout import Layout, SceneFiles
 from tdgbench.scenes.layouts.plain import RGBT_SCENES, TI_NSD
 
 # In the order in which they are looked for: each is more general than those before it.
-LAYOUTS = {one.name: one for one in (thermalmix.LAYOUT, thermoscenes.LAYOUT, RGBT_SCENES, TI_NSD)}
+LAYOUTS = {layout.name: layout for layout in (thermalmix.LAYOUT, thermoscenes.LAYOUT, RGBT_SCENES, TI_NSD)}
 
-__all__ = ["LAYOUTS", "Found", "Layout", "detect"]
+__all__ = ["LAYOUTS", "Layout", "SceneFiles", "detect"]
 
 
 def detect(folder: Path) -> Layout | None:
-    """The layout of a folder; None if it has none. Raises SceneError if that cannot be told."""
+    """Return the layout of a folder; None if it has none. Raises SceneError if that cannot be told."""
     return next((layout for layout in LAYOUTS.values() if layout.fits(folder)), None)

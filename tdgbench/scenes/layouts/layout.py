@@ -15,7 +15,7 @@ from tdgbench.scenes.temperature import Radiometry
 
 
 @dataclass(frozen=True)
-class Found:
+class SceneFiles:
     """What a layout found in the folder of a scene; paths, poses and splits are by view name."""
 
     posed: dict[str, RegisteredImage]
@@ -42,7 +42,7 @@ class Layout:
     title: str  # as results and messages name it
     looks: str  # inside the folder of a scene, in one line
     fits: Callable[[Path], bool]  # whether a folder has this layout; raises SceneError if that cannot be told
-    find: Callable[[Path], Found]  # raises SceneError naming the file and the remedy
+    find: Callable[[Path], SceneFiles]  # raises SceneError naming the file and the remedy
     published: Callable[[str], TemperatureRange | None] = _none_published  # °C of gray images, by a scene's name
 
 
@@ -70,14 +70,14 @@ def find_model(folder: Path, places: Iterable[str], title: str) -> Model:
 
 
 def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
-    """The first of `places` that is a folder, or None."""
+    """Return the first of `places` that is a folder, or None."""
     return next((folder / place for place in places if is_folder(folder / place)), None)
 
 
 def find_files(
     folder: Path, suffixes: tuple[str, ...] = SUFFIXES, but: Container[str] = ()
 ) -> tuple[dict[str, Path], dict[str, str]]:  # fmt: skip
-    """Files by view name; and by view name `train` or `test`, where these subfolders exist.
+    """Find files by view name; and by view name `train` or `test`, where these subfolders exist.
 
     suffixes: in lower case; those of files may be in upper case. but: views that are passed over. Raises SceneError for
     a name that no result could have, for two files of one view, and for what is no regular file.
@@ -100,7 +100,7 @@ def find_files(
 
 
 def find_optional(folder: Path, what: str) -> dict[str, Path]:
-    """Images by view name; none without the folder. what: of which kind, for messages."""
+    """Find images by view name; none without the folder. what: of which kind, for messages."""
     if not is_there(folder):
         return {}
     if not is_folder(folder):

@@ -17,14 +17,14 @@ from pathlib import Path
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder, is_there
-from tdgbench.scenes.layouts.layout import Found, Layout, find_files, find_model, find_optional, model_folder
+from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model, find_optional, model_folder
 from tdgbench.scenes.temperature import FILE, read_radiometry
 
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 
 
-def _find(folder: Path, images: str, rgb: str | None = None) -> Found:
-    """What is in a scene. images, rgb: names of the folders of thermal and RGB images."""
+def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
+    """Find what is in a scene. images, rgb: names of the folders of thermal and RGB images."""
     layout = TI_NSD if rgb is None else RGBT_SCENES
     if not is_folder(folder / images):
         raise SceneError(f"{folder} has no {images}/ folder; the layout is {layout.looks}")
@@ -34,7 +34,7 @@ def _find(folder: Path, images: str, rgb: str | None = None) -> Found:
     photos = {} if rgb is None else find_optional(folder / rgb, "RGB images")
     model = find_model(folder, MODELS, layout.title)
     files = [*model.files, *([folder / FILE] if is_there(folder / FILE) else [])]
-    return Found(
+    return SceneFiles(
         model.posed, model.points, thermal, photos, shipped, read_radiometry(folder / FILE), files=files,
         notes=model.notes,
     )  # fmt: skip

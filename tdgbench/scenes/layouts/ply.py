@@ -21,7 +21,7 @@ CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in
 
 
 def read_points(path: Path) -> PointCloud:
-    """Vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
+    """Read vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
     try:
         data = read_bytes(path)
         counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", data[:HEADER_SIZE].partition(b"end_header")[0])
@@ -31,7 +31,7 @@ def read_points(path: Path) -> PointCloud:
         _check_end(data.partition(b"end_header")[2].partition(b"\n")[2], content)
         vertex = content["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
-        names = {one.name for one in vertex.properties}
+        names = {prop.name for prop in vertex.properties}
         colors = np.full(xyz.shape, 0.5, np.float32)
         if {"red", "green", "blue"} <= names:
             channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
@@ -50,7 +50,7 @@ def _check_end(rows: bytes, content: PlyData) -> None:
     """Raise ValueError if the file has more rows than its header states, which plyfile does not see."""
     if content.text:
         found, stated = sum(bool(row.strip()) for row in rows.splitlines()), sum(map(len, content.elements))
-    elif any(isinstance(one, PlyListProperty) for element in content.elements for one in element.properties):
+    elif any(isinstance(prop, PlyListProperty) for element in content.elements for prop in element.properties):
         return  # rows of different sizes
     else:
         found, stated = len(rows), sum(element.data.nbytes for element in content.elements)
@@ -61,7 +61,7 @@ def _check_end(rows: bytes, content: PlyData) -> None:
 def where_they_are(
     cloud: PointCloud, applied_transform: np.ndarray | None, cameras: list[Camera]
 ) -> tuple[PointCloud, bool]:
-    """The points in the world of nerfstudio's frames, and whether they had to be moved there.
+    """Return the points in the world of nerfstudio's frames, and whether they had to be moved there.
 
     nerfstudio writes points in that world since its release 1.0 (`create_ply_from_colmap` of
     nerfstudio/process_data/colmap_utils.py takes the applied_transform, (4, 4)); before, it wrote COLMAP's own
@@ -77,7 +77,7 @@ def where_they_are(
 
 
 def _share_in_images(points: np.ndarray, cameras: list[Camera]) -> float:
-    """Share of the points (N, 3) that lie in front of a camera and in its image."""
+    """Return the share of the points (N, 3) that lie in front of a camera and in its image."""
     seen = np.zeros(len(points), bool)
     for camera in cameras:
         pixels, z = camera.project(points)

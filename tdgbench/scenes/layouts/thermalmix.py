@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_folder, is_there, listed
-from tdgbench.scenes.layouts.layout import Found, Layout, find_files, find_model
+from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model
 from tdgbench.scenes.registry import registered
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import FILE, read_radiometry
@@ -42,7 +42,7 @@ PUBLISHED = {
 
 
 def published_range(name: str) -> TemperatureRange | None:
-    """°C of black and white in a scene's gray images, by its name or an alias; None of other scenes.
+    """Return °C of black and white in a scene's gray images, by its name or an alias; None of other scenes.
 
     >>> published_range("Hands")
     TemperatureRange(min=22.1, max=33.6)
@@ -56,7 +56,7 @@ def _fits(folder: Path) -> bool:
     return is_folder(folder / WARPED)
 
 
-def _find(folder: Path) -> Found:
+def _find(folder: Path) -> SceneFiles:
     if not _fits(folder):
         raise SceneError(f"{folder} has no {WARPED}/ folder; the layout is {LAYOUT.looks}")
     arrays, shipped = find_files(folder / WARPED, (".npy",))
@@ -72,7 +72,7 @@ def _find(folder: Path) -> Found:
         unwarped = {name: path for name, path in found.items() if name in pictures}
     photos = _rgb_folder(folder)
     model = find_model(folder, MODELS, TITLE)
-    return Found(
+    return SceneFiles(
         model.posed,
         model.points,
         {**pictures, **arrays},
@@ -87,7 +87,7 @@ def _find(folder: Path) -> Found:
 
 
 def _rgb_folder(folder: Path) -> Path | None:
-    """The folder of RGB images that the authors' loader takes, at the highest resolution; None if there is none."""
+    """Return the folder of RGB images that the authors' loader takes, at the highest resolution, or None."""
     scales = [int(match[1]) for path in listed(folder) if (match := re.fullmatch(r"images_(\d{1,4})", path.name))]
     smaller = [f"images_{scale}" for scale in sorted(scales)]
     return next((folder / name for name in ("images_1", "rgb", "images", *smaller) if is_folder(folder / name)), None)

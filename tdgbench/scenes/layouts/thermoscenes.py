@@ -16,10 +16,10 @@ from typing import Any
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder, is_there, regular_file
-from tdgbench.scenes.layouts.layout import Found, Layout, find_optional, model_folder
+from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_optional, model_folder
 from tdgbench.scenes.layouts.ply import read_points, where_they_are
 from tdgbench.scenes.layouts.transforms import Transforms, read_transforms
-from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_bounds, read_radiometry
+from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_radiometry, read_temperature_bounds
 
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
 POINTS = "sparse_pc.ply"  # nerfstudio's default
@@ -27,11 +27,11 @@ TITLE = "ThermoScenes"
 
 
 def _fits(folder: Path) -> bool:
-    """A COLMAP model where RGBT-Scenes has it makes that layout the better one."""
+    """Return whether a folder has this layout and no COLMAP model where RGBT-Scenes has it."""
     return _json_file(folder) is not None and model_folder(folder, ("sparse/0", "sparse")) is None
 
 
-def _find(folder: Path) -> Found:
+def _find(folder: Path) -> SceneFiles:
     path = _json_file(folder)
     if path is None:
         raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
@@ -50,7 +50,7 @@ def _find(folder: Path) -> Found:
             f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
             f"{folder / 'thermal'}, or name it with thermal_file_path"
         )
-    bounds = read_bounds(folder / BOUNDS_FILE) or read_radiometry(folder / FILE)
+    bounds = read_temperature_bounds(folder / BOUNDS_FILE) or read_radiometry(folder / FILE)
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
     notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
     ply = folder / (content.points or POINTS)
@@ -65,7 +65,7 @@ def _find(folder: Path) -> Found:
     elif content.points is not None:
         notes.append(f"{path.name} names the points {content.points}, which are not there")
     posed = {name: frame.posed for name, frame in content.frames.items()}
-    return Found(posed, points, thermal, rgb, _shipped(content, path), bounds, files=files, notes=notes)
+    return SceneFiles(posed, points, thermal, rgb, _shipped(content, path), bounds, files=files, notes=notes)
 
 
 def _json_file(folder: Path) -> Path | None:
@@ -79,7 +79,7 @@ def _image(path: Path, where: str) -> Path:
 
 
 def _shipped(content: Transforms, path: Path) -> dict[str, str]:
-    """`train` or `test` by view name. Lists of names decide, if there are any; `val` is tested where `test` is not."""
+    """Return `train` or `test` by view name. Lists of names decide; `val` is tested where `test` is not."""
     if content.lists:
         test = content.lists.get("test") or content.lists.get("val", [])
         parts: Mapping[str, Any] = {"train": content.lists.get("train", []), "test": test}

@@ -29,7 +29,7 @@ SPLITS = ("train", "val", "test")
 
 
 @dataclass(frozen=True)
-class Frame:
+class TransformsFrame:
     """A frame of transforms.json. Paths are relative to its folder."""
 
     posed: RegisteredImage
@@ -41,7 +41,7 @@ class Frame:
 class Transforms:
     """Content of a transforms.json, frames by view name."""
 
-    frames: dict[str, Frame]
+    frames: dict[str, TransformsFrame]
     lists: dict[str, list[str]]  # view names by split, of SPLITS
     points: Path | None  # of a .ply file, relative to its folder
     applied_transform: np.ndarray | None  # (4, 4), from the original world to that of the frames
@@ -51,7 +51,7 @@ def read_transforms(path: Path) -> Transforms:
     """Read a transforms.json. Raises SceneError naming the frame and the remedy."""
     content = _content(path)
     cameras: dict[CameraEntry, Any] = {}
-    frames: dict[str, Frame] = {}
+    frames: dict[str, TransformsFrame] = {}
     for number, frame in enumerate(content["frames"]):
         where = f"{path}: frame {number}"
         if not isinstance(frame, dict):
@@ -67,7 +67,7 @@ def read_transforms(path: Path) -> Transforms:
         pinhole, _, undistortion = cameras[entry]
         camera = Camera(pinhole.K, _pose(frame, where), pinhole.width, pinhole.height)
         thermal = frame.get("thermal_file_path")
-        frames[name] = Frame(
+        frames[name] = TransformsFrame(
             RegisteredImage(name, check_camera(camera, where), undistortion),
             file,
             None if thermal is None else _inside(thermal, "thermal_file_path", where),
@@ -92,7 +92,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _inside(value: Any, key: str, where: str) -> Path:
-    """A path relative to the scene's folder."""
+    """Return a path relative to the scene's folder."""
     if not isinstance(value, str) or not value or "\0" in value:
         raise SceneError(f"{where} has no {key}, the path of a file relative to the scene's folder. Correct the file")
     path = PurePosixPath(value.replace("\\", "/"))
@@ -113,7 +113,7 @@ def _number(values: dict[str, Any], key: str, where: str, default: float | None 
 
 
 def _camera_entry(values: dict[str, Any], where: str) -> CameraEntry:
-    """COLMAP's camera of a frame."""
+    """Return COLMAP's camera of a frame."""
     fx, fy, cx, cy, width, height = (_number(values, key, where) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"))
     k1, k2, k3, k4, p1, p2 = (_number(values, key, where, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if width != round(width) or height != round(height):
@@ -135,7 +135,7 @@ def _camera_entry(values: dict[str, Any], where: str) -> CameraEntry:
 
 
 def _matrix(value: Any, what: str, where: str) -> np.ndarray:
-    """A matrix (4, 4), whose last row may be left out."""
+    """Return a matrix (4, 4), whose last row may be left out."""
     try:
         matrix = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -146,7 +146,7 @@ def _matrix(value: Any, what: str, where: str) -> np.ndarray:
 
 
 def _pose(frame: dict[str, Any], where: str) -> np.ndarray:
-    """World to camera (4, 4) in OpenCV's axes."""
+    """Return world to camera (4, 4) in OpenCV's axes."""
     to_world = _matrix(frame.get("transform_matrix"), "transform_matrix", where)
     check_pose(to_world, where)
     rotation = to_world[:3, :3] @ OPENGL_TO_OPENCV[:3, :3]
@@ -162,7 +162,7 @@ def _applied(content: dict[str, Any], path: Path) -> np.ndarray | None:
 
 
 def _lists(content: dict[str, Any], path: Path) -> dict[str, list[str]]:
-    """View names by split; none where the file has no lists."""
+    """Return view names by split; none where the file has no lists."""
     found = {}
     for split in SPLITS:
         names = content.get(f"{split}_filenames")

@@ -1,8 +1,7 @@
-"""Procedural RGB-thermal scenes with known depth and temperature, generated from a seed at first use."""
+"""Synthetic RGB-thermal scenes with known depth and temperature, written from a seed at first use."""
 
-from tdgbench.scenes.synthetic.capture import CaptureErrors
+from tdgbench.scenes.synthetic.capture import CaptureErrors, TrueRig
 from tdgbench.scenes.synthetic.dataset import SyntheticDataset
-from tdgbench.scenes.synthetic.rig import Rig
 from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors
 
-__all__ = ["CaptureErrors", "Rig", "SyntheticDataset", "ThermalErrors"]
+__all__ = ["CaptureErrors", "SyntheticDataset", "ThermalErrors", "TrueRig"]

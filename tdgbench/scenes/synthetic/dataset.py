@@ -1,4 +1,4 @@
-"""The built-in scenes as a data set: generated at first use, then read like any other."""
+"""The synthetic scenes as a data set: written at first use, then read like any other."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Annotated
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
-from tdgbench.scenes.names import scene_name
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
@@ -55,17 +55,17 @@ class SyntheticDataset:
     def explain_missing(self, names: list[str]) -> str:
         return f"no synthetic scene {', '.join(names)}; choose from {', '.join(WORLDS)}"
 
-    def describe(self, name: str | int | None) -> Description:
-        name = scene_name(name) or next(iter(WORLDS))
+    def describe(self, name: str | None) -> Description:
+        name = next(iter(WORLDS)) if name is None else check_scene_name(name)
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
         title = "synthetic_degC" if self.shot.errors.camera.encoding == "degC" else "synthetic"
         return Description(name, title, WORLDS[name](self.shot.seed).group)
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         return self.outline(name).read()
 
-    def outline(self, name: str | int | None) -> Outline:
+    def outline(self, name: str | None) -> Outline:
         description = self.describe(name)
         world = WORLDS[description.scene](self.shot.seed).with_gradient(self.shot.errors.gradient_degC)
         folder = self.folder(description.scene)
@@ -75,7 +75,7 @@ class SyntheticDataset:
         return outline_scene(folder, description, options, LAYOUTS["rgbt_scenes"])  # every pixel was measured
 
     def folder(self, name: str) -> Path:
-        """Of a scene's files; names all parameters and a hash of the generator, so that another one writes another."""
+        """Return the folder of a scene, whose name has all parameters and a hash of the generator."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
         shot = self.shot

@@ -14,8 +14,7 @@ from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
-from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, limits
-from tdgbench.scenes.synthetic.thermal_files import levels
+from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth
 
 ROOM = 1.0  # °C between the values and the ends of the range
@@ -43,14 +42,14 @@ class DriftingDataset:
     def explain_missing(self, names: list[str]) -> str:
         return self.inner.explain_missing(names)
 
-    def describe(self, name: str | int | None) -> Description:
+    def describe(self, name: str | None) -> Description:
         description = self.inner.describe(name)
         return replace(description, dataset=f"{description.dataset}_drifting", group="")
 
-    def load(self, name: str | int | None) -> Scene:
+    def load(self, name: str | None) -> Scene:
         return self.outline(name).read()
 
-    def outline(self, name: str | int | None) -> Outline:
+    def outline(self, name: str | None) -> Outline:
         inner, title = outline_of(self.inner, name), self.describe(name).dataset
 
         def read() -> Scene:
@@ -59,8 +58,8 @@ class DriftingDataset:
 
         return Outline(replace(inner.scene, dataset=title, fingerprint=self._fingerprint(inner.scene)), read)
 
-    def truth(self, name: str | int | None) -> CameraTruth:
-        """The true camera of a scene."""
+    def truth(self, name: str | None) -> CameraTruth:
+        """Return the true camera of a scene."""
         return drifting(self.inner.load(name), self.errors, self.seed, self.noise_degC)[1]
 
     def _fingerprint(self, scene: Scene) -> str:
@@ -69,7 +68,7 @@ class DriftingDataset:
 
 
 def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float = 0.0) -> tuple[Scene, CameraTruth]:
-    """The scene as a camera with the given errors shows it, and that camera.
+    """Return the scene as a camera with the given errors shows it, and that camera.
 
     The range grows, so that nothing is clipped, unless the encoding is `range`; with gain control, there is none. The
     given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
@@ -90,19 +89,19 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     for index, view in enumerate(views):
         degC = nearest_valid(in_degC(view, clean), view.valid)  # a blur mixes pixels
         shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
-    measured = [one if view.valid is None else one[view.valid] for one, view in zip(shown, views, strict=True)]
+    measured = [degC if view.valid is None else degC[view.valid] for degC, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
     if errors.encoding == "agc":
-        ends = [limits(one) if one.size else (given.min, given.max) for one in measured]
-        values = [levels(one, *pair) / 255 for one, pair in zip(shown, ends, strict=True)]
+        ends = [limits(degC) if degC.size else (given.min, given.max) for degC in measured]
+        values = [levels(degC, *pair) / 255 for degC, pair in zip(shown, ends, strict=True)]
         camera = replace(camera, limits=np.array(ends))
     elif errors.encoding == "range":
-        span, values = given, [levels(one, given.min, given.max) / 255 for one in shown]
+        span, values = given, [levels(degC, given.min, given.max) / 255 for degC in shown]
     else:
-        low, high = (float(end([end(one) for one in measured if one.size])) for end in (np.min, np.max))
+        low, high = (float(end([end(degC) for degC in measured if degC.size])) for end in (np.min, np.max))
         span = TemperatureRange(low - ROOM, high + ROOM)
-        values = [(one - span.min) / (span.max - span.min) for one in shown]
-    images = {view.name: one for view, one in zip(views, values, strict=True)}
+        values = [(degC - span.min) / (span.max - span.min) for degC in shown]
+    images = {view.name: image for view, image in zip(views, values, strict=True)}
 
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)
@@ -116,7 +115,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
 
 def in_degC(view: View, scene: Scene) -> np.ndarray:
-    """Temperatures (H, W) of a view, °C."""
+    """Return temperatures (H, W) of a view, °C."""
     assert scene.temperature is not None
     low, high = scene.temperature.min, scene.temperature.max
     return low + (high - low) * view.thermal.mean(axis=2, dtype=np.float64)

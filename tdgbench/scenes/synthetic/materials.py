@@ -18,7 +18,7 @@ class Waves:
     count: int = 6
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Values (N,) at points (N, 3)."""
+        """Return values (N,) at points (N, 3)."""
         rng = np.random.default_rng(self.seed)
         directions = rng.normal(size=(self.count, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -36,7 +36,7 @@ class Spot:
     degC: float
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Temperature differences (N,) in °C at points (N, 3)."""
+        """Return the temperature differences (N,) in °C at points (N, 3)."""
         scaled = (points - np.array(self.center)) / np.array(self.size)
         return self.degC * np.exp(-0.5 * (scaled**2).sum(axis=1))
 
@@ -55,12 +55,12 @@ class Material:
     sharpness: float = 4.0
 
     def albedo(self, points: np.ndarray) -> np.ndarray:
-        """RGB (N, 3) in [0, 1] at points (N, 3)."""
+        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
         mix = 1 / (1 + np.exp(-self.sharpness * 4 * (self.pattern(points) - 0.5)))
         return mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
 
     def temperature(self, points: np.ndarray) -> np.ndarray:
-        """Temperatures (N,) in °C at points (N, 3)."""
+        """Return temperatures (N,) in °C at points (N, 3)."""
         pattern = self.degC_pattern * (self.pattern(points) - 0.5)
         return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
 
@@ -73,11 +73,11 @@ class Patches:
     materials: list[Material]  # (P,)
 
     def albedo(self, points: np.ndarray) -> np.ndarray:
-        """RGB (N, 3) in [0, 1] at points (N, 3)."""
+        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
         return self._each(points, Material.albedo, np.zeros((len(points), 3)))
 
     def temperature(self, points: np.ndarray) -> np.ndarray:
-        """Temperatures (N,) in °C at points (N, 3)."""
+        """Return temperatures (N,) in °C at points (N, 3)."""
         return self._each(points, Material.temperature, np.zeros(len(points)))
 
     def _each(

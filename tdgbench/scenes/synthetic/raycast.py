@@ -15,7 +15,7 @@ class Solid(Protocol):
     """A surface that rays can hit."""
 
     def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest t > 0 (N,) with origin (3,) + t · rays (N, 3) on the surface, inf if none; unit normals (N, 3)."""
+        """Return the smallest t > 0 (N,) with origin + t · rays (N, 3) on the surface, else inf; normals (N, 3)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Rectangle:
 
 
 @dataclass(frozen=True)
-class Box:
+class Cuboid:
     """A box turned by `yaw` (radians) about the vertical axis."""
 
     center: tuple[float, float, float]
@@ -115,7 +115,7 @@ class Hills:
     waves: tuple[tuple[float, float, float, float], ...]  # height in m, wave numbers in x and y in 1/m, phase
 
     def height(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """z (N,) at x, y (N,), and its slopes along them."""
+        """Return z (N,) at x, y (N,), and its slopes along them."""
         z, along_x, along_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
         for size, kx, ky, phase in self.waves:
             angle = kx * x + ky * y + phase

@@ -1,18 +1,48 @@
-"""Render one view of a world: RGB, temperature and depth per pixel."""
+"""A world of surfaces, and one view of it rendered: RGB, temperature and depth per pixel."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.synthetic.rig import Rig
-from tdgbench.scenes.synthetic.world import World
+from tdgbench.scenes.synthetic.capture import TrueRig
+from tdgbench.scenes.synthetic.materials import Material, Patches
+from tdgbench.scenes.synthetic.raycast import Solid
 
 AMBIENT = 0.35  # share of ambient light
 
 
+@dataclass(frozen=True)
+class World:
+    """Surfaces with materials, cameras, and the encoding of the thermal image. Lengths in m, z up."""
+
+    group: str  # of the paper's table, or empty
+    pseudo_color: bool
+    objects: Sequence[tuple[Solid, Material | Patches]]
+    cameras: Callable[[int, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]  # eye, target; in time order
+    temperatures: tuple[float, float]  # °C of the image values 0 and 1
+    focal: float  # × image width
+    light: tuple[float, float, float] = (0.4, 0.3, 0.85)
+    exposure: float = 1.0
+    point_share: float = 1.0  # of the requested number of sparse points
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)  # direction that is up in the images
+    length: float | None = None  # of what the cameras see, along x; None: no axis is longer than the others
+    degC_per_metre: float = 0.0  # along x, beside what the materials have
+
+    def with_gradient(self, degC: float) -> World:
+        """Return the world warmer by so much at the end of its length than at its start; itself if it has no length."""
+        if not degC or self.length is None:
+            return self
+        low, high = self.temperatures
+        widened = (low - abs(degC) / 2, high + abs(degC) / 2)
+        return replace(self, degC_per_metre=degC / self.length, temperatures=widened)
+
+
 def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """World-to-camera matrix (4, 4) of a camera at `eye` (3,) looking at `target` (3,); `up` is up in its image."""
+    """Return world to camera (4, 4) for a camera at `eye` (3,) looking at `target` (3,), with `up` up in its image."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -24,7 +54,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] 
 
 
 def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
+    """Cast rays: colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
     rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
     depth = np.full(len(pixels), np.inf)
@@ -51,15 +81,15 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
     return color, degC, depth
 
 
-def render(
-    world: World, camera: Camera, supersampling: int = 2, rig: Rig | None = None
+def render_world(
+    world: World, camera: Camera, supersampling: int = 2, rig: TrueRig | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, both area-sampled; depth z (H, W) in m at pixel centres.
+    """Render RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, area-sampled; depth z (H, W) in m at pixel centres.
 
     rig: seen by the thermal camera beside the given one. Raises SceneError for a lens that folds the image.
     """
-    rig = rig or Rig()
-    camera = rig.camera(camera) if rig != Rig() else camera
+    rig = rig or TrueRig()
+    camera = rig.camera(camera) if rig != TrueRig() else camera
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     corner = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
     shape = (camera.height, camera.width)

@@ -1,4 +1,4 @@
-"""Built-in scenes of a camera that moves along a surface and faces it, line after line, as in a survey.
+"""Synthetic scenes of a camera that moves along a surface and faces it, line after line, as in a survey.
 
 `field`: nadir flight over flat ground. `hills`: the same flight over undulating ground. `wall`: a camera along a wall.
 
@@ -15,8 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Patches, Spot, Waves
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Hills, Rectangle, Solid
-from tdgbench.scenes.synthetic.world import World
+from tdgbench.scenes.synthetic.raycast import Cuboid, Cylinder, Hills, Rectangle, Solid
+from tdgbench.scenes.synthetic.render import World
 
 GROUND = (  # pairs of colours
     ((0.36, 0.46, 0.22), (0.50, 0.55, 0.30)), ((0.52, 0.42, 0.30), (0.40, 0.31, 0.22)),
@@ -32,7 +32,7 @@ RELIEF = 0.15  # of the hills, highest to lowest, × HEIGHT
 
 
 def _lines(center: tuple[float, float, float], along: np.ndarray, across: np.ndarray, facing: np.ndarray):
-    """Cameras on parallel lines, one forth and the next one back, which all face one way.
+    """Return cameras on parallel lines, one forth and the next one back, which all face one way.
 
     center: of the lines. along: from there to the end of a line. across: to the outer lines. facing: to the surface.
     """
@@ -54,7 +54,7 @@ def _lines(center: tuple[float, float, float], along: np.ndarray, across: np.nda
 
 
 def _flight(seed: int, ground: Solid) -> World:
-    """A nadir flight over ground of patches, each with a temperature and a texture of its own."""
+    """Return a nadir flight over ground of patches, each with a temperature and a texture of its own."""
     rng = np.random.default_rng([seed, 7])
     columns, rows = np.meshgrid(np.arange(-5, 6), np.arange(-4, 5))
     sites = 5.5 * (np.stack([columns.ravel(), rows.ravel()], axis=1) + rng.uniform(-0.4, 0.4, (columns.size, 2)))
@@ -97,12 +97,12 @@ def _wall(seed: int) -> World:
     for row, z in enumerate((1.3, 3.0, 4.7)):
         for column in range(4):
             glass = Material(*GLASS, wave(2 + 10 * row + column, 1.8), rng.uniform(13.0, 19.0), 2.0)
-            objects.append((Box((2.1 * (column - 1.5), 0.0, z), (0.5, 0.08, 0.55)), glass))
+            objects.append((Cuboid((2.1 * (column - 1.5), 0.0, z), (0.5, 0.08, 0.55)), glass))
     for number, x in enumerate((-4.2, -0.2, 2.2)):
         pipe = Material(STEEL, GLASS[1], wave(40 + number, 1.5), rng.uniform(22.0, 27.0), 2.0)
         objects.append((Cylinder((x, -0.12, -3.0), 0.07, 12.0), pipe))
     cable = Material(STEEL, GLASS[0], wave(50, 1.5), 9.0, 1.5)
-    objects.append((Box((0.0, -0.04, 2.15), (40.0, 0.04, 0.04)), cable))
+    objects.append((Cuboid((0.0, -0.04, 2.15), (40.0, 0.04, 0.04)), cable))
     cameras = _lines((0, -4.0, 3.0), np.array([2.8, 0, 0]), np.array([0, 0, 1.4]), np.array([0, 4.0, 0]))
     return World("", False, objects, cameras, (4.0, 32.0), 0.95, (0.3, -0.8, 0.5), length=2 * 2.8 + 4.0 / 0.95)
 

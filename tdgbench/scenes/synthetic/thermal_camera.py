@@ -62,7 +62,7 @@ class ThermalErrors:
         '-gain0.05-agc'
         """
         numbers = (field for field in fields(self) if field.name != "encoding")
-        changed = [f"-{one.name}{getattr(self, one.name):g}" for one in numbers if getattr(self, one.name)]
+        changed = [f"-{option.name}{getattr(self, option.name):g}" for option in numbers if getattr(self, option.name)]
         return "".join(changed) + (f"-{self.encoding}" if self.encoding else "")
 
     @property
@@ -71,13 +71,13 @@ class ThermalErrors:
         return self.encoding or ("range" if self == ThermalErrors() else "degC")
 
     def walk(self, views: int, rng: np.random.Generator) -> np.ndarray:
-        """Offsets (views,) in °C of a camera that drifts; each closing of the shutter sets them back."""
+        """Return offsets (views,) in °C of a camera that drifts; each closing of the shutter sets them back."""
         return self.walk_degC * _walk(views, rng, self.shutter_views)
 
     def drawn(
         self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
     ) -> TrueCamera:
-        """The camera with these errors. size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
+        """Draw the camera. size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
 
         Each kind of error has random numbers of its own, so that one does not change with another.
         """
@@ -110,7 +110,7 @@ class TrueCamera:
     limits: np.ndarray | None = None  # (V, 2), shown as 0 and 255; None without automatic gain control
 
     def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
-        """What the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
+        """Return what the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
         seen = gaussian_filter(degC, self.blur_px, mode="nearest") if self.blur_px else degC
         shared = self.vignette + self.pattern
         response = seen + (self.gains[view] - 1) * (seen - self.reference) + shared
@@ -118,7 +118,7 @@ class TrueCamera:
 
 
 def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> np.ndarray:
-    """Radial polynomial (height, width): 0 at its centre, 1 at the corner of the image that is farthest from there.
+    """Return a radial polynomial (height, width): 0 at its centre, 1 at the image's corner that is farthest away.
 
     right, down: of its centre from the image's, shares of width and height.
 
@@ -133,13 +133,22 @@ def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> 
 
 
 def limits(degC: np.ndarray) -> tuple[float, float]:
-    """Temperatures that automatic gain control shows as 0 and 255, of an image (H, W)."""
+    """Return temperatures that automatic gain control shows as 0 and 255, of an image (H, W)."""
     low, high = np.percentile(degC, TAILS)
     return float(low), max(float(high), float(low) + 1e-3)
 
 
+def levels(degC: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return 8-bit values (H, W) of temperatures (H, W), 0 and 255 for `low` and `high`.
+
+    >>> levels(np.array([[9.0, 10.0, 15.0, 30.0]]), 10, 20)
+    array([[  0,   0, 128, 255]], dtype=uint8)
+    """
+    return np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)
+
+
 def _walk(views: int, rng: np.random.Generator, set_back: int = 0) -> np.ndarray:
-    """Smooth random walk (views,) of mean 0 and largest deviation 1. set_back: views after which it starts again."""
+    """Return a smooth random walk (views,) of mean 0, largest deviation 1. set_back: views after which it restarts."""
     curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))
     if set_back:
         curve = curve - curve[np.arange(views) // set_back * set_back]
@@ -149,7 +158,7 @@ def _walk(views: int, rng: np.random.Generator, set_back: int = 0) -> np.ndarray
 
 
 def _pattern(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
-    """Fixed pattern (height, width) of mean 0 and variance 1."""
+    """Return a fixed pattern (height, width) of mean 0 and variance 1."""
     columns, pixels = rng.normal(size=width), rng.normal(size=(height, width))
     pattern = np.sqrt(COLUMNS) * columns + np.sqrt(1 - COLUMNS) * pixels
     return pattern - pattern.mean()

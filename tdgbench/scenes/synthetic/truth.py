@@ -1,4 +1,4 @@
-"""The true thermal camera of a made scene, in files beside it that no reader of scenes opens."""
+"""The true thermal camera of a synthetic scene, in files beside it that no reader of scenes opens."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_array, read_json
-from tdgbench.scenes.synthetic.rig import Rig
+from tdgbench.scenes.synthetic.capture import TrueRig
 from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
 
 FOLDER = "camera"  # inside the scene's
@@ -26,7 +26,7 @@ class CameraTruth:
     camera: TrueCamera
 
     def index(self, names: list[str]) -> np.ndarray:
-        """Positions (N,) of views among the camera's."""
+        """Return positions (N,) of views among the camera's."""
         place = {name: number for number, name in enumerate(self.names)}
         return np.array([place[name] for name in names])
 
@@ -47,13 +47,13 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
 
 
 def read_truth(scene: Path) -> CameraTruth:
-    """The true camera of a made scene. Raises SceneError for a scene without one, or with damaged files.
+    """Read the true camera of a synthetic scene. Raises SceneError for a scene without one, or with damaged files.
 
     scene: its folder.
     """
     folder = scene / FOLDER
     if not is_there(folder):
-        raise SceneError(f"{scene} states no true thermal camera; made scenes do, if their camera has errors")
+        raise SceneError(f"{scene} states no true thermal camera; synthetic scenes do, if their camera has errors")
     maps = {name: read_array(folder / f"{name}.npy") for name in MAPS}
     try:
         content = read_json(folder / "camera.json")
@@ -68,24 +68,24 @@ def read_truth(scene: Path) -> CameraTruth:
             **maps,
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); make the scene again") from error
+        raise SceneError(f"{folder / 'camera.json'} is damaged ({error!r}); delete the scene's folder") from error
     return CameraTruth(list(views), camera)
 
 
-def write_rig(scene: Path, rig: Rig) -> None:
+def write_rig(scene: Path, rig: TrueRig) -> None:
     """Write `camera/rig.json`, beside the errors of the camera."""
     (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
 
 
-def read_rig(scene: Path) -> Rig:
-    """The true rig of a made scene. Raises SceneError for a scene without one, or with a damaged file.
+def read_rig(scene: Path) -> TrueRig:
+    """Read the true rig of a synthetic scene. Raises SceneError for a scene without one, or with a damaged file.
 
     scene: its folder.
     """
     path = scene / FOLDER / RIG
     if not is_there(path):
-        raise SceneError(f"{scene} states no rig; made scenes do, if their thermal camera is not the given one")
+        raise SceneError(f"{scene} states no rig; synthetic scenes do, if their thermal camera is not the given one")
     try:
-        return Rig(**read_json(path))
+        return TrueRig(**read_json(path))
     except (ValueError, TypeError) as error:
-        raise SceneError(f"{path} is damaged ({error!r}); make the scene again") from error
+        raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error

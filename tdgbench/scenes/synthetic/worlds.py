@@ -1,4 +1,4 @@
-"""The built-in scenes: one per group of the paper's table, and those of `surveys.py`.
+"""The synthetic scenes: one per group of the paper's table, and those of `surveys.py`.
 
 `orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
 with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal.
@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tdgbench.scenes.synthetic.materials import Material, Spot, Waves
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Rectangle, Solid, Sphere
+from tdgbench.scenes.synthetic.raycast import Cuboid, Cylinder, Rectangle, Solid, Sphere
+from tdgbench.scenes.synthetic.render import World
 from tdgbench.scenes.synthetic.surveys import SURVEYS
-from tdgbench.scenes.synthetic.world import World
 
 BRICK, MORTAR = (0.62, 0.30, 0.22), (0.72, 0.68, 0.62)
 WOOD, DARK_WOOD = (0.65, 0.47, 0.28), (0.38, 0.25, 0.14)
@@ -22,15 +22,15 @@ CERAMIC, GLAZE = (0.90, 0.88, 0.82), (0.25, 0.52, 0.45)
 PLASTER, STAIN = (0.78, 0.76, 0.70), (0.55, 0.52, 0.47)
 
 
-def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, centre_angle: float = 0.0):
-    """Cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
+def _ring(radius: float, height: float, target: tuple[float, float, float], arc: float, center_angle: float = 0.0):
+    """Return cameras on an arc (radians) about the vertical axis, at two alternating heights, looking at `target`."""
 
     def cameras(count: int, rng: np.random.Generator):
         whole = arc >= 2 * np.pi
         steps = np.arange(count) / (count if whole else max(count - 1, 1)) - (0.0 if whole else 0.5)
         result = []
         for i, step in enumerate(steps):
-            angle = centre_angle + arc * step
+            angle = center_angle + arc * step
             eye = np.array([np.cos(angle), np.sin(angle), 0]) * radius
             eye[2] = height * (1.0 + 0.25 * (i % 2)) + rng.normal(0, 0.02)
             result.append((eye + np.array([target[0], target[1], 0]), np.array(target)))
@@ -40,7 +40,7 @@ def _ring(radius: float, height: float, target: tuple[float, float, float], arc:
 
 
 def _grid(distance: float, half_width: float, half_height: float, height: float):
-    """Cameras on a wavy grid in front of a wall at y = 0, looking along +y."""
+    """Return cameras on a wavy grid in front of a wall at y = 0, looking along +y."""
 
     def cameras(count: int, rng: np.random.Generator):
         columns = int(np.ceil(np.sqrt(count * half_width / half_height)))
@@ -70,7 +70,7 @@ def _orbit(seed: int) -> World:
             Material(WOOD, DARK_WOOD, wave(3, 1.5), 20.0, 2.5, spots=(Spot((0.5, 0.2, 0.5), (0.4, 0.4, 0.4), 9.0),)),
         ),
         (
-            Box((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
+            Cuboid((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
             Material(STEEL, PAINT, wave(4, 2.0), 29.0, 3.0, spots=(Spot((-0.35, 0.1, 0.9), (0.2, 0.2, 0.2), 8.0),)),
         ),
         (Sphere((0.45, 0.25, 0.78), 0.28), Material(CERAMIC, GLAZE, wave(5, 2.0), 40.0, 2.0, -6.0)),
@@ -93,7 +93,7 @@ def _night(seed: int) -> World:
             Material(BRICK, MORTAR, wave(3, 1.2), 11.0, 2.5, 0.8, (leak,)),
         ),
         (
-            Box((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
+            Cuboid((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
             Material(PAINT, STEEL, wave(4, 1.4), 18.0, 2.5, spots=(Spot((-0.5, 0.5, 0.6), (0.4, 0.4, 0.3), 16.0),)),
         ),
         (Cylinder((0.9, 0.6, 0.0), 0.35, 1.3), Material(STEEL, STAIN, wave(5, 1.6), 24.0, 2.0, 5.0)),
@@ -116,8 +116,8 @@ def _turntable(seed: int) -> World:
             Material(STEEL, STAIN, wave(3, 1.8), 38.0, 2.0, 9.0, (Spot((0.4, 0.3, 0.2), (0.3, 0.3, 0.2), 8.0),)),
         ),
         (Sphere((0.0, 0.0, 0.95), 0.38), Material(CERAMIC, GLAZE, wave(4, 1.6), 33.0, 4.0)),
-        (Box((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
-        (Box((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
+        (Cuboid((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
+        (Cuboid((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
     ]  # fmt: skip
     return World("360", False, objects, _ring(2.8, 1.4, (0, 0, 0.5), 2 * np.pi), (14.0, 50.0), 0.95)
 
@@ -132,8 +132,8 @@ def _facade(seed: int) -> World:
     window = Material((0.25, 0.32, 0.38), (0.45, 0.52, 0.58), wave(2, 1.2), 17.0, 2.0, 0.8)
     objects: list[tuple[Solid, Material]] = [
         (Rectangle((0, 0.0, 1.8), (6.0, 0, 0), (0, 0, 4.0)), wall),
-        (Box((-0.7, 0.0, 2.1), (0.45, 0.12, 0.6)), window),
-        (Box((0.6, -0.05, 1.2), (0.4, 0.25, 0.35)), Material(STEEL, PAINT, wave(3, 1.6), 24.0, 3.0, 3.0)),
+        (Cuboid((-0.7, 0.0, 2.1), (0.45, 0.12, 0.6)), window),
+        (Cuboid((0.6, -0.05, 1.2), (0.4, 0.25, 0.35)), Material(STEEL, PAINT, wave(3, 1.6), 24.0, 3.0, 3.0)),
         (Cylinder((1.35, -0.5, 0.2), 0.16, 2.0), Material(STEEL, STAIN, wave(4, 1.6), 30.0, 2.0, -3.0)),
         (Sphere((-0.35, -0.6, 0.85), 0.25), Material(CERAMIC, GLAZE, wave(5, 1.8), 8.0, 2.0, 2.0)),
     ]

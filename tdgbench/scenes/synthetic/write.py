@@ -1,24 +1,30 @@
-"""Write a world as a scene on disk, in the RGBT-Scenes layout with a COLMAP model, true depth and true temperatures."""
+"""Write a world as a scene on disk, in the RGBT-Scenes layout with a COLMAP model, true depth and true temperatures.
+
+Thermal files are 8 bits of the world's range, float TIFF in °C, or 8 bits of each image's own range.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from PIL import Image
 
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.scene import Camera, PointCloud
-from tdgbench.scenes.synthetic.capture import CaptureErrors
-from tdgbench.scenes.synthetic.render import look_at, render
-from tdgbench.scenes.synthetic.rig import Rig
-from tdgbench.scenes.synthetic.thermal_files import ThermalFiles
+from tdgbench.scenes.synthetic.capture import CaptureErrors, TrueRig
+from tdgbench.scenes.synthetic.render import World, look_at, render_world
+from tdgbench.scenes.synthetic.thermal_camera import Encoding, TrueCamera, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
-from tdgbench.scenes.synthetic.world import World
+from tdgbench.scenes.temperature import FILE
 
+PALETTE = "inferno"
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
 POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
@@ -36,7 +42,7 @@ class Shot:
     errors: CaptureErrors
 
     def cameras(self, world: World, rng: np.random.Generator) -> list[Camera]:
-        """The true cameras."""
+        """Return the true cameras."""
         focal = world.focal * self.width
         K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
         poses = (look_at(eye, target, world.up) for eye, target in world.cameras(self.views, rng))
@@ -63,10 +69,10 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
         names, images = [], []
         for index, place in enumerate(cameras):
             name = f"view{index:03d}"
-            rgb, degC, depth = render(world, place)
+            rgb, degC, depth = render_world(world, place)
             surface = depth
-            if shot.errors.rig != Rig():
-                _, degC, depth = render(world, place, rig=shot.errors.rig)
+            if shot.errors.rig != TrueRig():
+                _, degC, depth = render_world(world, place, rig=shot.errors.rig)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
             Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
             noise = rng.normal(0, shot.errors.noise_degC, degC.shape)
@@ -82,7 +88,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
         camera = thermal.finish(camera)
         if shot.errors.has_truth:
             write_truth(part, CameraTruth(names, camera))
-        if shot.errors.rig != Rig():
+        if shot.errors.rig != TrueRig():
             write_rig(part, shot.errors.rig)
         try:
             part.replace(folder)
@@ -94,7 +100,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
 
 
 def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> PointCloud:
-    """Points like those of structure from motion: visible surface points with noise, and outliers.
+    """Return points like those of structure from motion: visible surface points with noise, and outliers.
 
     images: (RGB (H, W, 3), depth (H, W)) of each camera.
     """
@@ -115,3 +121,47 @@ def _sparse_points(cameras, images, count: int, rng: np.random.Generator) -> Poi
     low, high = np.percentile(cloud, [5, 95], axis=0)
     cloud[outlier] = rng.uniform(low, high, (int(outlier.sum()), 3))
     return PointCloud(cloud, color.astype(np.float32))
+
+
+class ThermalFiles:
+    """Writes thermal/ and temperature.json of a scene, view by view.
+
+    With °C, the range in temperature.json is the world's, widened to all values that the camera shows. With automatic
+    gain control there is none.
+    """
+
+    def __init__(self, folder: Path, world: World, encoding: Encoding) -> None:
+        self.folder, self.world, self.encoding = folder, world, encoding
+        self.low, self.high = world.temperatures
+        self.limits: list[tuple[float, float]] = []
+        (folder / "thermal").mkdir()
+
+    def view(self, name: str, degC: np.ndarray) -> None:
+        """Write what the camera shows, (H, W) in °C."""
+        if self.encoding == "degC":
+            self.low, self.high = min(self.low, math.floor(degC.min())), max(self.high, math.ceil(degC.max()))
+            tiff = self.folder / "thermal" / f"{name}.tiff"
+            Image.fromarray(degC.astype(np.float32)).save(tiff, compression="tiff_deflate")
+            return
+        image = thermal_image(degC, self.world)
+        if self.encoding == "agc":
+            self.limits.append(limits(degC))
+            image = levels(degC, *self.limits[-1])
+        Image.fromarray(image).save(self.folder / "thermal" / f"{name}.png")
+
+    def finish(self, camera: TrueCamera) -> TrueCamera:
+        """Write temperature.json; return the camera with the limits of its gain control."""
+        if self.encoding == "agc":
+            return replace(camera, limits=np.array(self.limits))
+        content = {"unit": "degC", "min": self.low, "max": self.high}
+        (self.folder / FILE).write_text(json.dumps(content), encoding="utf-8")
+        return camera
+
+
+def thermal_image(degC: np.ndarray, world: World) -> np.ndarray:
+    """Return 8-bit image (H, W) or (H, W, 3) of temperatures (H, W) in °C."""
+    level = levels(degC, *world.temperatures)
+    if not world.pseudo_color:
+        return level
+    palette = np.round(matplotlib.colormaps[PALETTE](np.arange(256))[:, :3] * 255).astype(np.uint8)
+    return palette[level]

@@ -18,7 +18,7 @@ from tdgbench.tables.claims.evidence import (
     FAILS,
     HOLDS,
     UNDECIDED,
-    Evidence,
+    ClaimEvidence,
     Finding,
     MissingError,
     evidence_of,
@@ -31,7 +31,7 @@ __all__ = [
     "evidence_of", "load_claims",
 ]  # fmt: skip
 
-Check = Callable[[dict[str, Any], Evidence], Finding]
+Check = Callable[[dict[str, Any], ClaimEvidence], Finding]
 OF_TABLES: tuple[Check, ...] = (
     main_table.relative_gain,
     main_table.averages,
@@ -56,7 +56,7 @@ CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_
 
 
 def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
-    """The claims. Raises ValueError for a claim without id, words, a known check, known quantities or their reason."""
+    """Load the claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
     claims: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for claim in claims:
         name = claim.get("id", "?")
@@ -73,7 +73,7 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
     return claims
 
 
-def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
+def check_claim(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
@@ -89,8 +89,8 @@ def check_claim(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(found.verdict, "; ".join(part for part in parts if part))
 
 
-def check_all(claims: list[dict[str, Any]], published: Evidence, ours: Evidence | None) -> pd.DataFrame:
-    """One row per claim: id, said, where, and for the published table and for ours the verdict and its grounds."""
+def check_all(claims: list[dict[str, Any]], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
+    """Return one row per claim: id, said, where, and for the published table and for ours verdict and grounds."""
     rows = []
     for claim in claims:
         row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}

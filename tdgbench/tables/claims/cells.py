@@ -1,7 +1,7 @@
 """Checks that compare trained cells pair by pair. Where the paper prints no such number, only our results decide.
 
-Each gain has its 95 % interval (`pairs.interval`) and is judged against the claim's margin (`pairs.judge`). Gains at
-different numbers of iterations are judged apart.
+Each gain has its 95 % interval (`pairs.gain_interval`) and is judged against the claim's margin (`pairs.judge_gain`).
+Gains at different numbers of iterations are judged apart.
 """
 
 from __future__ import annotations
@@ -16,21 +16,30 @@ from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims import main_table
 from tdgbench.tables.claims.evidence import (
     UNDECIDED,
-    Evidence,
+    ClaimEvidence,
     Finding,
     MissingError,
     as_published,
     published_lengths,
 )
-from tdgbench.tables.claims.pairs import Interval, Pair, Side, all_of, counted, interval, judge, make_pairs
+from tdgbench.tables.claims.pairs import (
+    Interval,
+    Pair,
+    Side,
+    all_of,
+    counts_in_words,
+    gain_interval,
+    judge_gain,
+    make_pairs,
+)
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 
 COLMAP = "colmap"
 Claim = dict[str, Any]
 
 
-def better(claim: Claim, evidence: Evidence) -> Finding:
-    """Each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
+def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check that each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
 
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
     their ratio (0.1: 10 % less). Combinations without pairs do not count.
@@ -39,10 +48,10 @@ def better(claim: Claim, evidence: Evidence) -> Finding:
     return _compare(claim, evidence, sides)
 
 
-def better_average(claim: Claim, evidence: Evidence) -> Finding:
-    """The paper's method beats its baseline in the mean of each of `metrics`: as printed, or over pairs of cells."""
+def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check that the paper's method beats its baseline in the mean of each of `metrics`, as printed or over cells."""
     if evidence.printed:
-        return main_table.better_average(claim, evidence)
+        return main_table.average_gains(claim, evidence)
     _need_cells(claim, evidence)
     new, old = (
         {(cell.setup, cell.record.seed): cell for cell in as_published(evidence.cells) if cell.record.method == m}
@@ -55,8 +64,8 @@ def better_average(claim: Claim, evidence: Evidence) -> Finding:
     return all_of(found)
 
 
-def better_init(claim: Claim, evidence: Evidence) -> Finding:
-    """For each of `methods` the points named by `better` (colmap or random) beat the others.
+def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check that for each of `methods` the points named by `better` (colmap or random) beat the others.
 
     Each kind of random points is judged apart. margins: as in `better`.
     """
@@ -70,15 +79,15 @@ def better_init(claim: Claim, evidence: Evidence) -> Finding:
     return _compare(claim, evidence, sides)
 
 
-def random_fails(claim: Claim, evidence: Evidence) -> Finding:
-    """From random points every one of `methods` loses at least `drop` dB of PSNR: as printed, or pair by pair."""
+def random_fails(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check that all `methods` lose at least `drop` dB of PSNR from random points: as printed, or pair by pair."""
     if evidence.printed:
         return main_table.ablation_drop(claim, evidence)
     return better_init({**claim, "better": COLMAP, "margins": {"psnr": claim["drop"]}}, evidence)
 
 
-def attributed(claim: Claim, evidence: Evidence) -> Finding:
-    """Depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
+def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check that depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
 
     A chain of changes leads from MSMG at its longest to TDg at its shortest, and their logarithms add up: fewer
     iterations (MSMG at TDg's length), no RGB model (splat_smooth, which also weighs its loss by 1 and uses the
@@ -90,18 +99,20 @@ def attributed(claim: Claim, evidence: Evidence) -> Finding:
         raise MissingError("no cells of tdg, splat_smooth (TDg without depth) and msmg on one machine")
     scenes = [scene for scene, _ in links]
     chain = np.array([link for _, link in links])
-    total = interval(scenes, chain.sum(axis=1))
-    times = f"time TDg / MSMG {_ratio(total)}, {counted(total)}"
+    total = gain_interval(scenes, chain.sum(axis=1))
+    times = f"time TDg / MSMG {_ratio(total)}, {counts_in_words(total)}"
     if total.low <= 0:
         return Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
     named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
-    shares = [f"{name} {100 * interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()]
-    depth = interval(scenes, chain[:, 2])
+    shares = [
+        f"{name} {100 * gain_interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()
+    ]
+    depth = gain_interval(scenes, chain[:, 2])
     grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio(depth)}"
-    return Finding(judge(interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), grounds)
+    return Finding(judge_gain(gain_interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), grounds)
 
 
-def _need_cells(claim: Claim, evidence: Evidence) -> None:
+def _need_cells(claim: Claim, evidence: ClaimEvidence) -> None:
     """Raise MissingError without cells."""
     if evidence.printed:
         raise MissingError(f"the paper prints no {claim.get('unprinted', 'such number')}")
@@ -109,7 +120,7 @@ def _need_cells(claim: Claim, evidence: Evidence) -> None:
         raise MissingError("no cells of ours")
 
 
-def _compare(claim: Claim, evidence: Evidence, sides: Sequence[tuple[Side, Side]]) -> Finding:
+def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, Side]]) -> Finding:
     _need_cells(claim, evidence)
     found = []
     for mine, other in sides:
@@ -125,7 +136,7 @@ def _compare(claim: Claim, evidence: Evidence, sides: Sequence[tuple[Side, Side]
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]) -> list[Finding]:
-    """The finding on one quantity of pairs with equal iterations; none where no pair has it."""
+    """Return the finding on one quantity of pairs with equal iterations; none where no pair has it."""
     if quantity.timed:
         pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
     both = [(pair, numbers) for pair in pairs if (numbers := quantity.of(*pair, claim)) is not None]
@@ -135,20 +146,20 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
         return []
     scenes = [pair.mine.scene for pair, _ in both]
     if quantity.ratio:
-        gain = interval(scenes, [float(np.log(b / a)) for _, (a, b) in both])
-        verdict, between, value = judge(gain, float(-np.log1p(-margin))), "/", _ratio(gain)
+        gain = gain_interval(scenes, [float(np.log(b / a)) for _, (a, b) in both])
+        verdict, between, value = judge_gain(gain, float(-np.log1p(-margin))), "/", _ratio(gain)
     else:
         sign = 1 if quantity.higher else -1
-        gain = interval(scenes, [sign * (a - b) for _, (a, b) in both])
-        verdict, between, value = judge(gain, margin), "−", _difference(gain, sign, quantity)
+        gain = gain_interval(scenes, [sign * (a - b) for _, (a, b) in both])
+        verdict, between, value = judge_gain(gain, margin), "−", _difference(gain, sign, quantity)
     mine, other = (Side(cell.record.method, cell.record.init) for cell in both[0][0])
     names = f"{_name(mine, other)} {between} {_name(other, mine)}"
     lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.budget for cell in both[0][0]))
-    return [Finding(verdict, f"{quantity.label}, {names} at {lengths}: {value}, {counted(gain)}")]
+    return [Finding(verdict, f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}")]
 
 
 def _name(side: Side, other: Side) -> str:
-    """The method; where both sides are one method, with its first points."""
+    """Return the method; where both sides are one method, with its first points."""
     return side.method if side.method != other.method else f"{side.method} from {side.init}"
 
 
@@ -164,7 +175,7 @@ def _difference(gain: Interval, sign: int, quantity: Quantity) -> str:
 
 
 def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
-    """Scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
+    """Return scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
     times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
     longest = {setup: length for (method, setup), length in published_lengths(cells).items() if method == "msmg"}
     for cell in cells:

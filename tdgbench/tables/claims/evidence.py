@@ -33,7 +33,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ClaimEvidence:
     """A main table (method, dataset, group, scene, metric, value, bold) and an ablation (method, init, metric, value).
 
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
@@ -55,12 +55,12 @@ class Evidence:
 
     @property
     def is_of_paper(self) -> bool:
-        """Whether the main table has the paper's scenes and no others."""
+        """True if the main table has the paper's scenes and no others."""
         return set(self.main["dataset"]) - {""} <= set(DATASETS.values())
 
 
-def evidence_of(experiments: Iterable[Path]) -> Evidence:
-    """Our evidence: every cell of the experiments that has scores.
+def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
+    """Return our evidence: every cell of the experiments that has scores.
 
     Cells with overrides of a method's or a prior's settings do not count: they are not the method as its YAML has it.
     Cells whose prior is made from the sparse points, which come from RGB images, do not: TDg has thermal images alone.
@@ -75,11 +75,11 @@ def evidence_of(experiments: Iterable[Path]) -> Evidence:
     chosen = as_published(cells)
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
     rows = scene_rows([replace(cell.record, variant="") for cell in chosen], plan)
-    return Evidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
+    return ClaimEvidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
 
 
 def as_published(cells: Sequence[Cell]) -> list[Cell]:
-    """The cells of the main table: the paper's methods from COLMAP points, at the lengths of `published_lengths`.
+    """Return the cells of the main table: the paper's methods from COLMAP points, at `published_lengths`.
 
     Only setups and seeds that both methods have count.
     """
@@ -94,7 +94,7 @@ def as_published(cells: Sequence[Cell]) -> list[Cell]:
 
 
 def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
-    """By method and setup: the fewest iterations of the paper's method, and the most of its baseline.
+    """Return, by method and setup, the fewest iterations of the paper's method and the most of its baseline.
 
     The paper has 10 000 and 30 000.
     """
@@ -114,7 +114,7 @@ def _is_plain(record: Record) -> bool:
 
 
 def _lengths(cells: Sequence[Cell]) -> str:
-    """`4 scenes; TDg at 1000, MSMG at 3000 iterations`; empty without cells."""
+    """Return `4 scenes; TDg at 1000, MSMG at 3000 iterations`; empty without cells."""
     if not cells:
         return ""
     parts = []

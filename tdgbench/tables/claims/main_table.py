@@ -11,13 +11,13 @@ import pandas as pd
 
 from tdgbench.tables import measures, methods
 from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, Evidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
-from tdgbench.tables.published import half_unit
+from tdgbench.tables.published import printed_half_unit
 from tdgbench.tables.results import with_bold
 
 
-def _value(evidence: Evidence, method: str, scene: str, metric: str) -> float:
+def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
     table = evidence.main
     chosen = (table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)
     values = table[chosen]["value"].dropna()
@@ -26,41 +26,41 @@ def _value(evidence: Evidence, method: str, scene: str, metric: str) -> float:
     return float(values.iloc[0])
 
 
-def _pair(evidence: Evidence, scene: str, metric: str) -> tuple[float, float]:
-    """The value of the paper's method, and its baseline's."""
+def _pair(evidence: ClaimEvidence, scene: str, metric: str) -> tuple[float, float]:
+    """Return the value of the paper's method, and its baseline's."""
     new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
     return new, old
 
 
 def _labels() -> tuple[str, str]:
-    """The paper's method and its baseline, as they are printed."""
+    """Return the paper's method and its baseline, as they are printed."""
     new, old = (methods.label(method) for method in methods.paper_pair())
     return new, old
 
 
-def _tolerance(evidence: Evidence, metric: str, scene: str) -> float:
-    """How far a value may be from what was printed."""
+def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
+    """Return how far a value may be from what was printed."""
     return measures.half_unit(metric, scene) if evidence.printed else 0.0
 
 
 def _gain(new: float, old: float, metric: str) -> float:
-    """By how many percent the new value is better."""
+    """Return by how many percent the new value is better."""
     return measures.measure(metric).sign * 100 * (new - old) / old
 
 
-def _gain_range(evidence: Evidence, metric: str, new: float, old: float) -> tuple[float, float]:
-    """The least and the greatest gain that the printed numbers allow."""
+def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) -> tuple[float, float]:
+    """Return the least and the greatest gain that the printed numbers allow."""
     tolerance = _tolerance(evidence, metric, OVERALL)
     gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
     return min(gains), max(gains)
 
 
-def relative_gain(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The average of `metric` is `percent` better."""
+def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
     low, high = _gain_range(evidence, metric, new, old)
-    half = half_unit(percent)
+    half = printed_half_unit(percent)
     fits = low <= float(percent) + half and high >= float(percent) - half
     places = digits(metric, OVERALL)
     grounds = f"{old:.{places}f} → {new:.{places}f} is {_gain(new, old, metric):+.3f} %"
@@ -69,41 +69,43 @@ def relative_gain(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def averages(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The averages of `metric` are those that the claim gives by method."""
+def averages(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
     values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
-    fits = all(abs(value - float(claim[method])) <= half_unit(claim[method]) for method, value in values.items())
+    fits = all(
+        abs(value - float(claim[method])) <= printed_half_unit(claim[method]) for method, value in values.items()
+    )
     grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def better_average(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The paper's method is better in the average of each of `metrics`."""
+def average_gains(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
     return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
 
 
-def minutes_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """Training takes `minutes` less on average."""
+def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that training takes `minutes` less on average."""
     _of_paper(evidence)
     new, old = _pair(evidence, evidence.overall, HOURS.name)
-    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + half_unit(claim["minutes"])
+    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim["minutes"])
     saved = 60 * (old - new)
     return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
 
 
-def percent_saved(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """Training takes `percent` less time on average."""
+def percent_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that training takes `percent` less time on average."""
     new, old = _pair(evidence, evidence.overall, HOURS.name)
     low, high = _gain_range(evidence, HOURS.name, new, old)
-    half = half_unit(claim["percent"])
+    half = printed_half_unit(claim["percent"])
     fits = low <= float(claim["percent"]) + half and high >= float(claim["percent"]) - half
     return Finding(HOLDS if fits else FAILS, f"{_gain(new, old, HOURS.name):.1f} %")
 
 
-def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
+def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
     single = evidence.main[~evidence.main["scene"].isin((AVERAGE, OVERALL))]
     if dataset is not None:
         single = single[single["dataset"] == dataset]
@@ -113,8 +115,8 @@ def _scenes(evidence: Evidence, dataset: str | None) -> list[str]:
     return scenes
 
 
-def better_scenes(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
+def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
     exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
         for metric, found in exceptions.items():
@@ -126,24 +128,24 @@ def better_scenes(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
 
-def better_mostly(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The paper's method is better in more than half of all scenes × metrics. Equal (printed) values are no gain."""
+def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
     better, equal, total = _wins(claim, evidence)
     grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
     by_metric = ", ".join(f"{metric} {sum(m == metric for _, m in better)}" for metric in claim["metrics"])
     return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
-def mixed(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """Each method is better somewhere among the data set's scenes × metrics."""
+def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that each method is better somewhere among the data set's scenes × metrics."""
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
     counts = f"better in {len(better)}, worse in {worse}, equal in {len(equal)}"
     return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_labels()[0]} is {counts}")
 
 
-def within(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """At every scene of `dataset` the two methods differ by at most `most`."""
+def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that at every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
     for scene in _scenes(evidence, claim["dataset"]):
         new, old = _pair(evidence, scene, claim["metric"])
@@ -155,8 +157,8 @@ def within(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if over else HOLDS, grounds)
 
 
-def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """Every method of the ablation loses at least `drop` dB of PSNR from random points."""
+def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that every method of the ablation loses at least `drop` dB of PSNR from random points."""
     drops = {}
     for method in claim["methods"]:
         by_init = _by_init(evidence, method, "psnr")
@@ -167,8 +169,8 @@ def ablation_drop(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, grounds)
 
 
-def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The ablation's numbers from COLMAP points are the main table's averages over all scenes."""
+def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the ablation's numbers from COLMAP points are the main table's averages over all scenes."""
     if not evidence.printed:
         raise MissingError("our tables are made of the same cells")
     off = []
@@ -180,8 +182,8 @@ def ablation_agrees(claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else "the same in both tables")
 
 
-def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The averages are those of the rows."""
+def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the averages are those of the rows."""
     table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
     rounding = [
         _tolerance(evidence, metric, scene) for metric, scene in zip(table["metric"], table["scene"], strict=True)
@@ -198,8 +200,8 @@ def averages_follow(_claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else f"all {len(found)} follow, within rounding")
 
 
-def bold_follows(_claim: dict[str, Any], evidence: Evidence) -> Finding:
-    """The better value of each row is bold."""
+def bold_follows(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+    """Check that the better value of each row is bold."""
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
     marked = table["metric"].isin(PUBLISHED)
@@ -208,14 +210,14 @@ def bold_follows(_claim: dict[str, Any], evidence: Evidence) -> Finding:
     return Finding(FAILS if places else HOLDS, ", ".join(places) if places else "every mark follows")
 
 
-def _of_paper(evidence: Evidence) -> None:
+def _of_paper(evidence: ClaimEvidence) -> None:
     """Raise MissingError unless the evidence is of the paper's scenes, which the claimed number is for."""
     if not evidence.is_of_paper:
         raise MissingError("a number for the paper's scenes, which these are not")
 
 
-def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
-    """Scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
+def _wins(claim: dict[str, Any], evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
+    """Return scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
     better, equal, total = [], [], 0
     for scene in _scenes(evidence, claim["dataset"]):
         for metric in claim["metrics"]:
@@ -228,8 +230,8 @@ def _wins(claim: dict[str, Any], evidence: Evidence) -> tuple[list[tuple[str, st
     return better, equal, total
 
 
-def _by_init(evidence: Evidence, method: str, metric: str) -> pd.Series:
-    """The ablation's values by init. Raises MissingError without an ablation."""
+def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
+    """Return the ablation's values by init. Raises MissingError without an ablation."""
     if evidence.ablation is None:
         raise MissingError("no ablation over the first points")
     table = evidence.ablation

@@ -40,7 +40,7 @@ class Interval(NamedTuple):
 
 
 def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
-    """Cells with equal scene, data, split, seed, setup and iterations.
+    """Return cells with equal scene, data, split, seed, setup and iterations.
 
     A cell that two experiments hold counts once, as the first has it.
     """
@@ -54,13 +54,13 @@ def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
     return [Pair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
 
 
-def interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
-    """Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
+def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
+    """Return Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
 
     Each scene counts once, by the mean of its pairs, so that seeds do not count as scenes. With one scene the interval
     is over its pairs and does not extend to other scenes.
 
-    >>> interval([("a", "x"), ("a", "x"), ("a", "y")], [1.0, 3.0, 4.0]).mean
+    >>> gain_interval([("a", "x"), ("a", "x"), ("a", "y")], [1.0, 3.0, 4.0]).mean
     3.0
     """
     values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(scenes)), dtype=float)
@@ -73,15 +73,15 @@ def interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Inter
     return Interval(mean, mean - half, mean + half, len(values), len(by_scene))
 
 
-def judge(gain: Interval, margin: float) -> str:
-    """The verdict on a claimed gain. margin: the least gain that the claim's words allow.
+def judge_gain(gain: Interval, margin: float) -> str:
+    """Return the verdict on a claimed gain. margin: the least gain that the claim's words allow.
 
     - `fails`: the whole interval lies below the margin; the gain is negative, or too small for the words.
     - `holds`: the whole interval lies on the claimed side of 0, and the mean is not below the margin. With a negative
       margin (the claim allows so much loss) the whole interval lies above the margin.
     - `undecided`: anything else, and always with one pair.
 
-    >>> judge(Interval(0.5, low=0.4, high=0.6, pairs=4, scenes=4), margin=0.2)
+    >>> judge_gain(Interval(0.5, low=0.4, high=0.6, pairs=4, scenes=4), margin=0.2)
     'holds'
     """
     if gain.high <= margin:
@@ -90,7 +90,7 @@ def judge(gain: Interval, margin: float) -> str:
 
 
 def all_of(findings: Sequence[Finding]) -> Finding:
-    """One finding of several parts: `holds` where all hold, `fails` where any fails.
+    """Return one finding of several parts: `holds` where all hold, `fails` where any fails.
 
     Each part's interval covers 95 % by itself, so a false `fails` becomes likelier with the number of parts.
     """
@@ -103,10 +103,10 @@ def all_of(findings: Sequence[Finding]) -> Finding:
     return Finding(verdict, "; ".join(parts))
 
 
-def counted(gain: Interval) -> str:
-    """The numbers of pairs and scenes.
+def counts_in_words(gain: Interval) -> str:
+    """Return the numbers of pairs and scenes.
 
-    >>> counted(Interval(0.5, 0.4, 0.6, pairs=12, scenes=4))
+    >>> counts_in_words(Interval(0.5, 0.4, 0.6, pairs=12, scenes=4))
     '12 pairs in 4 scenes'
     """
     one = "one pair has no interval; " if not np.isfinite(gain.low) else ""

@@ -1,4 +1,7 @@
-"""Quantities that two cells are compared in: scores, times, counts, and numbers from training logs."""
+"""Quantities that two cells are compared in: scores, times, counts, and numbers from training logs.
+
+Those of logs are the time until a level of PSNR, and the effect of switching the depth loss off.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell
-from tdgbench.tables.claims.training import loss_rise, progress, psnr_drop
 from tdgbench.tables.measures import measure
 
 Claim = dict[str, Any]
@@ -63,7 +66,7 @@ def _overfit(cell: Cell, _claim: Claim) -> float | None:
 
 
 def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
-    """Geometric mean of the depth consistency over the views that have one in both cells.
+    """Return the geometric mean of the depth consistency over the views that have one in both cells.
 
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
@@ -96,6 +99,69 @@ def _metric(metric: str) -> Quantity:
     return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
 
+def time_to_level(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
+    """Return iterations (or seconds) until each run first has one level of training PSNR.
+
+    The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
+    or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
+    """
+    logs = mine.log(), other.log()
+    if logs[0] is None or logs[1] is None:
+        return None
+    curves = [log["train_psnr"] for log in logs if log is not None]
+    start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
+    if best <= start:
+        return None
+    level = start + claim["level"] * (best - start)
+    return first_at(logs[0], level, column), first_at(logs[1], level, column)
+
+
+def first_at(log: pd.DataFrame, level: float, column: str) -> float:
+    """Return the column's value where train_psnr first has the level, linear between lines. Raises ValueError if never.
+
+    >>> log = pd.DataFrame({"train_psnr": [10.0, 20.0], "iteration": [0, 100]})
+    >>> first_at(log, 15.0, "iteration")
+    50.0
+    """
+    psnr, along = log["train_psnr"].to_numpy(), log[column].to_numpy(float)
+    reached = np.flatnonzero(psnr >= level)
+    if not len(reached):
+        raise ValueError(f"training PSNR never reaches {level:.2f} dB; it ends at {psnr[-1]:.2f} dB")
+    i = int(reached[0])
+    if i == 0:
+        return float(along[0])
+    return float(np.interp(level, psnr[i - 1 : i + 1], along[i - 1 : i + 1]))
+
+
+def psnr_drop(cell: Cell, claim: dict[str, Any]) -> float | None:
+    """Return the fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
+    windows = _around_switch(cell, claim["window"], "train_psnr")
+    return None if windows is None else float(windows[0].mean() - windows[1].min())
+
+
+def loss_rise(cell: Cell, claim: dict[str, Any]) -> float | None:
+    """Return the rise of the thermal loss at the switch: its highest value after, over its mean before."""
+    windows = _around_switch(cell, claim["window"], "loss_thermal")
+    return None if windows is None else float(windows[1].max() / windows[0].mean())
+
+
+def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, pd.Series] | None:
+    """Return the log's column just before and after the depth loss ends. window: share of iterations on each side.
+
+    None without a log, without an end of the depth loss, or with an empty window.
+    """
+    log = cell.log()
+    share = cell.record.setting("method.method.decay_end")
+    if log is None or not isinstance(share, int | float) or column not in log:
+        return None
+    expected = cell.record.setting("budget.expected_iterations")
+    length = min(cell.budget, expected) if isinstance(expected, int) else cell.budget
+    switch, width = int(share * length), window * length
+    before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]
+    after = log.loc[log["iteration"].between(switch, switch + width), column]
+    return (before, after) if len(before) and len(after) else None
+
+
 QUANTITIES: dict[str, Quantity] = {
     **{metric: _metric(metric) for metric in METRICS},
     "lpips": Quantity("lpips", _of_each(partial(_score, metric="lpips")), ratio=True),
@@ -108,8 +174,10 @@ QUANTITIES: dict[str, Quantity] = {
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
     "gaussians": Quantity("Gaussians at the end", _of_each(_gaussians), ratio=True),
-    "iterations_to_level": Quantity("iterations to the level", partial(progress, column="iteration"), ratio=True),
-    "seconds_to_level": Quantity("seconds to the level", partial(progress, column="seconds"), ratio=True, timed=True),
+    "iterations_to_level": Quantity("iterations to the level", partial(time_to_level, column="iteration"), ratio=True),
+    "seconds_to_level": Quantity(
+        "seconds to the level", partial(time_to_level, column="seconds"), ratio=True, timed=True
+    ),
     "psnr_drop": Quantity("drop of training PSNR at the switch", _of_each(psnr_drop), digits=2, unit=" dB"),
     "loss_rise": Quantity("rise of the thermal loss at the switch", _of_each(loss_rise), ratio=True),
 }

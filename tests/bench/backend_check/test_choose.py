@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from tdgbench.bench.backend_check import choose as choosing
-from tdgbench.bench.backend_check.choose import Choice, Verdict, auto, check, choose, training_backend
+from tdgbench.bench.backend_check.choose import AutoBackend, BackendCheck, auto, check, choose, training_backend
 from tdgbench.bench.backend_check.compare import cloud
 from tdgbench.splats.backends.cuda import CudaBackend
 from tests.helpers.backends import StandIn, Unsteady, WrongGradient, register
 
-GOOD = Verdict("", 1e-6, 2e-5, 0.0, 3.1)
+GOOD = BackendCheck("", 1e-6, 2e-5, 0.0, 3.1)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def never(backend):
 
 def test_without_a_gpu_it_is_the_cpu_in_silence(machine, capsys):
     machine()
-    assert choose(never) == Choice("cpu", "")
+    assert choose(never) == AutoBackend("cpu", "")
     assert training_backend("auto") == "cpu" and training_backend("reference") == "reference"
     assert capsys.readouterr() == ("", "")
 
@@ -80,12 +80,12 @@ def test_what_is_not_deterministic_is_said(machine, checked):
 def test_a_gpu_without_gsplat_is_named(machine):
     machine("A", "A", why_not="gsplat is not installed: pip install -e '.[cuda]'")
     line = "the CPU trains, not A: gsplat is not installed: pip install -e '.[cuda]'"
-    assert choose(never) == Choice("cpu", line)
+    assert choose(never) == AutoBackend("cpu", line)
 
 
 def test_every_model_has_to_pass(machine):
     machine("A", "A", "B")
-    verdicts = iter([GOOD, Verdict("it is wrong")])
+    verdicts = iter([GOOD, BackendCheck("it is wrong")])
     choice = choose(lambda backend: next(verdicts))
     assert choice.backend == "cpu" and choice.line.startswith("the CPU trains, not B:") and not list(verdicts)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import ReadOptions
-from tdgbench.scenes.synthetic import CaptureErrors, Rig, SyntheticDataset, ThermalErrors
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors, TrueRig
 from tests.helpers.scenes import small_dataset
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
@@ -58,7 +58,8 @@ def test_folders_of_many_errors_have_short_names(tmp_path):
     many = ThermalErrors(0.123, 12, 0.0123, 1.234, 0.123, 0.123, 0.0123, "degC", 0.123, 0.123)
     folders = {
         SyntheticDataset(
-            str(tmp_path), ReadOptions(), errors=CaptureErrors(0.123, 0.123, 0.123, 0.0123, many, rig=Rig(degrees=turn))
+            str(tmp_path), ReadOptions(),
+            errors=CaptureErrors(0.123, 0.123, 0.123, 0.0123, many, rig=TrueRig(degrees=turn)),
         ).folder("turntable").name
         for turn in ([0.0, 1.0, 1.5], [0.0, 1.0, 2.5])
     }  # fmt: skip

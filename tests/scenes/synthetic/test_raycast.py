@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from tdgbench.scenes.synthetic.raycast import Box, Cylinder, Hills, Rectangle, Sphere
+from tdgbench.scenes.synthetic.raycast import Cuboid, Cylinder, Hills, Rectangle, Sphere
 
 DOWN = np.array([[0.0, 0.0, -1.0]])
 
 
 @pytest.mark.parametrize(
     ("solid", "height"),
-    [(Sphere((0, 0, 1), 0.5), 1.5), (Box((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
+    [(Sphere((0, 0, 1), 0.5), 1.5), (Cuboid((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
      (Rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0)), 0.5)],
 )  # fmt: skip
 def test_rays_from_above(solid, height):

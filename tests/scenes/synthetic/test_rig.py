@@ -5,20 +5,22 @@ from scipy.ndimage import map_coordinates
 
 from tdgbench.bench.options import OptionError, check_options
 from tdgbench.scenes import Camera, ReadOptions, SceneError
-from tdgbench.scenes.synthetic import CaptureErrors, Rig, SyntheticDataset
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, TrueRig
 from tdgbench.scenes.synthetic.truth import FOLDER, RIG, read_rig, read_truth
 from tests.helpers.configs import config
 
 SIZE = {"width": 96, "height": 72, "views": 5, "points": 300}
 RIGS = {
-    "offset": Rig(offset=[0.3, -0.1, 0.05]), "turned": Rig(degrees=[2, -3, 4]),
-    "lens": Rig(focal=1.2, center=[0.05, -0.04], distortion=[-0.25, 0.08]),
-    "all": Rig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [0.02, 0.01], [-0.2, 0.05]),
+    "offset": TrueRig(offset=[0.3, -0.1, 0.05]), "turned": TrueRig(degrees=[2, -3, 4]),
+    "lens": TrueRig(focal=1.2, center=[0.05, -0.04], distortion=[-0.25, 0.08]),
+    "all": TrueRig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [0.02, 0.01], [-0.2, 0.05]),
 }  # fmt: skip
 
 
 def dataset(root, rig=None) -> SyntheticDataset:
-    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(noise_degC=0.0, rig=rig or Rig()))
+    return SyntheticDataset(
+        str(root), ReadOptions(), **SIZE, errors=CaptureErrors(noise_degC=0.0, rig=rig or TrueRig())
+    )
 
 
 def pixels():
@@ -57,7 +59,7 @@ def test_model_and_rgb_images_are_the_given_camera_s(tmp_path):
 
 
 def test_no_rig_changes_nothing_and_has_no_file(tmp_path):
-    plain, scene = dataset(tmp_path / "a").load("night"), dataset(tmp_path / "b", Rig([0, 0, 0])).load("night")
+    plain, scene = dataset(tmp_path / "a").load("night"), dataset(tmp_path / "b", TrueRig([0, 0, 0])).load("night")
     assert plain.fingerprint == scene.fingerprint and plain.folder.name == scene.folder.name
     with pytest.raises(SceneError, match="states no rig"):
         read_rig(plain.folder)
@@ -72,7 +74,7 @@ def test_the_truth_is_read_as_it_was(tmp_path):
 
 
 def test_undistorted_places_are_distorted_as_in_opencv():
-    rig, K = Rig(distortion=[-0.25, 0.08]), np.array([[90.0, 0, 50], [0, 90.0, 30], [0, 0, 1]])
+    rig, K = TrueRig(distortion=[-0.25, 0.08]), np.array([[90.0, 0, 50], [0, 90.0, 30], [0, 0, 1]])
     straight = (rig.undistorted(pixels(), K) - K[:2, 2]) / 90.0
     r2 = (straight**2).sum(axis=1, keepdims=True)
     assert straight * (1 - 0.25 * r2 + 0.08 * r2**2) * 90.0 + K[:2, 2] == pytest.approx(pixels(), abs=1e-6)
@@ -87,13 +89,13 @@ def test_the_thermal_camera_stands_where_the_offset_says():
 
 def test_a_lens_that_folds_the_image_is_an_error(tmp_path):
     with pytest.raises(SceneError, match="folds the image"):
-        dataset(tmp_path, Rig(distortion=[-2, 0])).load("facade")
+        dataset(tmp_path, TrueRig(distortion=[-2, 0])).load("facade")
 
 
 def test_options(tmp_path):
     cfg = config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0,0]", f"data.root={tmp_path}")
     check_options(cfg)
-    assert instantiate(cfg.dataset.loader).shot.errors == CaptureErrors(rig=Rig(offset=[0.1, 0, 0]))
+    assert instantiate(cfg.dataset.loader).shot.errors == CaptureErrors(rig=TrueRig(offset=[0.1, 0, 0]))
     made = config("dataset=synthetic_rig", f"data.root={tmp_path}")
     check_options(made)
     assert instantiate(made.dataset.loader).shot.errors.rig.focal == 1.02

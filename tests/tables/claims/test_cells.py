@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, Evidence, check_claim, load_claims
+from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, ClaimEvidence, check_claim, load_claims
 from tdgbench.tables.published import published_ablation, published_main
 from tests.tables.claims.small_cells import cell
 
 CLAIMS = {claim["id"]: claim for claim in load_claims()}
 OF_METHODS = [name for name, claim in CLAIMS.items() if claim["check"] == "better"]
-PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
 
 
-def ours(*cells) -> Evidence:
-    return Evidence(published_main().iloc[:0], None, False, tuple(cells))
+def ours(*cells) -> ClaimEvidence:
+    return ClaimEvidence(published_main().iloc[:0], None, False, tuple(cells))
 
 
 def sides(folder, claim, gains, **fields):
@@ -146,9 +146,9 @@ def test_random_fails_as_printed():
     assert check_claim(CLAIMS["random-fails"], PUBLISHED).verdict == HOLDS
     ablation = published_ablation()
     ablation.loc[(ablation["method"] == "tdg") & (ablation["init"] == "random"), "value"] = 25.0
-    found = check_claim(CLAIMS["random-fails"], Evidence(published_main(), ablation, True))
+    found = check_claim(CLAIMS["random-fails"], ClaimEvidence(published_main(), ablation, True))
     assert found.verdict == FAILS and "tdg loses 2.42 dB" in found.grounds
-    assert check_claim(CLAIMS["random-fails"], Evidence(published_main(), None, True)).verdict == UNDECIDED
+    assert check_claim(CLAIMS["random-fails"], ClaimEvidence(published_main(), None, True)).verdict == UNDECIDED
 
 
 def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):

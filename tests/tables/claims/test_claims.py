@@ -2,10 +2,10 @@
 
 import pytest
 
-from tdgbench.tables.claims import CHECKS, FAILS, HOLDS, UNDECIDED, Evidence, check_all, load_claims
+from tdgbench.tables.claims import CHECKS, FAILS, HOLDS, UNDECIDED, ClaimEvidence, check_all, load_claims
 from tdgbench.tables.published import published_ablation, published_main
 
-PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
 
 
 def test_the_published_tables_against_the_words():
@@ -26,7 +26,7 @@ def test_the_published_tables_against_the_words():
 
 
 def test_what_is_missing_is_undecided():
-    empty = Evidence(published_main().iloc[:0], None, printed=False)
+    empty = ClaimEvidence(published_main().iloc[:0], None, printed=False)
     found = check_all(load_claims(), PUBLISHED, empty).set_index("id")["ours"]
     assert set(found.drop("bold-follows")) == {UNDECIDED}
 

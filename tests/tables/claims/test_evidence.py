@@ -3,7 +3,7 @@
 import pytest
 
 from tdgbench.bench.record import Failure, Record
-from tdgbench.tables.claims.evidence import Evidence, evidence_of
+from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_main
 from tests.helpers.records import write_record
 from tests.tables.claims.small_cells import write_log
@@ -18,7 +18,7 @@ def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic
     return write_record(experiment, record, fields)
 
 
-def psnr(evidence: Evidence, method: str, scene: str) -> float:
+def psnr(evidence: ClaimEvidence, method: str, scene: str) -> float:
     table = evidence.main.query("method == @method and scene == @scene and metric == 'psnr'")
     return float(table["value"].iloc[0])
 
@@ -81,7 +81,7 @@ def test_the_papers_scenes_are_all_asked_for(tmp_path):
     found = evidence_of([tmp_path])
     assert found.is_of_paper and found.overall == "Average (Overall)"
     assert len(set(found.main["scene"])) == 16
-    assert Evidence(published_main(), None, printed=True).overall == "Average (Overall)"
+    assert ClaimEvidence(published_main(), None, printed=True).overall == "Average (Overall)"
 
 
 def test_a_cell_has_its_log(tmp_path):

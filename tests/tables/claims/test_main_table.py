@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, Evidence, check_claim, load_claims
+from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, ClaimEvidence, check_claim, load_claims
 from tdgbench.tables.published import published_ablation, published_main
 
-PUBLISHED = Evidence(published_main(), published_ablation(), printed=True)
+PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
 CLAIMS = {claim["id"]: claim for claim in load_claims()}
 
 
@@ -17,7 +17,7 @@ def changed(scene, metric, method, value, printed=False):
     at = (table["scene"] == scene) & (table["metric"] == metric) & (table["method"] == method)
     assert at.any()
     table.loc[at, "value"] = value
-    return Evidence(table, published_ablation(), printed)
+    return ClaimEvidence(table, published_ablation(), printed)
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
     """A main table of some scenes, where a method has one value in every scene and metric."""
     table = published_main().query("scene in @scenes and dataset == @dataset").copy()
     table["value"] = table["method"].map({"tdg": tdg, "msmg": msmg})
-    return Evidence(table, None, printed)
+    return ClaimEvidence(table, None, printed)
 
 
 def test_most_cases_are_more_than_half():
@@ -80,23 +80,23 @@ def test_numbers_for_the_papers_scenes_say_nothing_of_others():
     table = published_main()
     table["dataset"] = table["dataset"].replace({"ThermalMix": "synthetic"})
     for claim in ("psnr-averages", "time-minutes"):
-        found = check_claim(CLAIMS[claim], Evidence(table, None, printed=False))
+        found = check_claim(CLAIMS[claim], ClaimEvidence(table, None, printed=False))
         assert (found.verdict, found.grounds) == (UNDECIDED, "a number for the paper's scenes, which these are not")
-        assert check_claim(CLAIMS[claim], Evidence(published_main(), None, printed=False)).verdict == HOLDS
+        assert check_claim(CLAIMS[claim], ClaimEvidence(published_main(), None, printed=False)).verdict == HOLDS
 
 
 def test_with_one_data_set_its_average_stands_for_all():
     table = published_main().query("dataset == 'ThermalMix'")
-    found = check_claim(CLAIMS["time-percent"], Evidence(table, None, printed=False, note="5 scenes"))
+    found = check_claim(CLAIMS["time-percent"], ClaimEvidence(table, None, printed=False, note="5 scenes"))
     assert found.verdict == HOLDS and found.grounds == "55.0 %; 5 scenes"
 
 
 def test_ours_has_no_second_table_that_could_disagree():
     assert check_claim(CLAIMS["tables-agree"], PUBLISHED).verdict == HOLDS
-    found = check_claim(CLAIMS["tables-agree"], Evidence(published_main(), None, printed=False))
+    found = check_claim(CLAIMS["tables-agree"], ClaimEvidence(published_main(), None, printed=False))
     assert found.verdict == UNDECIDED
 
 
 def test_one_scene_is_enough_for_what_is_said_of_scenes():
-    one = Evidence(published_main().query("scene == 'Lion'"), None, printed=False)
+    one = ClaimEvidence(published_main().query("scene == 'Lion'"), None, printed=False)
     assert check_claim(CLAIMS["thermalmix-within"], one).verdict == HOLDS

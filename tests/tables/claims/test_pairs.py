@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
-from tdgbench.tables.claims.pairs import Interval, Side, all_of, counted, interval, judge, make_pairs
+from tdgbench.tables.claims.pairs import Interval, Side, all_of, counts_in_words, gain_interval, judge_gain, make_pairs
 from tests.tables.claims.small_cells import cell
 
 TDG, SMOOTH = Side("tdg", "colmap"), Side("splat_smooth", "colmap")
@@ -53,7 +53,7 @@ def test_a_cell_of_two_experiments_counts_once(tmp_path):
 def test_the_interval_is_over_scenes_each_by_its_mean():
     scenes = [("d", s) for s in "aabbcc"]
     gains = [1.0, 3.0, 2.0, 6.0, 0.0, 0.0]
-    found = interval(scenes, gains)
+    found = gain_interval(scenes, gains)
     by_scene = [2.0, 4.0, 0.0]
     low, high = stats.t.interval(0.95, 2, np.mean(by_scene), stats.sem(by_scene))
     assert found == pytest.approx((2.0, low, high, 6, 3))
@@ -62,14 +62,14 @@ def test_the_interval_is_over_scenes_each_by_its_mean():
 def test_with_one_scene_the_interval_is_over_its_seeds():
     gains = [1.0, 2.0, 4.0]
     low, high = stats.t.interval(0.95, 2, np.mean(gains), stats.sem(gains))
-    assert interval([("d", "a")] * 3, gains) == pytest.approx((np.mean(gains), low, high, 3, 1))
+    assert gain_interval([("d", "a")] * 3, gains) == pytest.approx((np.mean(gains), low, high, 3, 1))
 
 
 def test_one_pair_decides_nothing():
-    found = interval([("d", "a")], [5.0])
+    found = gain_interval([("d", "a")], [5.0])
     assert found == (5.0, -np.inf, np.inf, 1, 1)
-    assert judge(found, 0.0) == UNDECIDED
-    assert counted(found) == "one pair has no interval; 1 pair in 1 scene"
+    assert judge_gain(found, 0.0) == UNDECIDED
+    assert counts_in_words(found) == "one pair has no interval; 1 pair in 1 scene"
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_one_pair_decides_nothing():
     ],
 )
 def test_judge(mean, low, high, margin, verdict):
-    assert judge(Interval(mean, low, high, 4, 4), margin) == verdict
+    assert judge_gain(Interval(mean, low, high, 4, 4), margin) == verdict
 
 
 @pytest.mark.parametrize(

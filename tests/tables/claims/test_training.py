@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.bench.record import Record
 from tdgbench.tables.cell import Cell
-from tdgbench.tables.claims.training import first_at, loss_rise, progress, psnr_drop
+from tdgbench.tables.claims.quantities import first_at, loss_rise, psnr_drop, time_to_level
 
 CLAIM = {"level": 0.5, "window": 0.1}
 
@@ -26,14 +26,14 @@ def test_the_level_is_part_of_the_way_to_the_worse_runs_best(tmp_path):
     fast = with_log(tmp_path, "fast", [10, 20, 30, 40])
     slow = with_log(tmp_path, "slow", [10, 12, 18, 22, 20])
     # from 10 to 22, half of the way: 16
-    assert progress(fast, slow, CLAIM, "iteration") == pytest.approx((16, 20 + 10 * 4 / 6))
-    assert progress(slow, fast, CLAIM, "seconds") == pytest.approx(((20 + 10 * 4 / 6) / 5, 16 / 5))
+    assert time_to_level(fast, slow, CLAIM, "iteration") == pytest.approx((16, 20 + 10 * 4 / 6))
+    assert time_to_level(slow, fast, CLAIM, "seconds") == pytest.approx(((20 + 10 * 4 / 6) / 5, 16 / 5))
 
 
 def test_without_a_level_there_is_no_progress(tmp_path):
     fast = with_log(tmp_path, "fast", [10, 20])
-    assert progress(fast, with_log(tmp_path, "flat", [10, 9]), CLAIM, "iteration") is None
-    assert progress(fast, Cell(fast.record, tmp_path / "nothing"), CLAIM, "iteration") is None
+    assert time_to_level(fast, with_log(tmp_path, "flat", [10, 9]), CLAIM, "iteration") is None
+    assert time_to_level(fast, Cell(fast.record, tmp_path / "nothing"), CLAIM, "iteration") is None
 
 
 def test_a_level_reached_at_once_and_never(tmp_path):

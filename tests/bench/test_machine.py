@@ -9,13 +9,13 @@ import time
 import pytest
 import torch
 
-from tdgbench.bench.gpu import describe_gpu, exclusive_gpu, visible_gpus
+from tdgbench.bench.machine import describe_gpu, exclusive_gpu, visible_gpus
 from tests.helpers.paths import ROOT
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from tdgbench.bench.gpu import exclusive_gpu
+from tdgbench.bench.machine import exclusive_gpu
 with exclusive_gpu(["a", "b"], Path(sys.argv[1])) as index:
     print(index, flush=True)
     time.sleep(60)

@@ -1,0 +1,148 @@
+"""What a cell uses of the machine: one GPU, which its process locks, and its peak memory, in RAM and on the GPU."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import subprocess
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from tdgbench.bench.lock import file_lock
+from tdgbench.splats.cpu.scratch import release
+
+LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # shared by all users and results folders of a machine
+FOR_ALL = 0o666  # permissions of a lock that other users take as well
+RETRY_SECONDS = 0.5
+
+
+@contextlib.contextmanager
+def exclusive_gpu(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
+    """Lock one of the `gpus` (UUIDs) and yield its index; wait while other processes hold all of them.
+
+    The system releases the lock when its process ends, for whatever reason. Where `locks` cannot be used, a folder of
+    this user takes its place, with a warning.
+    """
+    names = [f"{gpu}.lock" for gpu in gpus]
+    problem = _problem(locks, names)
+    if problem is not None:
+        warnings.warn(f"GPUs are not locked against other users: {problem}", stacklevel=3)
+        locks = locks.with_name(f"{locks.name}-{os.getuid()}")
+    while True:
+        for index, name in enumerate(names):
+            with file_lock(locks / name, FOR_ALL) as acquired:
+                if acquired:
+                    yield index
+                    return
+        time.sleep(RETRY_SECONDS)
+
+
+def _problem(locks: Path, names: list[str]) -> OSError | None:
+    """Return why a folder cannot hold locks of these names, which all users can take; None if it can."""
+    try:
+        locks.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(PermissionError):
+            locks.chmod(0o1777)  # whatever the umask; only its owner may
+        for name in names:
+            with file_lock(locks / name, FOR_ALL):
+                pass
+    except OSError as error:
+        return error
+    return None
+
+
+def visible_gpus() -> list[str]:
+    """Return UUIDs of the GPUs that this process may use, in CUDA's order."""
+    return [str(torch.cuda.get_device_properties(i).uuid) for i in range(torch.cuda.device_count())]
+
+
+def describe_gpu() -> dict[str, Any] | None:
+    """Return the name, memory, driver and CUDA version of the GPU in use; None without one."""
+    if not torch.cuda.is_available():
+        return None
+    properties = torch.cuda.get_device_properties(torch.cuda.current_device())
+    return {
+        "name": properties.name,
+        "memory_mb": round(properties.total_memory / 2**20),
+        "driver": _driver(),
+        "cuda": torch.version.cuda,
+    }
+
+
+@cache
+def _driver() -> str | None:
+    """Return the version of the NVIDIA driver; None if nvidia-smi does not report it."""
+    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
+        return output.splitlines()[0].strip() if output.strip() else None
+    return None
+
+
+STATUS = Path("/proc/self/status")
+SAMPLE_SECONDS = 0.02
+ROUNDING_MB = 16.0
+
+
+class PeakMemory:
+    """Context that measures peak memory. It begins by giving back what cells before it left.
+
+    mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most memory of the current GPU
+    that torch reserved, MB; None unless `on_gpu`.
+
+    Linux tracks the peak and lets a process reset it. Where the reset has no effect (some sandboxes), a thread samples
+    the current size instead.
+    """
+
+    def __init__(self, on_gpu: bool = False) -> None:
+        """on_gpu: the work is on the current CUDA GPU."""
+        self._on_gpu = on_gpu
+        self.mb: float | None = None
+        self.gpu_mb: float | None = None
+        self._stop = threading.Event()
+        self._sampler: threading.Thread | None = None
+
+    def __enter__(self) -> PeakMemory:
+        gc.collect()
+        release()
+        if self._on_gpu:
+            torch.cuda.reset_peak_memory_stats()
+        with contextlib.suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
+        peak, current = _read("VmHWM"), _read("VmRSS")
+        self.mb = current
+        if current is not None and (peak is None or peak > current + ROUNDING_MB):
+            self._sampler = threading.Thread(target=self._sample, name="peak-memory", daemon=True)
+            self._sampler.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._on_gpu:
+            self.gpu_mb = round(torch.cuda.max_memory_reserved() / 2**20, 1)
+        if self._sampler is not None:
+            self._stop.set()
+            self._sampler.join()
+        elif self.mb is not None:
+            self.mb = _read("VmHWM")
+
+    def _sample(self) -> None:
+        while not self._stop.wait(SAMPLE_SECONDS):
+            self.mb = max(self.mb or 0.0, _read("VmRSS") or 0.0)
+
+
+def _read(field: str) -> float | None:
+    """Return the field of /proc/self/status, MB; None if it is not there."""
+    with contextlib.suppress(OSError):
+        for line in STATUS.read_text(encoding="utf-8").splitlines():
+            if line.startswith(f"{field}:"):
+                return round(int(line.split()[1]) / 1024, 1)
+    return None
