@@ -19,9 +19,8 @@ from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.scratch import release
 from tdgbench.splats.cpu.statistics import Watch, observe_visible
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import Step, step_rows
+from tdgbench.splats.cpu.raster.passes import Blended
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch, observe_gradients
 
@@ -96,6 +97,41 @@ class Gradients:
         parts = [slice(first, first + count) for first, count in self.projected_spans]
         projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
         return projected[radii > 0], radii[radii > 0]
+
+
+class PendingGradients:
+    """Gradients of a view that nobody has read, with its visible Gaussians; to be used once.
+
+    They are computed as rows, or in the same pass as the step that they are for.
+    """
+
+    def __init__(self, blended: Blended) -> None:
+        done = blended.done
+        self._blended = blended
+        self.projected_spans = done.projected_spans
+        self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
+        self.columns = blended.columns
+        self.pairs, self.blended = done.count_pairs(), int(done.visits.counts.sum())
+        self.touched = 0
+
+    def computed(self) -> Gradients:
+        """The gradients as rows."""
+        rows = self._blended.rows()
+        index, values, image = map(torch.from_numpy, rows.arrays)
+        lease = (rows.workspace, self._blended.done.workspace)
+        return Gradients(
+            rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
+            self.blended, lease,
+        )  # fmt: skip
+
+    def take_step(self, step: Step, watch: Watch) -> np.ndarray:
+        """Take a step of Adam with these gradients and add to density control's statistics, in one pass.
+
+        Returns what `Gradients.take_step` does.
+        """
+        bad = flags_of(len(self._blended.done.splat_spans), step)
+        self.touched = self._blended.step(step, watch, bad)
+        return bad.max(axis=0, initial=0)
 
 
 def flags_of(spans: int, step: Step) -> np.ndarray:

@@ -24,8 +24,7 @@ from tdgbench.splats.cpu.adam import (
 )
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients
-from tdgbench.splats.pending import PendingGradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.state import TrainingState
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS

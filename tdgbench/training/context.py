@@ -16,15 +16,14 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
-from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream
-from tdgbench.training.pixels import schedule
 from tdgbench.training.rig import Rig
-from tdgbench.training.settling import hold_out
 from tdgbench.training.skips import Skips
+from tdgbench.training.stopping import hold_out
 
 P = TypeVar("P", bound=Part)
 

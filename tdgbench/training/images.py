@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,24 @@ import torch
 from torch import Tensor
 
 from tdgbench.scenes import Scene, View
-from tdgbench.training.targets import ViewTensors
+
+
+class ViewTensors:
+    """Arrays of views as tensors, the same ones as long as the view lives; on the CPU they share its memory."""
+
+    def __init__(self) -> None:
+        self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
+
+    def of(self, view: View, name: str, device: torch.device) -> Tensor:
+        """The array `name` of a view; nobody writes to it."""
+        if id(view) not in self._tensors:
+            self._tensors[id(view)] = {}
+            weakref.finalize(view, self._tensors.pop, id(view), None)
+        tensors, key, array = self._tensors[id(view)], (name, str(device)), getattr(view, name)
+        if key not in tensors or tensors[key][0] is not array:  # the view may have been given another one
+            tensors[key] = array, torch.from_numpy(array).to(device)
+        return tensors[key][1]
+
 
 _TENSORS = ViewTensors()
 

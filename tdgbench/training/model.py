@@ -15,19 +15,16 @@ from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
 from tdgbench.splats.density import DensityControl, Verdict
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.errors import EmptyModelError
 from tdgbench.training.growth import Significance
-from tdgbench.training.part import Part
+from tdgbench.training.part import EmptyModelError, Part
 from tdgbench.training.rig import Rig
-from tdgbench.training.skips import Skips
-from tdgbench.training.work import Work
+from tdgbench.training.skips import Skips, Work
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tdgbench.scenes import Scene
+from tdgbench.splats.density import DensityChange
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.work import Work
 
 
 @dataclass
@@ -73,6 +74,33 @@ class Skips:
 
 SWITCHES = ("gray", "rgb", "prior", "depth", "unseen", "saturated")
 RULES = ("growth", "pixels", "settling", "plateau")  # of the budget
+
+
+@dataclass
+class Work:
+    """Sums over all backward passes and rounds of density control so far."""
+
+    rows: int = 0  # Gaussians of the model
+    touched: int = 0  # Gaussians with a gradient
+    pairs: int = 0  # (tile, Gaussian) pairs
+    blended: int = 0  # pairs that the blend read before their tile ended
+    cloned: int = 0  # Gaussians
+    split: int = 0
+    pruned: int = 0
+    withheld: int = 0
+
+    def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
+        """Add the backward pass of a view of `count` Gaussians, but for those that it touched."""
+        self.rows += count
+        self.pairs += gradients.pairs
+        self.blended += gradients.blended
+
+    def add_change(self, change: DensityChange) -> None:
+        """Add an iteration's density control."""
+        self.cloned += change.cloned
+        self.split += change.split
+        self.pruned += change.pruned
+        self.withheld += change.withheld
 
 
 class Finished(NamedTuple):

@@ -11,9 +11,8 @@ from tdgbench.training.context import Context
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
-from tdgbench.training.plateau import Plateau
 from tdgbench.training.rig import Rig
-from tdgbench.training.settling import Settling
+from tdgbench.training.stopping import Plateau, Settling
 
 
 class Trainer:

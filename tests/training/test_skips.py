@@ -152,5 +152,5 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
 
 def test_a_rule_is_no_switch():
     """Whoever switches a rule off as a skip is told the option that does it."""
-    with pytest.raises(ValueError, match="growth is a rule of the budget: budget.growth=null switches it off"):
+    with pytest.raises(ValueError, match=r"growth is a rule of the budget: budget\.growth=null switches it off"):
         check_options(config("+skip.growth=false"))

@@ -14,8 +14,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.splat import A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.raster.tiles import TILE
+from tdgbench.splats.cpu.raster.types import A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load, store
 from tdgbench.splats.cpu.simd.powers import COEFFICIENTS

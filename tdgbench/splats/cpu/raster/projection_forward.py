@@ -29,9 +29,8 @@ from tdgbench.splats.cpu.raster.group import (
 )
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect
 from tdgbench.splats.cpu.raster.source import Source, Span
-from tdgbench.splats.cpu.raster.splat import FLOATS, RADIUS
 from tdgbench.splats.cpu.raster.tiles import TILE, list_box, list_tiles
-from tdgbench.splats.cpu.raster.types import Projected, Settings, Splats
+from tdgbench.splats.cpu.raster.types import FLOATS, RADIUS, Projected, Settings, Splats
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.memory import aligned_floats, float_bits, load, prefetch_columns, store_whole
 from tdgbench.splats.cpu.simd.reductions import any_positive, lane_bits

@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
+from tdgbench.splats.cpu.raster.types import pack_camera
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load, store
 from tdgbench.splats.cpu.simd.registers import LANES
