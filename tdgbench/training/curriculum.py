@@ -25,12 +25,12 @@ class Curriculum(Part):
     The resolution is that of the schedule, or a higher one that `advance` asked for before.
     """
 
-    def __init__(self, steps: list[tuple[int, int]] | None = None, held: list[View] | None = None) -> None:
-        """steps: (last iteration, scale) of each resolution below the full one. held: views to leave out at first."""
+    def __init__(self, steps: list[tuple[int, int]] | None = None, held_out: list[View] | None = None) -> None:
+        """steps: (last iteration, scale) of each resolution below the full one. held_out: left out at first."""
         self.steps = steps or []
-        self.held = held or []
-        self.is_holding = bool(self.held)
-        self._names = {view.name for view in self.held}
+        self.held_out = held_out or []
+        self.is_holding = bool(self.held_out)
+        self._names = {view.name for view in self.held_out}
         self._step = 0  # in use; len(steps): the full resolution
         self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
         self._shrunk: dict[str, View] = {}
@@ -53,7 +53,7 @@ class Curriculum(Part):
     def settle(self, scale: int) -> None:
         """Train on the views that were held out, too, and at this scale from now on."""
         self.is_holding, self.settled_at = False, max(1, self._iteration)
-        self._use([*(one for _, one in self.steps), 1].index(scale))
+        self._use([*(size for _, size in self.steps), 1].index(scale))
 
     def _use(self, step: int) -> None:
         if step != self._step:
@@ -99,7 +99,7 @@ class Curriculum(Part):
 
     def report(self) -> dict[str, Any]:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
-        return {"iterations": by_scale, "held_out": len(self.held), "settled_at": self.settled_at}
+        return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
 
 
 def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:

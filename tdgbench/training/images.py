@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.scenes import Scene, View
+from tdgbench.scenes import Scene, View, modalities
 
 
 class ViewTensors:
@@ -32,22 +33,23 @@ class ViewTensors:
 _TENSORS = ViewTensors()
 
 
+@dataclass(frozen=True)
 class Modality:
-    """Thermal images, of which some pixels may be masked."""
+    """Images of one of `tdgbench.scenes.modalities`; pixels of thermal ones may be masked."""
 
-    name = "thermal"
+    name: str
 
     def channels(self, scene: Scene) -> int:
         """Return the channels of the scene's images."""
-        return scene.channels
+        return scene.channels if self.name == modalities.THERMAL else 3
 
     def array(self, view: View) -> np.ndarray:
-        """Return the image (H, W, C) of a view, 0 at masked pixels."""
-        return view.thermal
+        """Return the image (H, W, C) of a view, 0 at masked pixels. Raises SceneError if it has none."""
+        return view.thermal if self.name == modalities.THERMAL else view.rgb
 
     def valid(self, view: View) -> np.ndarray | None:
         """Return the mask (H, W) bool of a view; None if every pixel counts."""
-        return view.valid
+        return view.valid if self.name == modalities.THERMAL else None
 
     def of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
         """Return image and mask of a view as tensors, for a loss; on the CPU they share the view's memory.
@@ -68,20 +70,5 @@ class Modality:
         return np.asarray(total / max(count, 1), np.float32)
 
 
-class _RGB(Modality):
-    """RGB images, of which every pixel counts."""
-
-    name = "rgb"
-
-    def channels(self, scene: Scene) -> int:
-        return 3
-
-    def array(self, view: View) -> np.ndarray:
-        return view.rgb
-
-    def valid(self, view: View) -> np.ndarray | None:
-        return None
-
-
-THERMAL, RGB = Modality(), _RGB()
-MODALITIES: dict[str, Modality] = {one.name: one for one in (THERMAL, RGB)}
+MODALITIES = {name: Modality(name) for name in modalities.LABELS}
+THERMAL, RGB = MODALITIES[modalities.THERMAL], MODALITIES["rgb"]

@@ -19,11 +19,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
-from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare
+from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
 from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
 from tdgbench.training import torch_losses
 
-KEPT_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
+CACHE_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
 
@@ -245,7 +245,7 @@ class _InverseDepth(torch.autograd.Function):
         return torch.from_numpy(by_depth), torch.from_numpy(by_transmittance), None
 
 
-class _Kept(NamedTuple):
+class _Prepared(NamedTuple):
     version: tuple[int, int | None]  # torch's counts of writes to image and mask
     valid: Tensor | None
     target: Target
@@ -260,28 +260,28 @@ class _Kept(NamedTuple):
 class PreparedTargets:
     """Prepared images by their tensors, up to a number of bytes; what exceeds it is prepared anew each time."""
 
-    def __init__(self, kept_bytes: int = KEPT_BYTES) -> None:
-        self.kept_bytes = kept_bytes
+    def __init__(self, max_bytes: int = CACHE_BYTES) -> None:
+        self.max_bytes = max_bytes
         self.bytes = 0
-        self._kept: dict[int, _Kept] = {}
+        self._prepared: dict[int, _Prepared] = {}
 
     def of(self, image: Tensor, valid: Tensor | None) -> Target:
         """An image (H, W, C), prepared with a mask (H, W)."""
-        kept = self._kept.get(id(image))
+        found = self._prepared.get(id(image))
         version = (image._version, None if valid is None else valid._version)
-        if kept is not None and kept.valid is valid and kept.version == version:
-            return kept.target
-        new = _Kept(version, valid, prepare(_array(image), None if valid is None else _array(valid)))
-        growth = new.bytes - (0 if kept is None else kept.bytes)
-        if self.bytes + growth <= self.kept_bytes:
+        if found is not None and found.valid is valid and found.version == version:
+            return found.target
+        new = _Prepared(version, valid, prepare_target(_array(image), None if valid is None else _array(valid)))
+        growth = new.bytes - (0 if found is None else found.bytes)
+        if self.bytes + growth <= self.max_bytes:
             self.bytes += growth
-            self._kept[id(image)] = new
-            if kept is None:
+            self._prepared[id(image)] = new
+            if found is None:
                 weakref.finalize(image, self._forget, id(image))
         return new.target
 
     def _forget(self, key: int) -> None:
-        self.bytes -= self._kept.pop(key).bytes
+        self.bytes -= self._prepared.pop(key).bytes
 
 
 _PREPARED = PreparedTargets()

@@ -13,7 +13,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.density import DensityControl, Verdict
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
@@ -180,7 +180,7 @@ class SplatModel(Part):
         used a gradient that is not finite. Raises EmptyModelError if no Gaussian is left.
         """
         views, self._views = self._views, []
-        gradients, watch = self._gradients_of(views, iteration)
+        gradients, statistics = self._gradients_of(views, iteration)
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
             self._forget(views)
@@ -189,7 +189,9 @@ class SplatModel(Part):
         self.work.add_change(change)
         bad = None
         if gradients is not None:
-            bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)
+            bad = self.optimizer.step(
+                gradients, iteration, "opacity_logits" if change.opacity_reset else None, statistics
+            )
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
         self._forget(views)
@@ -202,7 +204,9 @@ class SplatModel(Part):
         self.work.touched += sum(view.gradients.touched for view in views)
         views.clear()
 
-    def _gradients_of(self, views: list[_View], iteration: int) -> tuple[Gradients | PendingGradients | None, Watch]:
+    def _gradients_of(
+        self, views: list[_View], iteration: int
+    ) -> tuple[Gradients | PendingGradients | None, GradientStatistics]:
         """Sum of the views' gradients, and the statistics that they are still to be added to.
 
         Those of one view stay pending where nothing but a step needs them.
@@ -210,14 +214,14 @@ class SplatModel(Part):
         observes = self.density.is_active(self._iteration)
         if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
             (view,) = views
-            return view.gradients, self.density.watch(view.width, view.height) if observes else NO_WATCH
+            return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
         for view in views:
             view.gradients = view.gradients.computed()
             if observes:
                 self.density.observe_gradients(view.gradients, view.width, view.height)
         if not views:
-            return None, NO_WATCH
-        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_WATCH
+            return None, NO_STATISTICS
+        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_STATISTICS
 
 
 @dataclass

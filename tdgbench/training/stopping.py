@@ -92,7 +92,7 @@ class Settling(Stopping):
         rule, curriculum = self.rule, self.curriculum
         if iteration >= rule.latest(self.iterations):
             return 1
-        if iteration % rule.every or not curriculum.held:
+        if iteration % rule.every or not curriculum.held_out:
             return None
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
@@ -127,7 +127,7 @@ class Settling(Stopping):
     def _held_out_psnrs(self) -> list[float]:
         """PSNR of the held-out views over valid pixels, at full resolution, dB."""
         values = []
-        for view in self.curriculum.held:
+        for view in self.curriculum.held_out:
             squares = np.square(self.render(view) - view.thermal)
             mse = float((squares if view.valid is None else squares[view.valid]).mean(dtype=np.float64))
             values.append(-10 * math.log10(max(mse, MIN_MSE)))

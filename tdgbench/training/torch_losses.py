@@ -41,8 +41,8 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) ->
     differences = [(here - other).abs() for here, other in _neighbours(image, reading)]
     if valid is not None:
         weights = _neighbours(valid[..., None].to(image.dtype), reading)
-        differences = [one * here * other for one, (here, other) in zip(differences, weights, strict=True)]
-    total = torch.stack([one.sum() for one in differences]).sum()
+        differences = [d * here * other for d, (here, other) in zip(differences, weights, strict=True)]
+    total = torch.stack([difference.sum() for difference in differences]).sum()
     return total / count if reading == "reference" else 2 * total / (4 * count)
 
 

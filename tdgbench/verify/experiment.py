@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, record_files
-from tdgbench.scoring.modality import THERMAL
+from tdgbench.scenes.modalities import THERMAL
 from tdgbench.verify.cell import verify_cell
 from tdgbench.verify.findings import Findings
 from tdgbench.verify.stored_cell import read_cell

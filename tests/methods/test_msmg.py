@@ -30,7 +30,7 @@ def test_views_are_drawn_independently(small_scene):
 
 def test_both_modalities_are_rendered_from_a_frame(small_gray_scene):
     trainer, _ = trained(small_gray_scene, "msmg", 1)
-    method, frame = trainer.method, trainer.frame(small_gray_scene.test[0])
+    method, frame = trainer.method, trainer.context.frame(small_gray_scene.test[0])
     assert method.modalities == ("thermal", "rgb") and not method.needs_prior
     thermal, rgb = (method.render(frame, name) for name in method.modalities)
     assert (thermal.image.shape, rgb.image.shape) == ((36, 48, 1), (36, 48, 3))

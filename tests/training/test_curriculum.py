@@ -29,7 +29,7 @@ def test_a_shrunk_view_is_made_once(small_scene):
 
 def test_held_out_views_are_not_trained_on_until_they_are_folded_back(small_scene):
     views = small_scene.train
-    curriculum = Curriculum(held=views[1:3])
+    curriculum = Curriculum(held_out=views[1:3])
     order = ViewOrder(views, 0, curriculum)
     shown = sorted(order.next().name for _ in range(len(views) - 2))
     assert shown == sorted(view.name for view in views if view not in views[1:3])
@@ -48,7 +48,7 @@ def test_it_goes_on_before_the_schedule_and_may_go_back_for_good():
     curriculum.settle(2)
     curriculum.begin(22)
     assert curriculum.scale == 2 and curriculum.iterations == {4: 1, 2: 2, 1: 1}
-    curriculum.held = [None]  # type: ignore[list-item]
+    curriculum.held_out = [None]  # type: ignore[list-item]
     by_scale = {"1/4": 1, "1/2": 2, "1/1": 1}
     assert curriculum.report() == {"iterations": by_scale, "held_out": 1, "settled_at": 21}
 

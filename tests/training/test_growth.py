@@ -106,19 +106,19 @@ def test_what_has_no_weight_is_pruned():
 def numbered(turn: int, held: list[int]) -> list[int]:
     """Numbers of the views that a round looks at, 4 of 12, while some are held out."""
     given = views(edge, count=12)
-    curriculum = Curriculum(held=[given[number] for number in held])
+    curriculum = Curriculum(held_out=[given[number] for number in held])
     significance = Significance(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
     return [int(view.name) for view in significance.chosen(turn)]
 
 
 @pytest.mark.parametrize("turn", [0, 1, 7])
 def test_rounds_look_at_different_views_that_are_evenly_spread(turn):
-    assert sorted((number - turn) % 12 for number in numbered(turn, held=[])) == [0, 3, 6, 9]
+    assert sorted((number - turn) % 12 for number in numbered(turn, held_out=[])) == [0, 3, 6, 9]
 
 
 @pytest.mark.parametrize("turn", [0, 1, 7])
 def test_views_that_are_held_out_decide_nothing(turn):
-    chosen = numbered(turn, held=[0, 3, 9])
+    chosen = numbered(turn, held_out=[0, 3, 9])
     assert len(set(chosen)) == 4 and not {0, 3, 9} & set(chosen)
 
 

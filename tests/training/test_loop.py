@@ -26,7 +26,7 @@ def test_training_makes_it_better(small_scene, name):
     assert last < 0.75 * first  # each over a round of the training views
     assert log.lines[-1].psnr > log.lines[0].psnr + 3
     assert log.lines[-1].gaussians == sum(len(m) for m in trainer.gaussians.values())
-    render = trainer.method.render(trainer.frame(small_scene.test[0]))
+    render = trainer.method.render(trainer.context.frame(small_scene.test[0]))
     assert render.image.shape == small_scene.test[0].thermal.shape and not render.image.requires_grad
 
 
@@ -58,7 +58,7 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
     images = []
     for skips in (Skips(), Skips(unseen=False), Skips(saturated=False), Skips(depth=False)):
         trainer, _ = trained(small_gray_scene, "tdg", 15, skips=skips)
-        images.append(trainer.method.render(trainer.frame(small_gray_scene.test[0])).image)
+        images.append(trainer.method.render(trainer.context.frame(small_gray_scene.test[0])).image)
     for other in images[1:]:
         assert (other - images[0]).abs().max() < 2e-4
     assert torch.equal(images[2], images[0])

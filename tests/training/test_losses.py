@@ -260,8 +260,8 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
 
 
 def test_an_image_is_prepared_once(monkeypatch):
-    calls, prepare = [], losses.prepare
-    monkeypatch.setattr(losses, "prepare", lambda *args: calls.append(1) or prepare(*args))
+    calls, prepare = [], losses.prepare_target
+    monkeypatch.setattr(losses, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
     kept, image, mask = PreparedTargets(), torch.rand(20, 20, 1), torch.rand(20, 20) > 0.3
     assert kept.of(image, None) is kept.of(image, None) and len(calls) == 1
     masked = kept.of(image, mask)
@@ -271,14 +271,14 @@ def test_an_image_is_prepared_once(monkeypatch):
     assert np.array_equal(kept.of(image, None).image, image.numpy().reshape(20, 20)) and len(calls) == 3
     del image, masked
     gc.collect()
-    assert kept.bytes == 0 and not kept._kept
+    assert kept.bytes == 0 and not kept._prepared
 
 
-def test_no_more_is_kept_than_allowed():
+def test_no_more_is_prepared_than_allowed():
     images = [torch.rand(20, 20, 1) for _ in range(4)]
-    kept = PreparedTargets(kept_bytes=2 * 2 * 4 * 400)
+    kept = PreparedTargets(max_bytes=2 * 2 * 4 * 400)
     first = [kept.of(image, None) for image in images]
     assert [kept.of(image, None) is target for image, target in zip(images, first, strict=True)] == [True] * 2 + [
         False
     ] * 2
-    assert kept.bytes == kept.kept_bytes
+    assert kept.bytes == kept.max_bytes

@@ -34,9 +34,9 @@ class Watched(Part):
 class Scripted(Settling):
     """Settling whose held-out PSNR follows a script: psnr(iteration, scale), a number or one for each view."""
 
-    def __init__(self, psnr, iterations=1000, held=(1,), steps=()):
+    def __init__(self, psnr, iterations=1000, held_out=(1,), steps=()):
         self.curriculum = Curriculum(list(steps))
-        self.curriculum.held, self.curriculum.is_holding = list(held), bool(held)
+        self.curriculum.held_out, self.curriculum.is_holding = list(held_out), bool(held_out)
         self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
         super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, render=lambda view: 1 / 0)
 
@@ -83,7 +83,7 @@ def test_one_view_that_gets_worse_does_not_settle_it():
     def psnr(i, scale):
         return [i / 10, i / 10, 30.0 - i]
 
-    assert end_of(Scripted(psnr, held=(1, 2, 3), iterations=300)) == 300
+    assert end_of(Scripted(psnr, held_out=(1, 2, 3), iterations=300)) == 300
 
 
 def test_a_stall_below_the_full_resolution_raises_it():
@@ -137,7 +137,7 @@ def test_what_never_settles_has_its_tail_at_the_end():
 
 
 def test_without_held_out_views_only_the_rates_fall():
-    settling = Scripted(lambda i, scale: 1.0, iterations=300, held=())
+    settling = Scripted(lambda i, scale: 1.0, iterations=300, held_out=())
     assert end_of(settling, 300) == 300 and settling.asked == [] and settling.rate == pytest.approx(0.1)
 
 
@@ -165,7 +165,7 @@ def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene)
 @pytest.mark.parametrize("name", ["splat", "tdg", "msmg"])
 def test_methods_stop_by_it(small_gray_scene, name):
     trainer = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
-    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held) == 1
+    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held_out) == 1
     log = train(trainer)
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in trainer.gaussians.values())
@@ -174,7 +174,7 @@ def test_methods_stop_by_it(small_gray_scene, name):
 def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
     """A masked pixel has no part in the PSNR by which a training settles."""
     trainer = ready_to_train(masked_scene(small_gray_scene), "splat", 60, CONF)
-    (view,) = trainer.context.curriculum.held
+    (view,) = trainer.context.curriculum.held_out
     squares = np.square(trainer.stopping.render(view) - view.thermal)
     wanted = squares if view.valid is None else squares[view.valid]
     assert trainer.stopping._held_out_psnrs() == pytest.approx([-10 * np.log10(wanted.mean())])
@@ -191,8 +191,8 @@ def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
 
 
 def stops_at(losses, **rule):
-    watch = Plateau(PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
-    return next((i for i, loss in enumerate(losses, start=1) if watch.reached(i, loss)), None)
+    plateau = Plateau(PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
+    return next((i for i, loss in enumerate(losses, start=1) if plateau.reached(i, loss)), None)
 
 
 def test_a_falling_loss_goes_on():

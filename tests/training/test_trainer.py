@@ -191,5 +191,5 @@ def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "splat", 3)
     view = small_gray_scene.train[1]
     small = type(view)(view.name, view.camera.resized(24, 18), view.load_thermal)
-    frame = trainer.frame(small)
-    assert frame.camera is small.camera and frame.index == trainer.frame(view).index
+    frame = trainer.context.frame(small)
+    assert frame.camera is small.camera and frame.index == trainer.context.frame(view).index

@@ -53,7 +53,7 @@ class Form(NamedTuple):
     log2_opacity: float
 
 
-class Tables(NamedTuple):
+class BlockTables(NamedTuple):
     """Constants that the blend kernels read from memory."""
 
     centres: np.ndarray  # float32: x of all blocks, y of all blocks, then x and y of each block's pixels, px
@@ -71,7 +71,7 @@ def _centres() -> np.ndarray:
     return table
 
 
-TABLES = Tables(_centres(), COEFFICIENTS)
+TABLES = BlockTables(_centres(), COEFFICIENTS)
 
 
 @intrinsic

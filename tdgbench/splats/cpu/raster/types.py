@@ -25,7 +25,7 @@ FLOATS = 16
 Triple = tuple[np.float32, np.float32, np.float32]
 
 
-class Camera(NamedTuple):
+class PackedCamera(NamedTuple):
     """Pinhole camera with OpenCV axes (x right, y down, z forward); every number is float32.
 
     Pixel centres lie at whole numbers + 1/2.
@@ -75,7 +75,7 @@ class Channels(NamedTuple):
 class Settings:
     """What a rendering needs besides Gaussians."""
 
-    camera: Camera
+    camera: PackedCamera
     width: int  # px
     height: int
     degree: int  # −1: colours as they are
@@ -120,7 +120,7 @@ class Visits(NamedTuple):
     active_blocks: np.ndarray  # (pairs,) uint32: blocks in which a pair has weight; only of those counted
 
 
-class Images(NamedTuple):
+class ImageArrays(NamedTuple):
     """One camera's images, or the gradients of a loss with respect to them."""
 
     color: np.ndarray  # (H, W, colours) float32
@@ -147,7 +147,7 @@ class GradientArrays(NamedTuple):
 class ForwardPass:
     """Images, and what the backward pass needs again."""
 
-    images: Images
+    images: ImageArrays
     projected: Projected
     projected_spans: list[Span]
     splats: Splats
@@ -171,7 +171,7 @@ class GradientRows:
     workspace: Workspace  # holds the arrays
 
 
-def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> Camera:
+def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:
     """Camera of viewmat (4, 4), world to camera, and K (3, 3), px; arrays or tensors on the CPU."""
     view = np.asarray(viewmat, np.float64)
     K = np.asarray(K, np.float64)
@@ -180,7 +180,7 @@ def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plan
     centre = _triple(exact)
     intrinsics = map(np.float32, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     planes_and_size = map(np.float32, (near_plane, far_plane, eps2d, width, height))
-    return Camera(*axes, *intrinsics, centre, _triple(exact - np.array(centre)), *planes_and_size)
+    return PackedCamera(*axes, *intrinsics, centre, _triple(exact - np.array(centre)), *planes_and_size)
 
 
 def _triple(values: np.ndarray) -> Triple:
