@@ -24,7 +24,9 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
-        self.before = {one: signal.getsignal(one) for one in SIGNALS if signal.getsignal(one) is not signal.SIG_IGN}
+        self.before = {
+            number: signal.getsignal(number) for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+        }
         self._has_begun = False
 
     @property
@@ -81,5 +83,5 @@ def interruptible() -> Iterator[Interruption]:
 
 
 def _set(handlers: Mapping[signal.Signals, Any]) -> None:
-    for one, handler in handlers.items():
-        signal.signal(one, handler)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)

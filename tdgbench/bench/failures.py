@@ -12,7 +12,7 @@ from tdgbench.bench.options import OptionError
 from tdgbench.bench.record import Failure
 from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
-from tdgbench.training.errors import TrainingError
+from tdgbench.training.part import TrainingError
 
 EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError)  # their message says enough without its type
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.bench.record import Record
-from tdgbench.scoring.modality import THERMAL
+from tdgbench.scenes.modalities import THERMAL
 
 LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 

@@ -14,8 +14,8 @@ from tdgbench.bench.masks import write_mask
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import Record
 from tdgbench.scenes import Camera, View
+from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
 from tdgbench.scoring import RenderedImages, to_8bit
-from tdgbench.scoring.modality import OTHERS, THERMAL, image_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending

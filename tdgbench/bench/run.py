@@ -35,9 +35,9 @@ from tdgbench.splats.ply import save_ply
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
-from tdgbench.training.errors import TrainingError
 from tdgbench.training.loop import LogLine, TrainingLog, train
 from tdgbench.training.method import Method
+from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
 from tdgbench.training.trainer import Trainer
 

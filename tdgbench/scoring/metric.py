@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.measure import Measure
-from tdgbench.scoring.modality import LABELS, THERMAL, metric_name
 from tdgbench.scoring.scored_view import ImagePair, ScoredView
 
 AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
@@ -66,3 +66,12 @@ class ViewMetric(Metric):
 
     def score(self, shown: ScoredView) -> float:
         return self.of_view(shown)
+
+
+def metric_name(metric: str, modality: str) -> str:
+    """Return the name of a metric of a modality's images.
+
+    >>> metric_name("psnr", "thermal"), metric_name("psnr", "rgb")
+    ('psnr', 'rgb_psnr')
+    """
+    return metric if modality == THERMAL else f"{modality}_{metric}"

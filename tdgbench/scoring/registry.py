@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
+from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import metrics
 from tdgbench.scoring.metric import ImageMetric, Metric
-from tdgbench.scoring.modality import OTHERS
 
 
 def find_metrics() -> dict[str, Metric]:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tdgbench.scenes import Scene, View
-from tdgbench.scoring.modality import LABELS, THERMAL, image_of
+from tdgbench.scenes.modalities import LABELS, THERMAL, image_of
 
 Border = Literal["zero", "valid"]
 ConventionName = Literal["3dgs", "standard"]  # as a record names it

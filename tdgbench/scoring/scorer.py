@@ -83,9 +83,9 @@ class Scorer:
 
     def _collected(self, views: Sequence[View], scored: list[_Scored]) -> dict[str, dict[str, float | None]]:
         """Scores by view; the reasons for missing ones go to `missing`."""
-        for one in scored:
-            self.missing |= one.missing
-        return {view.name: one.scores for view, one in zip(views, scored, strict=True)}
+        for scores in scored:
+            self.missing |= scores.missing
+        return {view.name: of_view.scores for view, of_view in zip(views, scored, strict=True)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
         """LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""

@@ -18,10 +18,9 @@ from torch import Tensor
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.scratch import release
-from tdgbench.splats.cpu.statistics import Watch, observe_visible
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.cpu.statistics import GradientStatistics, observe_visible
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 
 
@@ -87,7 +86,7 @@ class DensityChange:
     cloned: int = 0
     split: int = 0
     pruned: int = 0
-    withheld: int = 0  # that the gradients' threshold would have grown, and other evidence did not
+    not_grown: int = 0  # that the gradients' threshold would have grown, and other evidence did not
 
 
 class Verdict(NamedTuple):
@@ -125,15 +124,15 @@ class DensityControl:
     def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
         """Accumulate the gradients of a view of width × height px."""
         if self._is_fast:
-            gradients.observe(self.watch(width, height))
+            gradients.observe(self.statistics(width, height))
             return
         index, _, image = gradients.rows()
         norm = (image[:, :2] * image.new_tensor((0.5 * width, 0.5 * height))).norm(dim=1)
         self.grad_sum.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
-    def watch(self, width: int, height: int) -> Watch:
+    def statistics(self, width: int, height: int) -> GradientStatistics:
         """Where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
-        return Watch(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True)
+        return GradientStatistics(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True)
 
     @property
     def _is_fast(self) -> bool:
@@ -196,7 +195,7 @@ class DensityControl:
         old = self.state.split(values)
         by_gradients = self._by_gradients()
         verdict = verdict or by_gradients
-        change.withheld = int((by_gradients.grow & ~verdict.grow).sum())
+        change.not_grown = int((by_gradients.grow & ~verdict.grow).sum())
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
         hot = verdict.grow

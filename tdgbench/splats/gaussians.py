@@ -33,7 +33,7 @@ class Gaussians:
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """Return the names of the five parameters that all Gaussians have."""
-        return tuple(one.name for one in fields(cls) if one.name != "more")
+        return tuple(parameter.name for parameter in fields(cls) if parameter.name != "more")
 
     def items(self) -> Iterable[tuple[str, Tensor]]:
         """Return the names and tensors of the parameters, those of `more` last."""

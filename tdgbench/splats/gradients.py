@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import Step, step_rows
+from tdgbench.splats.cpu.adam import AdamStep, step_rows
+from tdgbench.splats.cpu.raster.passes import Blended
 from tdgbench.splats.cpu.scratch import empty_aligned
-from tdgbench.splats.cpu.statistics import NO_WATCH, Watch, observe_gradients
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, observe_gradients
 
 
 @dataclass
@@ -43,22 +44,22 @@ class Gradients:
         """These gradients; `PendingGradients` computes them here."""
         return self
 
-    def observe(self, watch: Watch) -> None:
+    def observe(self, statistics: GradientStatistics) -> None:
         """Add the image-plane gradients of float32 rows on the CPU to density control's statistics."""
-        rows = (self.index.numpy(), self.image.numpy(), watch)
+        rows = (self.index.numpy(), self.image.numpy(), statistics)
         pool.run(observe_gradients, [(*span, *rows) for span in self.spans])
 
-    def take_step(self, step: Step, watch: Watch = NO_WATCH) -> np.ndarray:
+    def take_step(self, step: AdamStep, statistics: GradientStatistics = NO_STATISTICS) -> np.ndarray:
         """Take a step of Adam with these float32 rows on the CPU, and `observe` them.
 
         Returns (columns of the state,) float32: 1 in columns with a gradient that is not finite.
         """
-        if watch.active:
-            self.observe(watch)
+        if statistics.active:
+            self.observe(statistics)
         spans = split_spans(self.spans)
         bad = flags_of(len(spans), step)
         rows = (self.index.numpy(), self.values.numpy(), step)
-        pool.run(step_rows, [(*span, *rows, one) for span, one in zip(spans, bad, strict=True)])
+        pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
         return bad.max(axis=0, initial=0)
 
     @classmethod
@@ -98,7 +99,42 @@ class Gradients:
         return projected[radii > 0], radii[radii > 0]
 
 
-def flags_of(spans: int, step: Step) -> np.ndarray:
+class PendingGradients:
+    """Gradients of a view that nobody has read, with its visible Gaussians; to be used once.
+
+    They are computed as rows, or in the same pass as the step that they are for.
+    """
+
+    def __init__(self, blended: Blended) -> None:
+        done = blended.done
+        self._blended = blended
+        self.projected_spans = done.projected_spans
+        self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
+        self.columns = blended.columns
+        self.pairs, self.blended = done.count_pairs(), int(done.visits.counts.sum())
+        self.touched = 0
+
+    def computed(self) -> Gradients:
+        """The gradients as rows."""
+        rows = self._blended.rows()
+        index, values, image = map(torch.from_numpy, rows.arrays)
+        lease = (rows.workspace, self._blended.done.workspace)
+        return Gradients(
+            rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
+            self.blended, lease,
+        )  # fmt: skip
+
+    def take_step(self, step: AdamStep, statistics: GradientStatistics) -> np.ndarray:
+        """Take a step of Adam with these gradients and add to density control's statistics, in one pass.
+
+        Returns what `Gradients.take_step` does.
+        """
+        bad = flags_of(len(self._blended.done.splat_spans), step)
+        self.touched = self._blended.step(step, statistics, bad)
+        return bad.max(axis=0, initial=0)
+
+
+def flags_of(spans: int, step: AdamStep) -> np.ndarray:
     """(spans, columns of the state) float32 zeros for what a step finds in each column."""
     flags = empty_aligned((spans, step.rows.stride), np.float32)
     flags[:] = 0

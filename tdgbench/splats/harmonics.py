@@ -31,10 +31,10 @@ def num_bases(degree: int) -> int:
     return (degree + 1) ** 2
 
 
-def basis(directions: Tensor, degree: int) -> Tensor:
+def sh_basis(directions: Tensor, degree: int) -> Tensor:
     """Basis functions (…, (degree + 1)²) at unit directions (…, 3).
 
-    >>> basis(torch.tensor([0.0, 0.0, 1.0]), 1)
+    >>> sh_basis(torch.tensor([0.0, 0.0, 1.0]), 1)
     tensor([0.2821, -0.0000, 0.4886, -0.0000])
     """
     x, y, z = directions.unbind(-1)
@@ -65,7 +65,7 @@ def basis(directions: Tensor, degree: int) -> Tensor:
 
 def colors_from_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
     """View-dependent colours (N, C) of coefficients (N, K, C): max(0, 1/2 + Σ_k basis_k · sh_k), as in 3DGS."""
-    weights = basis(directions, degree)
+    weights = sh_basis(directions, degree)
     return ((weights.unsqueeze(-1) * sh[:, : num_bases(degree)]).sum(dim=1) + 0.5).clamp_min(0.0)
 
 

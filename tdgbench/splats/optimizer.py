@@ -13,19 +13,18 @@ from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import (
+    AdamStep,
     Decay,
     Deferred,
     Rows,
     Stale,
-    Step,
     Update,
     flush_rows,
     sum_displacements,
 )
-from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients
-from tdgbench.splats.pending import PendingGradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.state import TrainingState
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
@@ -103,12 +102,12 @@ class Adam:
         gradients: Gradients | PendingGradients,
         iteration: int,
         without: str | None = None,
-        watch: Watch = NO_WATCH,
+        statistics: GradientStatistics = NO_STATISTICS,
     ) -> str | None:
         """Take one step at an iteration (1-based); the parameter `without` has no gradient, in torch's sense.
 
-        Pending gradients are computed in the same pass, which adds to `watch`. Returns the name of a parameter whose
-        gradient is not finite, or None.
+        Pending gradients are computed in the same pass, which adds to `statistics`. Return the name of a parameter
+        whose gradient is not finite, or None.
         """
         state = self.state
         if without is not None:
@@ -127,8 +126,8 @@ class Adam:
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
         self._coefficients[state.now % FLUSH_EVERY] = rates * np.sqrt(bias2) / bias1
         update = Update(step_sizes.numpy(), per_bias2.numpy(), *(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS)))
-        step = Step(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
-        bad = gradients.take_step(step, watch)
+        step = AdamStep(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
+        bad = gradients.take_step(step, statistics)
         deferred = state.now - self._flushed
         sum_displacements(deferred, state.now, self._coefficients, np.float32(RHO), self._displacements)
         if deferred >= FLUSH_EVERY - 1:

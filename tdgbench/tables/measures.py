@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from tdgbench.bench.record import Record
+from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.measure import Measure
-from tdgbench.scoring.modality import OTHERS, metric_name
+from tdgbench.scoring.metric import metric_name
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]

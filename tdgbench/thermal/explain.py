@@ -1,6 +1,6 @@
 """What explains the values of points in different views: a response and a fixed pattern that held-out views support.
 
-How far a fitted response is evidence, a jackknife over clusters of points tells. Errors that the model does not describe
+A jackknife over clusters of points tells how far a fitted response is evidence. Errors that the model does not describe
 (reflections, sunlit slopes, points that moved) are alike over large parts of a scene. In a direction that the values
 hardly determine they become large, and no standard error shows it. What changes as much as it is large when a part of
 the scene is left out is not known, and is held back.

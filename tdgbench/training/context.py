@@ -16,15 +16,14 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
-from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream
-from tdgbench.training.pixels import schedule
 from tdgbench.training.rig import Rig
-from tdgbench.training.settling import hold_out
 from tdgbench.training.skips import Skips
+from tdgbench.training.stopping import hold_out
 
 P = TypeVar("P", bound=Part)
 
@@ -92,12 +91,12 @@ class Context:
     def curriculum(self) -> Curriculum:
         """What the stage shows of the training views."""
         budget, views = self.budget, self.scene.train
-        steps, held = [], []
+        steps, held_out = [], []
         if budget.pixels is not None and views:
             steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
         if budget.settling is not None:
-            held = hold_out(budget.settling, views)
-        return self.keep("curriculum", Curriculum(steps, held))
+            held_out = hold_out(budget.settling, views)
+        return self.keep("curriculum", Curriculum(steps, held_out))
 
     def of_stage(self, number: int, share: float, rig: Rig | None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
@@ -144,7 +143,7 @@ class Context:
         the place of the budget's: a number (0: frozen), or the parameter that has the rate. Fields of `more` need one.
         """
         images = MODALITIES[modality]
-        stream = self._stream()
+        stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
@@ -153,9 +152,7 @@ class Context:
         significance = self._significance(images, background, rig)
         options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}))
         start = start.map(lambda tensor: tensor.to(self.device))
-        model = SplatModel(
-            start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options
-        )  # fmt: skip
+        model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.keep(options.name, model)
 
     def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:
@@ -175,17 +172,12 @@ class Context:
         state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
         return int(state) % 2**63
 
-    def _stream(self) -> RandomStream:
-        return RandomStream(self._seed())
-
     def _background(self, images: Modality) -> torch.Tensor | None:
         if self.budget.background != "mean":
             return None
         return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
 
-    def _significance(
-        self, images: Modality, background: torch.Tensor | None, rig: Rig | None
-    ) -> Significance | None:  # fmt: skip
+    def _significance(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> Significance | None:
         rule = self.budget.growth
         if rule is None:
             return None

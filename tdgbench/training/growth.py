@@ -1,8 +1,8 @@
 """Growth of what is significant: what several views show in one half of a footprint and not in the other.
 
 A Gaussian that is split or cloned can give its two halves different values. What that would explain is the difference
-of the residuals in its halves (`tdgbench.training.evidence`), summed over views with its sign: D = Σ_views Σ_pixels
-±w r. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
+of the residuals in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r. Noise of
+standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
 A Gaussian grows where |D|, in the root mean square over the channels, exceeds `z` times that. Errors of single views
 have different signs and cancel in D. σ is that of the images at their full size: smaller ones, whose pixels are means
 of many, have less noise, so that more than `z` is asked of them.
@@ -14,22 +14,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import Verdict
 from tdgbench.splats.render import render_view
-from tdgbench.splats.view import Pinhole
+from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.evidence import Evidence, Footprints, look_at
 from tdgbench.training.images import Modality
-from tdgbench.training.noise import typical_noise
+from tdgbench.training.spectrum import typical_noise
 
 FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
+HALF = 0.6  # σ from a Gaussian's centre to those of its halves along its longest axis
+NARROWER = (1 - HALF**2) ** 0.5  # σ of a half on that axis: both together have the Gaussian's second moment
+FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's mass
 
 
 class Significance:
@@ -59,14 +63,18 @@ class Significance:
 
     @torch.no_grad()
     def judge(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
-        """Verdict on the Gaussians, rendered at an SH degree. turn: number of the round; it chooses the views."""
-        evidence = Evidence.none(gaussians.means, gaussians.channels)
+        """Return the verdict on Gaussians, rendered at an SH degree. turn: number of the round, which chooses views."""
+        views, weight = gaussians.means.new_zeros(2, len(gaussians))
+        difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
         for view in self.chosen(turn):
-            evidence.add(self.look(self.curriculum.at_resolution(view), gaussians, degree))
-        is_known = (evidence.views >= FEWEST_VIEWS) & (evidence.weight > 0)
-        difference = evidence.difference.square().mean(dim=1).sqrt()
-        strength = torch.where(is_known, difference / (self.noise * evidence.weight.sqrt()), 0.0)
-        return Verdict(strength, strength > self.rule.z, self.useless(evidence.views, evidence.weight))
+            seen = self.look(self.curriculum.at_resolution(view), gaussians, degree)
+            views += seen.visible
+            weight += seen.weight
+            difference += seen.difference
+        is_known = (views >= FEWEST_VIEWS) & (weight > 0)
+        strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
+        strength = torch.where(is_known, strength, 0.0)
+        return Verdict(strength, strength > self.rule.z, self.useless(views, weight))
 
     def useless(self, views: Tensor, weight: Tensor) -> Tensor:
         """(N,) bool: what is pruned, by the number of views that show it (N,) and its weight in them (N,), px."""
@@ -85,4 +93,55 @@ class Significance:
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.of(view, image.device)
-        return look_at(gaussians, taken_by, target - image, valid, self.backend)
+        return footprints(gaussians, taken_by, target - image, valid, self.backend)
+
+
+class Footprints(NamedTuple):
+    """Sums over the footprints of N Gaussians in one view of C channels, each pixel weighted as in the blend."""
+
+    weight: Tensor  # (N,) px
+    residual: Tensor  # (N, C) signed, image values × px
+    difference: Tensor  # (N, C) the residual in one half of the footprint minus that in the other
+    visible: Tensor  # (N,) bool
+
+
+@torch.no_grad()
+def footprints(
+    gaussians: Gaussians, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str
+) -> Footprints:
+    """Footprints of the Gaussians in a residual (H, W, C); masked pixels (`valid` (H, W) is false) count nothing.
+
+    Each Gaussian is rendered as its two halves, without colour: the gradient of a half's colour is the sum over its
+    footprint of what the image's gradient is set to.
+    """
+    counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
+    known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
+    maps = torch.cat([counts, known], dim=-1)
+    n = len(gaussians)
+    parts = split_in_halves(gaussians)
+    with torch.enable_grad():
+        colors = parts.means.new_zeros(2 * n, maps.shape[2], requires_grad=True)
+        view = render_view(parts._replace(colors=colors), Pinhole.of(camera).to(parts.means), backend=backend)
+        view.image.backward(maps)
+    sums = colors.grad
+    assert sums is not None and view.projection is not None
+    first, second = sums[:n], sums[n:]
+    radii = view.projection.radii
+    return Footprints(
+        first[:, 0] + second[:, 0], first[:, 1:] + second[:, 1:], first[:, 1:] - second[:, 1:],
+        (radii[:n] > 0) | (radii[n:] > 0),
+    )  # fmt: skip
+
+
+def split_in_halves(gaussians: Gaussians) -> GaussianTensors:
+    """2N Gaussians without colour: the first halves of N Gaussians along their longest axes, then the second ones."""
+    scales = gaussians.scales
+    longest = scales.argmax(dim=1, keepdim=True)
+    axes = rotation_matrices(gaussians.quats).gather(2, longest[:, None, :].expand(-1, 3, 1)).squeeze(2)
+    offsets = HALF * scales.gather(1, longest) * axes
+    narrow = scales.scatter(1, longest, NARROWER * scales.gather(1, longest))
+    return GaussianTensors(
+        torch.cat([gaussians.means + offsets, gaussians.means - offsets]),
+        gaussians.quats.repeat(2, 1), narrow.repeat(2, 1), (FAINTER * gaussians.opacities).repeat(2),
+        gaussians.means.new_zeros(0, 0),
+    )  # fmt: skip

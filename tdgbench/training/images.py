@@ -2,34 +2,54 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.scenes import Scene, View
-from tdgbench.training.targets import ViewTensors
+from tdgbench.scenes import Scene, View, modalities
+
+
+class ViewTensors:
+    """Arrays of views as tensors, the same ones as long as the view lives; on the CPU they share its memory."""
+
+    def __init__(self) -> None:
+        self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
+
+    def of(self, view: View, name: str, device: torch.device) -> Tensor:
+        """The array `name` of a view; nobody writes to it."""
+        if id(view) not in self._tensors:
+            self._tensors[id(view)] = {}
+            weakref.finalize(view, self._tensors.pop, id(view), None)
+        tensors, key, array = self._tensors[id(view)], (name, str(device)), getattr(view, name)
+        if key not in tensors or tensors[key][0] is not array:  # the view may have been given another one
+            tensors[key] = array, torch.from_numpy(array).to(device)
+        return tensors[key][1]
+
 
 _TENSORS = ViewTensors()
 
 
+@dataclass(frozen=True)
 class Modality:
-    """Thermal images, of which some pixels may be masked."""
+    """Images of one of `tdgbench.scenes.modalities`; pixels of thermal ones may be masked."""
 
-    name = "thermal"
+    name: str
 
     def channels(self, scene: Scene) -> int:
         """Return the channels of the scene's images."""
-        return scene.channels
+        return scene.channels if self.name == modalities.THERMAL else 3
 
     def array(self, view: View) -> np.ndarray:
-        """Return the image (H, W, C) of a view, 0 at masked pixels."""
-        return view.thermal
+        """Return the image (H, W, C) of a view, 0 at masked pixels. Raises SceneError if it has none."""
+        return view.thermal if self.name == modalities.THERMAL else view.rgb
 
     def valid(self, view: View) -> np.ndarray | None:
         """Return the mask (H, W) bool of a view; None if every pixel counts."""
-        return view.valid
+        return view.valid if self.name == modalities.THERMAL else None
 
     def of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
         """Return image and mask of a view as tensors, for a loss; on the CPU they share the view's memory.
@@ -50,20 +70,5 @@ class Modality:
         return np.asarray(total / max(count, 1), np.float32)
 
 
-class _RGB(Modality):
-    """RGB images, of which every pixel counts."""
-
-    name = "rgb"
-
-    def channels(self, scene: Scene) -> int:
-        return 3
-
-    def array(self, view: View) -> np.ndarray:
-        return view.rgb
-
-    def valid(self, view: View) -> np.ndarray | None:
-        return None
-
-
-THERMAL, RGB = Modality(), _RGB()
-MODALITIES: dict[str, Modality] = {one.name: one for one in (THERMAL, RGB)}
+MODALITIES = {name: Modality(name) for name in modalities.LABELS}
+THERMAL, RGB = MODALITIES[modalities.THERMAL], MODALITIES["rgb"]

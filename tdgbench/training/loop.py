@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 import torch
 
-from tdgbench.training.errors import NonFiniteError
 from tdgbench.training.method import Step
-from tdgbench.training.part import Part
+from tdgbench.training.part import NonFiniteError, Part
 from tdgbench.training.trainer import Trainer
 
 LOG_LINES = 200

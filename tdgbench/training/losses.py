@@ -10,6 +10,7 @@ others, while there they are over all. None: every pixel counts. A loss raises V
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,12 +19,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
-from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
+from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
 from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
 from tdgbench.training import torch_losses
-from tdgbench.training.targets import PreparedTargets
 
-_PREPARED = PreparedTargets()
+CACHE_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
 
@@ -243,3 +243,45 @@ class _InverseDepth(torch.autograd.Function):
     def backward(ctx, grad):
         by_depth, by_transmittance = inverse_depth_gradient(_array(grad), *ctx.inputs)
         return torch.from_numpy(by_depth), torch.from_numpy(by_transmittance), None
+
+
+class _Prepared(NamedTuple):
+    version: tuple[int, int | None]  # torch's counts of writes to image and mask
+    valid: Tensor | None
+    target: Target
+
+    @property
+    def bytes(self) -> int:
+        """Memory beyond that of the image and its mask."""
+        target = self.target
+        return target.filtered.nbytes + (0 if target.weights is None else target.weights.nbytes + target.image.nbytes)
+
+
+class PreparedTargets:
+    """Prepared images by their tensors, up to a number of bytes; what exceeds it is prepared anew each time."""
+
+    def __init__(self, max_bytes: int = CACHE_BYTES) -> None:
+        self.max_bytes = max_bytes
+        self.bytes = 0
+        self._prepared: dict[int, _Prepared] = {}
+
+    def of(self, image: Tensor, valid: Tensor | None) -> Target:
+        """An image (H, W, C), prepared with a mask (H, W)."""
+        found = self._prepared.get(id(image))
+        version = (image._version, None if valid is None else valid._version)
+        if found is not None and found.valid is valid and found.version == version:
+            return found.target
+        new = _Prepared(version, valid, prepare_target(_array(image), None if valid is None else _array(valid)))
+        growth = new.bytes - (0 if found is None else found.bytes)
+        if self.bytes + growth <= self.max_bytes:
+            self.bytes += growth
+            self._prepared[id(image)] = new
+            if found is None:
+                weakref.finalize(image, self._forget, id(image))
+        return new.target
+
+    def _forget(self, key: int) -> None:
+        self.bytes -= self._prepared.pop(key).bytes
+
+
+_PREPARED = PreparedTargets()

@@ -13,21 +13,18 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.cpu.statistics import NO_WATCH, Watch
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.density import DensityControl, Verdict
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.errors import EmptyModelError
 from tdgbench.training.growth import Significance
-from tdgbench.training.part import Part
+from tdgbench.training.part import EmptyModelError, Part
 from tdgbench.training.rig import Rig
-from tdgbench.training.skips import Skips
-from tdgbench.training.work import Work
+from tdgbench.training.skips import Skips, Work
 
 
 @dataclass(frozen=True)
@@ -183,7 +180,7 @@ class SplatModel(Part):
         used a gradient that is not finite. Raises EmptyModelError if no Gaussian is left.
         """
         views, self._views = self._views, []
-        gradients, watch = self._gradients_of(views, iteration)
+        gradients, statistics = self._gradients_of(views, iteration)
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
             self._forget(views)
@@ -192,7 +189,9 @@ class SplatModel(Part):
         self.work.add_change(change)
         bad = None
         if gradients is not None:
-            bad = self.optimizer.step(gradients, iteration, "opacity_logits" if change.opacity_reset else None, watch)
+            bad = self.optimizer.step(
+                gradients, iteration, "opacity_logits" if change.opacity_reset else None, statistics
+            )
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
         self._forget(views)
@@ -205,7 +204,9 @@ class SplatModel(Part):
         self.work.touched += sum(view.gradients.touched for view in views)
         views.clear()
 
-    def _gradients_of(self, views: list[_View], iteration: int) -> tuple[Gradients | PendingGradients | None, Watch]:
+    def _gradients_of(
+        self, views: list[_View], iteration: int
+    ) -> tuple[Gradients | PendingGradients | None, GradientStatistics]:
         """Sum of the views' gradients, and the statistics that they are still to be added to.
 
         Those of one view stay pending where nothing but a step needs them.
@@ -213,14 +214,14 @@ class SplatModel(Part):
         observes = self.density.is_active(self._iteration)
         if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
             (view,) = views
-            return view.gradients, self.density.watch(view.width, view.height) if observes else NO_WATCH
+            return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
         for view in views:
             view.gradients = view.gradients.computed()
             if observes:
                 self.density.observe_gradients(view.gradients, view.width, view.height)
         if not views:
-            return None, NO_WATCH
-        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_WATCH
+            return None, NO_STATISTICS
+        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_STATISTICS
 
 
 @dataclass

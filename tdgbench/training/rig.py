@@ -44,9 +44,8 @@ class Rig(Part):
         self.optimizer = torch.optim.Adam(groups)
 
     def step(self, iteration: int) -> str | None:
-        bad = self.not_finite() or next(
-            (name for name, one in self.numbers.items() if one.grad is not None and not one.grad.isfinite().all()), None
-        )
+        gradients = {name: number.grad for name, number in self.numbers.items() if number.grad is not None}
+        bad = self.not_finite() or next((name for name, grad in gradients.items() if not grad.isfinite().all()), None)
         if bad is None:
             self.optimizer.step()
         self.optimizer.zero_grad()
@@ -60,7 +59,10 @@ class Rig(Part):
         return next((name for name, number in self.numbers.items() if not number.isfinite().all()), None)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"numbers": {n: one.detach() for n, one in self.numbers.items()}, "adam": self.optimizer.state_dict()}
+        return {
+            "numbers": {name: number.detach() for name, number in self.numbers.items()},
+            "adam": self.optimizer.state_dict(),
+        }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         for name, number in self.numbers.items():
@@ -71,7 +73,7 @@ class Rig(Part):
         """Return degrees, world units, and shares."""
         found = {name: number.detach().cpu().double() for name, number in self.numbers.items()}
         found["turn"], found["shift"] = found["turn"].rad2deg(), self.extent * found["shift"]
-        return {name: [round(value, 6) for value in one.tolist()] for name, one in found.items()}
+        return {name: [round(value, 6) for value in number.tolist()] for name, number in found.items()}
 
     def camera(self, given: Camera) -> Camera:
         """Return the thermal camera beside a given one, without its distortion."""

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tdgbench.scenes import Scene
+from tdgbench.splats.density import DensityChange
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.work import Work
 
 
 @dataclass
@@ -75,6 +76,33 @@ SWITCHES = ("gray", "rgb", "prior", "depth", "unseen", "saturated")
 RULES = ("growth", "pixels", "settling", "plateau")  # of the budget
 
 
+@dataclass
+class Work:
+    """Sums over all backward passes and rounds of density control so far."""
+
+    rows: int = 0  # Gaussians of the model
+    touched: int = 0  # Gaussians with a gradient
+    pairs: int = 0  # (tile, Gaussian) pairs
+    blended: int = 0  # pairs that the blend read before their tile ended
+    cloned: int = 0  # Gaussians
+    split: int = 0
+    pruned: int = 0
+    not_grown: int = 0
+
+    def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
+        """Add the backward pass of a view of `count` Gaussians, but for those that it touched."""
+        self.rows += count
+        self.pairs += gradients.pairs
+        self.blended += gradients.blended
+
+    def add_change(self, change: DensityChange) -> None:
+        """Add an iteration's density control."""
+        self.cloned += change.cloned
+        self.split += change.split
+        self.pruned += change.pruned
+        self.not_grown += change.not_grown
+
+
 class Finished(NamedTuple):
     """A training that is over."""
 
@@ -126,11 +154,11 @@ def _account_switches(skips: Skips, training: Finished) -> None:
 
 def _growth(skip: Skip, training: Finished) -> None:
     rule = training.budget.growth
-    withheld = _sum(training.work, "withheld")
+    not_grown = _sum(training.work, "not_grown")
     grown = _sum(training.work, "cloned") + _sum(training.work, "split")
     if rule is not None:
         reason = f"{grown} Gaussians grew, on evidence from {rule.views} views a round"
-        skip.decide(withheld > 0, reason, f"growth of {withheld} Gaussians with large gradients")
+        skip.decide(not_grown > 0, reason, f"growth of {not_grown} Gaussians with large gradients")
 
 
 def _pixels(skip: Skip, training: Finished) -> None:
@@ -146,12 +174,12 @@ def _settling(skip: Skip, training: Finished) -> None:
     if rule is None:
         return
     is_early = 0 < curriculum.settled_at < rule.latest(iterations)
-    if not curriculum.held:
+    if not curriculum.held_out:
         reason = "too few training views to hold some out"
     elif not is_early:
-        reason = f"{len(curriculum.held)} held-out views went on getting better"
+        reason = f"{len(curriculum.held_out)} held-out views went on getting better"
     else:
-        reason = f"{len(curriculum.held)} held-out views gained less than {rule.gain:g} dB from window to window"
+        reason = f"{len(curriculum.held_out)} held-out views gained less than {rule.gain:g} dB from window to window"
     remaining = iterations - training.iterations
     skip.decide(is_early and remaining > 0, reason, f"{remaining} of {iterations} iterations")
 
@@ -172,7 +200,7 @@ def _plateau(skip: Skip, training: Finished) -> None:
 
 
 def _sum(work: Iterable[Work], name: str) -> int:
-    return sum(getattr(one, name) for one in work)
+    return sum(getattr(counts, name) for counts in work)
 
 
 def _without_depth(without: int, iterations: int) -> str:

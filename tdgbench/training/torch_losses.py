@@ -5,12 +5,10 @@ Images are (H, W, C) in [0, 1]. `valid`: bool (H, W), false for masked pixels; N
 
 from __future__ import annotations
 
-import functools
-
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.losses.ssim import C1, C2, SIGMA, WINDOW
+from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
 
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None) -> Tensor:
@@ -43,8 +41,8 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) ->
     differences = [(here - other).abs() for here, other in _neighbours(image, reading)]
     if valid is not None:
         weights = _neighbours(valid[..., None].to(image.dtype), reading)
-        differences = [one * here * other for one, (here, other) in zip(differences, weights, strict=True)]
-    total = torch.stack([one.sum() for one in differences]).sum()
+        differences = [d * here * other for d, (here, other) in zip(differences, weights, strict=True)]
+    total = torch.stack([difference.sum() for difference in differences]).sum()
     return total / count if reading == "reference" else 2 * total / (4 * count)
 
 
@@ -62,13 +60,6 @@ def without_masked(image: Tensor, valid: Tensor) -> Tensor:
     [0.0, 1.0]
     """
     return torch.where(valid[..., None], image, 0.0)
-
-
-@functools.cache
-def _window() -> list[float]:
-    offsets = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
-    weights = torch.exp(-(offsets**2) / (2 * SIGMA**2))
-    return (weights / weights.sum()).tolist()
 
 
 class _Blur(torch.autograd.Function):
@@ -92,11 +83,11 @@ def _blur(images: Tensor) -> Tensor:
 
 
 def _filtered(images: Tensor) -> Tensor:
-    half = WINDOW // 2
+    half, weights = WINDOW // 2, window().tolist()
     for dim, padding in ((3, (half, half, 0, 0)), (2, (0, 0, half, half))):
         padded = torch.nn.functional.pad(images, padding)
         first, *others = (padded.narrow(dim, shift, images.shape[dim]) for shift in range(WINDOW))
-        images = _window()[0] * first
-        for weight, shifted in zip(_window()[1:], others, strict=True):
+        images = weights[0] * first
+        for weight, shifted in zip(weights[1:], others, strict=True):
             images.add_(shifted, alpha=weight)
     return images

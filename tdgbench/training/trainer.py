@@ -11,9 +11,8 @@ from tdgbench.training.context import Context
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
-from tdgbench.training.plateau import Plateau
 from tdgbench.training.rig import Rig
-from tdgbench.training.settling import Settling
+from tdgbench.training.stopping import Plateau, Settling
 
 
 class Trainer:
@@ -49,7 +48,7 @@ class Trainer:
 
     def all_parts(self) -> dict[str, Part]:
         """Return the parts by name: first those of finished stages, as stage/name where another has the name now."""
-        finished = {name if name not in self.parts else f"{stage}/{name}": one for stage, name, one in self._finished}
+        finished = {name if name not in self.parts else f"{stage}/{name}": part for stage, name, part in self._finished}
         stopping = {} if self.stopping is None else {"stopping": self.stopping}
         return {**finished, **self.parts, **stopping}
 
@@ -66,8 +65,8 @@ class Trainer:
         done, name = self.parts, self.stage.name
         self.number, self.before = self.number + 1, self.before + iterations
         self._start()
-        kept = [id(part) for part in self.parts.values()]
-        self._finished += [(name, n, part) for n, part in done.items() if id(part) not in kept]
+        current = [id(part) for part in self.parts.values()]
+        self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
         return True
 
     def state_dict(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.context import training_device
-from tdgbench.training.evidence import look_at
+from tdgbench.training.growth import footprints
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
 from tdgbench.training.model import SplatModel
 
@@ -56,5 +56,5 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
             else:
                 model.step(iteration)
         if budget.growth is not None:
-            look_at(model.gaussians, camera, torch.zeros_like(black), None, backend)
+            footprints(model.gaussians, camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()

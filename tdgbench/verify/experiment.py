@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, record_files
-from tdgbench.scoring.modality import THERMAL
+from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import verify_cell

@@ -14,9 +14,9 @@ from tdgbench.bench.key import cell_key
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
+from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.scoring.lpips import Net, Range
-from tdgbench.scoring.modality import THERMAL
 from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.splats.ply import count_rows
 

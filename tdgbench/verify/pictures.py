@@ -17,8 +17,8 @@ from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import background_of, blending_of, render_model, response_of
 from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import View
+from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import RenderedImages
-from tdgbench.scoring.modality import LABELS, OTHERS, THERMAL
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
 from tdgbench.verify.findings import Findings

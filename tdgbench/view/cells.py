@@ -18,8 +18,8 @@ from tdgbench.bench.renders import response_of
 from tdgbench.bench.stored import file_problems
 from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import Camera, View
+from tdgbench.scenes.modalities import LABELS, THERMAL, image_of
 from tdgbench.scoring import to_8bit
-from tdgbench.scoring.modality import LABELS, THERMAL, image_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.thermal import ImageResponse

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from PIL import Image
 
-from tdgbench.scoring.modality import LABELS
+from tdgbench.scenes.modalities import LABELS
 from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import VALUE_ID

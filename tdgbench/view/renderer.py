@@ -11,8 +11,8 @@ import torch
 
 from tdgbench.bench.renders import background_of
 from tdgbench.scenes import Camera
+from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import to_8bit
-from tdgbench.scoring.modality import LABELS, OTHERS, THERMAL
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.view.cells import ViewedCell

@@ -30,7 +30,7 @@ def test_a_method_is_ready_to_train(data_root):
     assert train(trainer).iterations == 2
 
 
-class Watch(SetupObserver):
+class GradientStatistics(SetupObserver):
     def __init__(self):
         self.stages, self.counts, self.notes = [], [], []
 
@@ -52,7 +52,7 @@ class Watch(SetupObserver):
 def test_an_observer_sees_stages_and_facts(data_root, tmp_path):
     cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    first, again, watch = Skips(), Skips(), Watch()
+    first, again, watch = Skips(), Skips(), GradientStatistics()
     set_up(cfg, scene, skips=first, prior_cache=tmp_path, compiles=False)
     set_up(cfg, scene, skips=again, prior_cache=tmp_path, observer=watch)
     assert watch.stages == ["images", "prior", "init", "compile"]

@@ -1,7 +1,7 @@
 import pytest
 
+from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS, TRAIN_METRICS, metrics, registry
-from tdgbench.scoring.modality import LABELS
 from tdgbench.scoring.registry import find_metrics
 
 MADE_UP = """

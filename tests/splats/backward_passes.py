@@ -7,9 +7,8 @@ from torch import Tensor
 
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import StateOptions
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole

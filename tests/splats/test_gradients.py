@@ -1,6 +1,15 @@
+"""Gradients that go straight into a step: they are read from the first moments, (1 − β1) times the gradient."""
+
+import numpy as np
+import pytest
 import torch
 
+from tdgbench.splats import Gaussians
+from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.statistics import GradientStatistics
 from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.optimizer import BETA1
+from tests.splats.backward_passes import COUNT, HEIGHT, WIDTH, backward_pass, cloud
 
 
 def test_dense_gradients_have_every_gaussian():
@@ -27,3 +36,70 @@ def test_the_sum_of_two_views():
     total = Gradients.total([one, two], 4)
     assert total.values[:, 0].tolist() == [1, 0, 11, 0] and total.values[:, 20].tolist() == [0, 0, 10, 0]
     assert total.image[:, 1].tolist() == [1, 0, 11, 0] and total.radii.tolist() == [3, 0, 9, 0]
+
+
+def watching(count: int = COUNT) -> GradientStatistics:
+    return GradientStatistics(np.zeros(count, np.float32), 0.5 * WIDTH, 0.5 * HEIGHT, True)
+
+
+@pytest.mark.parametrize(("channels", "degree", "used"), [(1, 3, 3), (1, 3, 1), (3, 2, 2), (3, 3, 0)])
+def test_a_step_has_the_gradients_of_the_reference(channels, degree, used):
+    """Against torch's in float64; so have the statistics."""
+    done, statistics = backward_pass(cloud(channels, degree), "cpu", used), watching()
+    assert done.optimizer.step(done.gradients, 1, statistics=statistics) is None
+    exact = backward_pass(cloud(channels, degree, torch.float64), "reference", used).gradients
+    found, index, (_, rows, image) = done.state.first.double() / (1 - BETA1), *exact.rows()[:1], exact.rows()
+    want, lengths = torch.zeros(COUNT, found.shape[1], dtype=torch.float64), torch.zeros(COUNT, dtype=torch.float64)
+    want[index.long(), : rows.shape[1]] = rows
+    lengths[index.long()] = torch.where(
+        image[:, 2] > 0, torch.hypot(image[:, 0] * statistics.half_width, image[:, 1] * statistics.half_height), 0.0
+    )
+    assert (found - want).norm() < 1e-4 * want.norm()
+    for column in (done.state.column_of(name).start for name in Gaussians.names()):  # every kind by itself
+        assert (found - want)[:, column].norm() < 1e-3 * want[:, column].norm() > 0
+    assert (torch.from_numpy(statistics.grad_sum) - lengths).norm() < 1e-3 * lengths.norm() > 0
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize(("channels", "used"), [(1, 2), (3, 0), (3, 2)])
+def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
+    """Over several batches of Gaussians and a register that is not full."""
+    count, left = 700, []
+    try:
+        pool.set_threads(threads)
+        for read_first in (False, True):
+            done, statistics = backward_pass(cloud(channels, 2, count=count), "cpu", used), watching(count)
+            gradients = done.gradients.computed() if read_first else done.gradients
+            done.optimizer.step(gradients, 1, statistics=statistics)
+            state = done.state
+            arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
+            left.append(
+                ([array.numpy().tobytes() for array in arrays], statistics.grad_sum.tobytes(), gradients.touched)
+            )
+    finally:
+        pool.set_threads(None)
+    assert left[0] == left[1] and left[0][2] > 300
+
+
+def test_what_is_known_before_the_gradients():
+    pending = backward_pass(cloud(1, 1), "cpu", 1).gradients
+    assert pending.touched == 0 and pending.pairs >= pending.blended > 0
+    rows = pending.computed()
+    assert (rows.pairs, rows.blended, rows.columns) == (pending.pairs, pending.blended, pending.columns)
+    assert rows.projected is pending.projected and rows.radii is pending.radii and rows.touched > 0
+
+
+def test_without_a_watch_nothing_is_observed():
+    done = backward_pass(cloud(1, 1), "cpu", 1)
+    done.optimizer.step(done.gradients, 1)
+    assert done.gradients.touched > 0 and done.state.first.any()
+
+
+@pytest.mark.parametrize("name", ["opacity_logits", "sh"])
+def test_a_gradient_that_is_not_finite_is_named(name):
+    """The sum of opacity's moments, or of a channel's, is infinite."""
+    done = backward_pass(cloud(1, 0), "cpu", 0)
+    blended = done.gradients._blended
+    slots = blended.slots.values[: len(blended.slots.written) * 8].reshape(-1, 8)  # six moments, colour, depth
+    slots[:, {"opacity_logits": 0, "sh": 6}[name]] = np.inf
+    assert done.optimizer.step(done.gradients, 1) == name

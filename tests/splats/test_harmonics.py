@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.splats.harmonics import basis, colors_from_sh, num_bases, sh_from_color
+from tdgbench.splats.harmonics import colors_from_sh, num_bases, sh_basis, sh_from_color
 
 
 def sphere_quadrature(n: int = 12):
@@ -19,7 +19,7 @@ def sphere_quadrature(n: int = 12):
 
 def test_basis_is_orthonormal():
     directions, weights = sphere_quadrature()
-    values = basis(directions, 3)
+    values = sh_basis(directions, 3)
     assert torch.allclose(values.T @ (weights[:, None] * values), torch.eye(16, dtype=torch.float64), atol=1e-12)
 
 

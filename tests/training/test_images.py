@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from tdgbench.training.images import MODALITIES, RGB, THERMAL
+from tdgbench.scenes import Camera, View
+from tdgbench.training.images import MODALITIES, RGB, THERMAL, ViewTensors
 
 CPU = torch.device("cpu")
 
@@ -56,3 +58,26 @@ def test_a_thermal_mask_says_nothing_about_rgb(small_gray_scene):
     image, valid = RGB.of(view, CPU)
     assert valid is None and np.array_equal(image.numpy(), view.rgb)
     assert THERMAL.of(small_gray_scene.train[1], CPU)[1] is None
+
+
+def view(side: int = 20) -> View:
+    image = np.random.default_rng(side).random((side, side, 1)).astype(np.float32)
+    return View("a", Camera(np.eye(3), np.eye(4), side, side), lambda: image)
+
+
+def test_a_view_has_one_tensor_which_goes_with_it():
+    tensors, one, other = ViewTensors(), view(), view()
+    found = tensors.of(one, "thermal", torch.device("cpu"))
+    assert found is tensors.of(one, "thermal", torch.device("cpu"))
+    assert found is not tensors.of(other, "thermal", torch.device("cpu"))
+    assert np.shares_memory(found.numpy(), one.thermal)
+    del one
+    gc.collect()
+    assert len(tensors._tensors) == 1
+
+
+def test_a_view_that_is_given_another_image_has_another_tensor():
+    tensors, one = ViewTensors(), view()
+    tensors.of(one, "thermal", torch.device("cpu"))
+    one.thermal = np.full((20, 20, 1), np.nan, np.float32)
+    assert tensors.of(one, "thermal", torch.device("cpu")).isnan().all()

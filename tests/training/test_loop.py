@@ -9,11 +9,11 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.view import Render
 from tdgbench.training import loop
 from tdgbench.training.budget import PlateauRule
-from tdgbench.training.errors import EmptyModelError, NonFiniteError
 from tdgbench.training.loop import train
 from tdgbench.training.method import Step
-from tdgbench.training.plateau import Plateau
+from tdgbench.training.part import EmptyModelError, NonFiniteError
 from tdgbench.training.skips import Skips
+from tdgbench.training.stopping import Plateau
 from tests.helpers.training import digest, ready_to_train, trained
 
 METHODS = ["tdg", "msmg", "splat"]

@@ -1,9 +1,13 @@
+import gc
+
 import numpy as np
 import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
+from tdgbench.training import losses
 from tdgbench.training.losses import (
+    PreparedTargets,
     inverse_expected_depth,
     l1,
     l1_and_dssim,
@@ -253,3 +257,28 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
     finally:
         pool.set_threads(None)
     assert len(set(found)) == 1
+
+
+def test_an_image_is_prepared_once(monkeypatch):
+    calls, prepare = [], losses.prepare_target
+    monkeypatch.setattr(losses, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
+    kept, image, mask = PreparedTargets(), torch.rand(20, 20, 1), torch.rand(20, 20) > 0.3
+    assert kept.of(image, None) is kept.of(image, None) and len(calls) == 1
+    masked = kept.of(image, mask)
+    assert masked is kept.of(image, mask) and masked.weights is not None and len(calls) == 2
+    assert kept.bytes == 4 * 4 * 400  # image, weights, and two filtered ones
+    image.mul_(0.5)  # noticed
+    assert np.array_equal(kept.of(image, None).image, image.numpy().reshape(20, 20)) and len(calls) == 3
+    del image, masked
+    gc.collect()
+    assert kept.bytes == 0 and not kept._prepared
+
+
+def test_no_more_is_prepared_than_allowed():
+    images = [torch.rand(20, 20, 1) for _ in range(4)]
+    kept = PreparedTargets(max_bytes=2 * 2 * 4 * 400)
+    first = [kept.of(image, None) for image in images]
+    assert [kept.of(image, None) is target for image, target in zip(images, first, strict=True)] == [True] * 2 + [
+        False
+    ] * 2
+    assert kept.bytes == kept.max_bytes

@@ -5,8 +5,8 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
+from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.training import model as model_module
 from tdgbench.training.losses import thermal
 from tdgbench.training.model import SplatModel

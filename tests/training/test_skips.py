@@ -117,7 +117,7 @@ def after_lean(scene, *overrides):
 def test_the_rules_of_the_lean_budget(small_gray_scene):
     found, trainer = after_lean(small_gray_scene)
     work = trainer.gaussians["thermal"].work
-    assert work.withheld > 0 and found["growth"].saved == f"growth of {work.withheld} Gaussians with large gradients"
+    assert work.not_grown > 0 and found["growth"].saved == f"growth of {work.not_grown} Gaussians with large gradients"
     assert "evidence from 10 views a round" in found["growth"].reason
     assert found["settling"].saved == "22 of 60 iterations"  # it settled at 30; a quarter more, at 1/2 again
     assert found["pixels"].reason == "25 iterations at 1/2"  # the schedule had left it after 17
@@ -146,4 +146,4 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert all(found[other].taken for other in {"growth", "pixels", "settling"} - {name})
     assert (trainer.gaussians["thermal"].significance is None) == (name == "growth")
     assert (trainer.context.curriculum.steps == []) == (name == "pixels")
-    assert (trainer.context.curriculum.held == []) == (name == "settling")
+    assert (trainer.context.curriculum.held_out == []) == (name == "settling")

@@ -11,7 +11,7 @@ from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
 from tdgbench.scoring.scored_view import ImagePair
 
 
-class Response(NamedTuple):
+class GainAndOffset(NamedTuple):
     """A view's two parameters: value = gain · rendered value + offset, the same for all channels."""
 
     gain: float
@@ -22,20 +22,20 @@ class Response(NamedTuple):
         return np.clip(self.gain * image.astype(np.float64) + self.offset, 0, 1)
 
 
-def best_response(image: np.ndarray, target: np.ndarray) -> Response:
+def best_gain_and_offset(image: np.ndarray, target: np.ndarray) -> GainAndOffset:
     """The gain ≥ 0 and offset that bring an image nearest to its target, by least squares over all pixels and channels.
 
     A gain below 0 would turn hot into cold. An image of one value gets an offset only.
 
     >>> image = np.array([0.2, 0.4, 0.6])
-    >>> response = best_response(image, 0.5 * image + 0.1)
+    >>> response = best_gain_and_offset(image, 0.5 * image + 0.1)
     >>> round(response.gain, 6), round(response.offset, 6)
     (0.5, 0.1)
     """
     x, y = image.astype(np.float64), target.astype(np.float64)
     spread = float(np.mean((x - x.mean()) ** 2))
     gain = max(float(np.mean((x - x.mean()) * (y - y.mean()))) / spread, 0.0) if spread > 0 else 1.0
-    return Response(gain, float(y.mean() - gain * x.mean()))
+    return GainAndOffset(gain, float(y.mean() - gain * x.mean()))
 
 
 def psnr_affine(image: np.ndarray, target: np.ndarray) -> float:
@@ -44,7 +44,7 @@ def psnr_affine(image: np.ndarray, target: np.ndarray) -> float:
     nerfbaselines and gsplat call PSNR after a fitted affine map of colours colour-corrected; theirs has a 3×3 matrix,
     which has no meaning for temperatures.
     """
-    return psnr(best_response(image, target).of(image), target)
+    return psnr(best_gain_and_offset(image, target).of(image), target)
 
 
 def _of_images(pair: ImagePair) -> float:

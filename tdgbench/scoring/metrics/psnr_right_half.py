@@ -6,7 +6,7 @@ import numpy as np
 
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
-from tdgbench.scoring.metrics.psnr_affine import best_response
+from tdgbench.scoring.metrics.psnr_affine import best_gain_and_offset
 from tdgbench.scoring.scored_view import ImagePair, NotApplicableError, at_valid
 
 
@@ -23,12 +23,12 @@ def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | N
     """
     half = image.shape[1] // 2
     left, right = (
-        [at_valid(None if valid is None else valid[:, columns], one[:, columns]) for one in (image, target)]
+        [at_valid(None if valid is None else valid[:, columns], pixels[:, columns]) for pixels in (image, target)]
         for columns in (slice(0, half), slice(half, None))
     )
     if not (left[0].size and right[0].size):
         raise NotApplicableError("a half of a test view has no pixel with a thermal value")
-    return psnr(best_response(*left).of(right[0]), right[1])
+    return psnr(best_gain_and_offset(*left).of(right[0]), right[1])
 
 
 def _of_images(pair: ImagePair) -> float:

@@ -31,7 +31,7 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border, valid: np.ndarra
         raise ValueError(f"SSIM on the valid region needs {WINDOW}×{WINDOW} pixels; the image is {image.shape[:2]}")
     a, b = image.astype(np.float64), target.astype(np.float64)
     if valid is not None:
-        a, b = (np.where(valid[..., None], one, 0.0) for one in (a, b))
+        a, b = (np.where(valid[..., None], pixels, 0.0) for pixels in (a, b))
     mu_a, mu_b = _blur(a), _blur(b)
     var_a, var_b = _blur(a * a) - mu_a**2, _blur(b * b) - mu_b**2
     covariance = _blur(a * b) - mu_a * mu_b

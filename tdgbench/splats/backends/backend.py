@@ -10,9 +10,8 @@ import torch
 
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam, Tolerance
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.pose import with_pose_gradient
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions

@@ -11,15 +11,12 @@ from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tdgbench.splats.cpu.raster.backward import Blended, blend_backward
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.dense import dense_gradients, dense_projected
-from tdgbench.splats.cpu.raster.forward import forward
-from tdgbench.splats.cpu.raster.limits import pack_limits
+from tdgbench.splats.cpu.raster.passes import Blended, blend_backward, forward
 from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
-from tdgbench.splats.cpu.raster.types import Settings
+from tdgbench.splats.cpu.raster.types import Settings, pack_camera, pack_limits
+from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.optimizer import Adam, Tolerance
-from tdgbench.splats.pending import PendingGradients
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 

@@ -68,7 +68,7 @@ class Update(NamedTuple):
     eps: np.float32
 
 
-class Step(NamedTuple):
+class AdamStep(NamedTuple):
     """One step; `deferred` ends with the step before."""
 
     rows: Rows
@@ -77,12 +77,12 @@ class Step(NamedTuple):
     update: Update
 
 
-def _nothing() -> tuple[Stale, Step]:
+def _nothing() -> tuple[Stale, AdamStep]:
     """No row and no step, in the types of some: kernels are compiled once for both."""
     floats = np.zeros(0, np.float32)
     rows = Rows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
     deferred = Deferred(0, floats, floats, F(0))
-    return Stale(rows, deferred, 0), Step(
+    return Stale(rows, deferred, 0), AdamStep(
         rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
     )
 
@@ -156,7 +156,7 @@ def step_row(step, i, gradients, source, bad):
 def step_rows(first, count, index, gradients, step, bad):
     """Step the rows index[first : first + count], int32 (capacity,), by gradients, float32 (capacity, rows.columns).
 
-    step: Step. bad (stride,) float32: becomes 1 in columns with a gradient that is not finite.
+    step: AdamStep. bad (stride,) float32: becomes 1 in columns with a gradient that is not finite.
     """
     flat, rows = gradients.reshape(-1), step.rows
     last = U(first + count - 1)

@@ -17,13 +17,19 @@ import numpy as np
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import jit, pool
-from tdgbench.splats.cpu.raster.backward import blend_backward
 from tdgbench.splats.cpu.raster.blend import blend_tiles
-from tdgbench.splats.cpu.raster.camera import pack_camera
-from tdgbench.splats.cpu.raster.limits import pack_limits
+from tdgbench.splats.cpu.raster.passes import blend_backward
 from tdgbench.splats.cpu.raster.source import source_of_rows
-from tdgbench.splats.cpu.raster.splat import FLOATS
-from tdgbench.splats.cpu.raster.types import ForwardPass, Projected, Settings, Splats, TileLists
+from tdgbench.splats.cpu.raster.types import (
+    FLOATS,
+    ForwardPass,
+    Projected,
+    Settings,
+    Splats,
+    TileLists,
+    pack_camera,
+    pack_limits,
+)
 from tdgbench.splats.cpu.scratch import Workspace
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -25,7 +25,7 @@ def observe_visible(first, count, index, radii, view_counts, max_radii):
             max_radii[i] = max(max_radii[i], np.float32(radii[r]))
 
 
-class Watch(NamedTuple):
+class GradientStatistics(NamedTuple):
     """Where density control accumulates the gradients of a view in its image."""
 
     grad_sum: np.ndarray  # float32 (N,): in units of half the image
@@ -34,23 +34,23 @@ class Watch(NamedTuple):
     active: bool
 
 
-NO_WATCH = Watch(np.empty(0, np.float32), 0.0, 0.0, False)
+NO_STATISTICS = GradientStatistics(np.empty(0, np.float32), 0.0, 0.0, False)
 
 
 @kernel(inline=True)
-def add_length(watch, i, gu, gv):
+def add_length(statistics, i, gu, gv):
     """Add the length of an image-plane gradient (per px) to that of Gaussian i."""
-    gu, gv = gu * watch.half_width, gv * watch.half_height
-    watch.grad_sum[i] += math.sqrt(gu * gu + gv * gv)
+    gu, gv = gu * statistics.half_width, gv * statistics.half_height
+    statistics.grad_sum[i] += math.sqrt(gu * gu + gv * gv)
 
 
 @kernel()
-def observe_gradients(first, count, index, image, watch):
-    """Add the length of the image-plane gradient of the visible Gaussians; watch: Watch.
+def observe_gradients(first, count, index, image, statistics):
+    """Add the length of the image-plane gradient of the visible Gaussians; statistics: GradientStatistics.
 
     index: int32 (capacity,); image: float32 (capacity, 3), see `Gradients.image`; of both [first, first + count)
     is read.
     """
     for r in range(U(first), U(first + count)):
         if image[r, U(2)] > np.float32(0):
-            add_length(watch, U(index[r]), image[r, U(0)], image[r, U(1)])
+            add_length(statistics, U(index[r]), image[r, U(0)], image[r, U(1)])

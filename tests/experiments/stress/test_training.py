@@ -9,8 +9,8 @@ import torch
 from tdgbench.experiments.stress.case import UnexpectedError
 from tdgbench.experiments.stress.small import SmallTraining, shifted, with_cameras_on_a_line, with_points
 from tdgbench.experiments.stress.training import repeated, spread
-from tdgbench.training.errors import NonFiniteError
 from tdgbench.training.method import Frame
+from tdgbench.training.part import NonFiniteError
 from tests.helpers.configs import config
 
 

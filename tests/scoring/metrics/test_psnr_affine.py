@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.metrics.psnr_affine import best_response, psnr_affine
+from tdgbench.scoring.metrics.psnr_affine import best_gain_and_offset, psnr_affine
 from tdgbench.scoring.metrics.psnr_right_half import psnr_right_half
 from tdgbench.scoring.scored_view import NotApplicableError
 from tests.scoring.images import images
@@ -15,7 +15,7 @@ def test_the_response_is_that_of_least_squares(size):
     image, target = images(size)
     x = image.astype(np.float64).ravel()
     (gain, offset), *_ = np.linalg.lstsq(np.stack([x, np.ones_like(x)], axis=1), target.ravel(), rcond=None)
-    found = best_response(image, target)
+    found = best_gain_and_offset(image, target)
     assert found.gain == pytest.approx(gain, rel=1e-6) and found.offset == pytest.approx(offset, abs=1e-6)
 
 
@@ -34,15 +34,15 @@ def test_it_is_never_worse_than_the_image_as_it_is():
 
 def test_what_cannot_be_fitted_is_not_turned_around():
     target = np.linspace(0, 1, 20)[:, None]
-    assert best_response(1 - target, target) == (0.0, 0.5)
-    assert best_response(np.full((20, 1), 0.2), target) == pytest.approx((1.0, 0.3))
+    assert best_gain_and_offset(1 - target, target) == (0.0, 0.5)
+    assert best_gain_and_offset(np.full((20, 1), 0.2), target) == pytest.approx((1.0, 0.3))
 
 
 def test_the_left_half_alone_decides():
     image, target = images((20, 31, 1))
     changed = target.copy()
     changed[:, :15] = 0.5 * changed[:, :15] + 0.2
-    response = best_response(image[:, :15], changed[:, :15])
+    response = best_gain_and_offset(image[:, :15], changed[:, :15])
     assert psnr_right_half(image, changed) == pytest.approx(psnr(response.of(image[:, 15:]), target[:, 15:]), abs=1e-6)
     assert psnr_right_half(image, changed) < psnr_right_half(image, target)
 
@@ -52,7 +52,7 @@ def test_masked_pixels_count_nothing():
     valid = np.random.default_rng(1).random((20, 30)) < 0.5
     spoilt = np.where(valid[..., None], image, np.float32(np.nan))
     left, right = valid[:, :15], valid[:, 15:]
-    response = best_response(image[:, :15][left], target[:, :15][left])
+    response = best_gain_and_offset(image[:, :15][left], target[:, :15][left])
     expected = psnr(response.of(image[:, 15:][right]), target[:, 15:][right])
     assert psnr_right_half(spoilt, target, valid) == pytest.approx(expected, abs=1e-6)
 

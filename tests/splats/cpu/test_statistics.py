@@ -1,6 +1,6 @@
 import numpy as np
 
-from tdgbench.splats.cpu.statistics import Watch, observe_gradients, observe_visible
+from tdgbench.splats.cpu.statistics import GradientStatistics, observe_gradients, observe_visible
 
 
 def test_only_visible_gaussians_count():
@@ -13,5 +13,5 @@ def test_only_visible_gaussians_count():
 def test_gradients_are_in_units_of_half_the_image():
     total = np.zeros(4, np.float32)
     image = np.array([[0.3, 0.2, 5], [1, 1, 0], [0, -1, 2]], np.float32)
-    observe_gradients(0, 3, np.array([2, 1, 0], np.int32), image, Watch(total, 10.0, 20.0, True))
+    observe_gradients(0, 3, np.array([2, 1, 0], np.int32), image, GradientStatistics(total, 10.0, 20.0, True))
     assert np.allclose(total, [20, 0, 5, 0])

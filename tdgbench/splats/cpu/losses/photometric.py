@@ -27,7 +27,7 @@ ZERO, ONE, TWO = F(0), F(1), F(2)
 C1, C2 = F(ssim.C1), F(ssim.C2)
 
 
-class Images(NamedTuple):
+class ComparedImages(NamedTuple):
     """Two images, float32 (rows, columns · channels) each, and what the window makes of the second."""
 
     a: np.ndarray
@@ -250,7 +250,7 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
             sums[g, 2] = neighbour_differences(g, a, weights, channels, scales.wrap)
 
 
-def prepare(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
+def prepare_target(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
     """An image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false where it is masked.
 
     Raises ValueError if all of it is masked.
@@ -288,14 +288,14 @@ def photometric_and_gradient(
     (0.25, True)
     """
     height, width, channels = a.shape
-    target = b if isinstance(b, Target) else prepare(b, valid)
+    target = b if isinstance(b, Target) else prepare_target(b, valid)
     flat_a, weights, count = a.reshape(height, width * channels), target.weights, target.count
     if weights is not None:
         flat_a = without_masked(flat_a, weights)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
     scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
     bands = pool.chunks(height, min(height, pool.get_threads()))
-    common = (Images(flat_a, target.image, target.filtered, channels), weights, scales, gradient, sums)
+    common = (ComparedImages(flat_a, target.image, target.filtered, channels), weights, scales, gradient, sums)
     pool.run(photometric_band, [(*band, *common) for band in bands])
     error, similarity, differences = sums.sum(axis=0).tolist()
     return error / count, similarity / count, differences, gradient.reshape(a.shape)

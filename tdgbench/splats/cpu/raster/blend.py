@@ -33,7 +33,7 @@ from tdgbench.splats.cpu.raster.blocks import (
     write_transmittance,
 )
 from tdgbench.splats.cpu.raster.tiles import TILE
-from tdgbench.splats.cpu.raster.types import Images, Settings, Splats, TileLists, Visits
+from tdgbench.splats.cpu.raster.types import ImageArrays, Settings, Splats, TileLists, Visits
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
 from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import any_bit, any_positive
@@ -54,9 +54,9 @@ PREFETCH_DISTANCE = 16  # pairs
 
 
 def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blocks: np.ndarray):
-    """Blend all tiles; fills active_blocks (pairs,), uint32. Returns Images and Visits."""
+    """Blend all tiles; fills active_blocks (pairs,), uint32. Returns ImageArrays and Visits."""
     size = (settings.height, settings.width)
-    images = Images(
+    images = ImageArrays(
         np.empty((*size, len(settings.background)), np.float32),
         np.empty(size if settings.depth_channel else (0, 0), np.float32),
         np.empty(size, np.float32),
@@ -80,8 +80,8 @@ def make_blend(colors: int, depth: bool):
     def blend(counter, splats, tiles, background, limits, tables, images, visits):
         """Blend the tiles that counter (1,) hands out, until none remains.
 
-        splats (n, 16); tiles: TileLists; background (colours,); limits: Limits; tables: Tables; images: Images and
-        visits: Visits, both written.
+        splats (n, 16); tiles: TileLists; background (colours,); limits: Limits; tables: BlockTables; images:
+        ImageArrays and visits: Visits, both written.
         """
         height, width = images.transmittance.shape
         tiles_x = (width + TILE - 1) // TILE

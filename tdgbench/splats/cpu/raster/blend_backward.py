@@ -36,7 +36,7 @@ from tdgbench.splats.cpu.raster.blocks import (
     write_transmittance,
 )
 from tdgbench.splats.cpu.raster.tiles import TILE
-from tdgbench.splats.cpu.raster.types import ForwardPass, Images, Settings, Slots
+from tdgbench.splats.cpu.raster.types import ForwardPass, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.simd.memory import (
     aligned_floats,
     load,
@@ -77,7 +77,7 @@ def slot_size(channels: int) -> int:
     return MOMENTS + channels
 
 
-def fill_slots(settings: Settings, done: ForwardPass, gradients: Images, slots: Slots) -> None:
+def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, slots: Slots) -> None:
     """Write the slot of every pair that has weight somewhere."""
     arguments = (
         np.zeros(1, np.int64), done.splats.values, done.tiles, settings.limits, TABLES, done.images, gradients,
@@ -101,7 +101,7 @@ def make_blend_backward(colors: int, depth: bool):
     def blend_backward(counter, splats, tiles, limits, tables, images, gradients, visits, slots):
         """Write the slots of every pair that has weight somewhere, and mark them as written.
 
-        Arguments as in `blend`; gradients: Images, of a loss; slots: Slots, written.
+        Arguments as in `blend`; gradients: ImageArrays, of a loss; slots: Slots, written.
         """
         height, width = images.transmittance.shape
         tiles_x = (width + TILE - 1) // TILE

@@ -14,8 +14,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.splat import A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.raster.tiles import TILE
+from tdgbench.splats.cpu.raster.types import A_, B_, C_, CHANNELS, FIRST_X, FIRST_Y, LOG2_OPACITY, U_, V_
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load, store
 from tdgbench.splats.cpu.simd.powers import COEFFICIENTS
@@ -53,7 +53,7 @@ class Form(NamedTuple):
     log2_opacity: float
 
 
-class Tables(NamedTuple):
+class BlockTables(NamedTuple):
     """Constants that the blend kernels read from memory."""
 
     centres: np.ndarray  # float32: x of all blocks, y of all blocks, then x and y of each block's pixels, px
@@ -71,7 +71,7 @@ def _centres() -> np.ndarray:
     return table
 
 
-TABLES = Tables(_centres(), COEFFICIENTS)
+TABLES = BlockTables(_centres(), COEFFICIENTS)
 
 
 @intrinsic

@@ -14,7 +14,7 @@ from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blocks import NONE, lowest
 from tdgbench.splats.cpu.raster.parameters import column, exponential, three_columns
 from tdgbench.splats.cpu.raster.projection import camera_point, ray_limits
-from tdgbench.splats.cpu.raster.source import BOUNDS, Source, Span
+from tdgbench.splats.cpu.raster.source import BOUNDS, GaussianSource, Span
 from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.memory import load_fours
@@ -36,7 +36,7 @@ MARGIN = F(1.02)  # × the cutoff, against rounding
 GRID = F(18)  # px: the last tile may stick out of the image by 15
 
 
-def find_candidates(source: Source, settings: Settings, workspace: Workspace) -> tuple[np.ndarray, list[Span]]:
+def find_candidates(source: GaussianSource, settings: Settings, workspace: Workspace) -> tuple[np.ndarray, list[Span]]:
     """Ascending candidates, int32, and spans of them for the threads, of equal length, on register bounds."""
     threads = pool.get_threads()
     groups = -(-source.count // LANES)
@@ -74,7 +74,7 @@ def cull(start, stop, bounds, camera, cutoff, candidates):
     blur = camera.eps2d + camera.eps2d + F(0.4)
     found = start
     for base in range(start, stop, LANES):
-        mean, size = read_bounds(bounds, base, stop, rows)
+        mean, size = culling_bounds(bounds, base, stop, rows)
         x, y, z = camera_point(mean, camera)
         near = maximum(z - bounds.tolerance, broadcast(camera.near))
         stretch = size * divide(ONE, near)
@@ -93,7 +93,7 @@ def cull(start, stop, bounds, camera, cutoff, candidates):
 
 
 @kernel(inline=True)
-def read_bounds(bounds, base, stop, rows):
+def culling_bounds(bounds, base, stop, rows):
     """Means of the Gaussians [base, base + LANES), and bounds of their standard deviations, world units.
 
     Lanes from `stop` on hold Gaussian stop − 1. rows (LANES,) int32 is scratch.

@@ -13,7 +13,8 @@ from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.harmonics import view_direction, write_basis
 from tdgbench.splats.cpu.raster.parameters import LOG2_E, opacity_and_log2, staged
 from tdgbench.splats.cpu.raster.projection import exact_image_point, footprint_of, screen_radius
-from tdgbench.splats.cpu.raster.splat import (
+from tdgbench.splats.cpu.raster.tiles import SLACK, Ellipse, PixelBox
+from tdgbench.splats.cpu.raster.types import (
     A_,
     B_,
     C_,
@@ -29,7 +30,6 @@ from tdgbench.splats.cpu.raster.splat import (
     U_,
     V_,
 )
-from tdgbench.splats.cpu.raster.tiles import SLACK, Box, Ellipse
 from tdgbench.splats.cpu.simd.doubles import narrow, widen
 from tdgbench.splats.cpu.simd.memory import load, store, store_whole
 from tdgbench.splats.cpu.simd.registers import (
@@ -163,7 +163,7 @@ def write_boxes(group, boxes):
 @kernel(inline=True)
 def box_of(boxes, i):
     """Box of lane i."""
-    return Box(
+    return PixelBox(
         int64(boxes[i]), int64(boxes[U(LANES) + i]), int64(boxes[U(2 * LANES) + i]), int64(boxes[U(3 * LANES) + i])
     )
 

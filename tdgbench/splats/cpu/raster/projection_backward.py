@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.adam import NO_STEP, Step, step_row
+from tdgbench.splats.cpu.adam import NO_STEP, AdamStep, step_row
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
 from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
@@ -20,12 +20,11 @@ from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direct
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect, staged
 from tdgbench.splats.cpu.raster.projection import footprint_of
 from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch, turn_sums
-from tdgbench.splats.cpu.raster.splat import CHANNELS, FLOATS, OPACITY, RADIUS
-from tdgbench.splats.cpu.raster.types import GradientArrays
+from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
 from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, select
 from tdgbench.splats.cpu.simd.transpose import turn_block
-from tdgbench.splats.cpu.statistics import NO_WATCH, Watch, add_length
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, add_length
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
@@ -35,17 +34,17 @@ IMAGE_U, IMAGE_V, IMAGE_RADIUS = range(3)  # registers of `image`
 class FusedStep(NamedTuple):
     """A step of Adam, and density control's statistics, that the gradients go into."""
 
-    step: Step
-    watch: Watch
+    step: AdamStep
+    statistics: GradientStatistics
     bad: np.ndarray  # (stride,) float32: becomes 1 in columns with a gradient that is not finite
     active: bool = True
 
 
-NO_FUSED_STEP = FusedStep(NO_STEP, NO_WATCH, np.zeros(0, np.float32), False)
+NO_FUSED_STEP = FusedStep(NO_STEP, NO_STATISTICS, np.zeros(0, np.float32), False)
 NO_ROWS = GradientArrays(np.zeros(0, np.int32), np.zeros((0, 0), np.float32), np.zeros((0, 3), np.float32))
 
 
-class Scratch(NamedTuple):
+class GradientScratch(NamedTuple):
     """A thread's buffers for one group of LANES splats; they hold registers."""
 
     stage: np.ndarray  # (STAGE · LANES,) float32: parameters
@@ -64,7 +63,7 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     Arguments are of the types that have their names. rows: GradientArrays, written from `first` on; or step: FusedStep,
     taken where it is active.
     """
-    scratch = Scratch(
+    scratch = GradientScratch(
         aligned_floats(STAGE * LANES),
         aligned_floats(SLOT * LANES),
         aligned_floats(16 * LANES),
@@ -106,14 +105,14 @@ def write_rows(gaussian_ids, k, scratch, done, rows):
 @kernel(inline=True)
 def step_group(gaussian_ids, k, count, scratch, step):
     """Take the step of a group's first `count` Gaussians."""
-    columns, watch, image = step.step.rows.columns, step.watch, scratch.image
+    columns, statistics, image = step.step.rows.columns, step.statistics, scratch.image
     for c in range(0, columns, LANES):
         turn_block(scratch.gradient, c * LANES, LANES, scratch.rows, c, columns)
     for lane in range(U(count)):
         i = U(gaussian_ids[U(k) + lane])
         step_row(step.step, i, scratch.rows, lane * U(columns), step.bad)
-        if watch.active and image[U(IMAGE_RADIUS * LANES) + lane] > ZERO:
-            add_length(watch, i, image[U(IMAGE_U * LANES) + lane], image[U(IMAGE_V * LANES) + lane])
+        if statistics.active and image[U(IMAGE_RADIUS * LANES) + lane] > ZERO:
+            add_length(statistics, i, image[U(IMAGE_U * LANES) + lane], image[U(IMAGE_V * LANES) + lane])
 
 
 @kernel(inline=True)

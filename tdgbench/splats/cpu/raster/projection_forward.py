@@ -28,10 +28,9 @@ from tdgbench.splats.cpu.raster.group import (
     write_channels,
 )
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect
-from tdgbench.splats.cpu.raster.source import Source, Span
-from tdgbench.splats.cpu.raster.splat import FLOATS, RADIUS
+from tdgbench.splats.cpu.raster.source import GaussianSource, Span
 from tdgbench.splats.cpu.raster.tiles import TILE, list_box, list_tiles
-from tdgbench.splats.cpu.raster.types import Projected, Settings, Splats
+from tdgbench.splats.cpu.raster.types import FLOATS, RADIUS, Projected, Settings, Splats
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.memory import aligned_floats, float_bits, load, prefetch_columns, store_whole
 from tdgbench.splats.cpu.simd.reductions import any_positive, lane_bits
@@ -50,7 +49,7 @@ class PairTiles(NamedTuple):
     tiles: np.ndarray  # (capacity,) int32
 
 
-class View(NamedTuple):
+class ViewSettings(NamedTuple):
     """What the kernel needs to know of a rendering."""
 
     channels: tuple  # Channels
@@ -58,7 +57,7 @@ class View(NamedTuple):
     limits: tuple  # Limits
 
 
-class Scratch(NamedTuple):
+class ProjectionScratch(NamedTuple):
     """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
 
     stage: np.ndarray  # (STAGE · LANES,) float32: parameters
@@ -68,7 +67,7 @@ class Scratch(NamedTuple):
     boxes: np.ndarray  # (4 · LANES,) int32
 
 
-class Projection(NamedTuple):
+class ProjectedView(NamedTuple):
     """Everything that projection leaves behind, for all threads."""
 
     projected: Projected
@@ -80,8 +79,14 @@ class Projection(NamedTuple):
     has_nan: bool  # in any Gaussian
 
 
-def project(source: Source, settings: Settings, candidates: np.ndarray, spans: list[Span], workspace: Workspace,
-            scratch: Workspace) -> Projection:  # fmt: skip
+def project_candidates(
+    source: GaussianSource,
+    settings: Settings,
+    candidates: np.ndarray,
+    spans: list[Span],
+    workspace: Workspace,
+    scratch: Workspace,
+) -> ProjectedView:
     """Project the spans of candidates (int32), a thread each. workspace: memory that the backward pass reads again."""
     capacity = -(-max(sum(n for _, n in spans), 1) // LANES) * LANES
     splats = Splats(
@@ -95,7 +100,7 @@ def project(source: Source, settings: Settings, candidates: np.ndarray, spans: l
         workspace.take("radii", capacity, np.int32),
         workspace.take("means2d", (0 if source.parameters.raw else capacity, 2), np.float32),
     )
-    view = View(settings.channels, settings.camera, settings.limits)
+    view = ViewSettings(settings.channels, settings.camera, settings.limits)
     shared = (source.parameters, source.stale, view, splats, projected)
     pairs = max(MIN_PAIRS, PAIRS_PER_CANDIDATE * capacity // len(spans))
     while True:
@@ -115,7 +120,7 @@ def project(source: Source, settings: Settings, candidates: np.ndarray, spans: l
         [(first, int(n)) for (first, _), n in zip(spans, counts[:, column])] for column in (0, 2)
     )
     pair_spans = [(t * pairs, int(n)) for t, n in enumerate(counts[:, 1])]
-    return Projection(
+    return ProjectedView(
         projected, projected_spans, splats, splat_spans, tiles.reshape(-1), pair_spans, bool(counts[:, 3].any())
     )
 
@@ -130,7 +135,7 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
     """
     channels, camera, limits, raw = view.channels, view.camera, view.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
-    scratch = Scratch(
+    scratch = ProjectionScratch(
         aligned_floats(STAGE * LANES),
         aligned_floats(GROUP * LANES),
         aligned_floats(16 * LANES),

@@ -55,7 +55,7 @@ def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
             batch.splat_ids[U(filled)] = r
             gaussian = splats.gaussian_ids[U(r)]
             batch.gaussian_ids[U(filled)] = gaussian
-            fetch(parameters, channels, step, np.int64(gaussian))
+            prefetch_parameters(parameters, channels, step, np.int64(gaussian))
             filled += 1
         r += 1
     if filled > 0:
@@ -66,7 +66,7 @@ def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
 
 
 @kernel(inline=True)
-def fetch(parameters, channels, step, i):
+def prefetch_parameters(parameters, channels, step, i):
     """Prefetch what will be read of Gaussian i."""
     if not step.active:
         means, colors = parameters.means, parameters.colors
@@ -76,7 +76,7 @@ def fetch(parameters, channels, step, i):
     else:
         prefetch_gaussian(step.step.rows, i)
         prefetch_row(step.step.rows.bounds, U(i))
-        prefetch(step.watch.grad_sum, U(i))
+        prefetch(step.statistics.grad_sum, U(i))
 
 
 @kernel(inline=True)

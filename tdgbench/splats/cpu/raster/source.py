@@ -46,7 +46,7 @@ class Bounds(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Source:
+class GaussianSource:
     """N Gaussians to render."""
 
     count: int
@@ -55,25 +55,25 @@ class Source:
     stale: Stale = NO_STALE  # what is due to candidates before their parameters are read
 
 
-def source_of_arrays(arrays: Sequence[np.ndarray]) -> Source:
+def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
     """Source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …): C-contiguous float32."""
     columns = [Columns(a.reshape(-1), int(np.prod(a.shape[1:])), 0) for a in arrays]
     means, scales = columns[0], columns[2]
-    return Source(len(arrays[0]), Parameters(*columns, False), Bounds(means, scales, 3, False, _ZERO, _ZERO))
+    return GaussianSource(len(arrays[0]), Parameters(*columns, False), Bounds(means, scales, 3, False, _ZERO, _ZERO))
 
 
 def source_of_rows(
     values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE
-) -> Source:
+) -> GaussianSource:
     """Source of rows (N, columns) as in `tdgbench.splats.columns`, before activation.
 
-    bounds (N, 4): mean and largest log scale, each as it was when culling was last told.
+    bounds (N, 4): mean and largest log scale, each as of the last update of the bounds.
     """
     flat, stride, flat_bounds = values.reshape(-1), values.shape[1], bounds.reshape(-1)
     columns = [Columns(flat, stride, first) for first in (MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT)]
     means, scales = Columns(flat_bounds, BOUNDS, 0), Columns(flat_bounds, BOUNDS, 3)
     tested = Bounds(means, scales, 1, True, np.float32(tolerance), np.float32(growth))
-    return Source(len(values), Parameters(*columns, True), tested, stale)
+    return GaussianSource(len(values), Parameters(*columns, True), tested, stale)
 
 
 _ZERO = np.float32(0)

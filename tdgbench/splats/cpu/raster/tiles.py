@@ -40,7 +40,7 @@ class Ellipse(NamedTuple):
     slope: float  # dy of its rightmost point, px
 
 
-class Box(NamedTuple):
+class PixelBox(NamedTuple):
     """First and last column and row of pixels."""
 
     left: int

@@ -5,15 +5,58 @@ Arrays are cut into spans (first, count), one per thread; the rows between spans
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.splats.cpu.raster.camera import Camera
-from tdgbench.splats.cpu.raster.limits import Limits
+from tdgbench.splats.blending import Blending
 from tdgbench.splats.cpu.raster.source import Span
 from tdgbench.splats.cpu.scratch import Workspace
+
+# Layout of a splat, a projected Gaussian as 16 floats, one cache line. U_, V_: image mean in px, counted from the first
+# pixel of the box, which keeps its digits. A_, B_, C_ and LOG2_OPACITY: log2(alpha) = log2(opacity) + A dx² + B dx dy
+# + C dy². Up to four channels begin at CHANNELS.
+U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
+FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # box in which alpha ≥ 1/255 and screen radius, whole px
+FLOATS = 16
+
+Triple = tuple[np.float32, np.float32, np.float32]
+
+
+class PackedCamera(NamedTuple):
+    """Pinhole camera with OpenCV axes (x right, y down, z forward); every number is float32.
+
+    Pixel centres lie at whole numbers + 1/2.
+    """
+
+    x_axis: Triple  # rows of the world-to-camera rotation
+    y_axis: Triple
+    z_axis: Triple
+    fx: np.float32  # px
+    fy: np.float32
+    cx: np.float32
+    cy: np.float32
+    centre: Triple  # world
+    centre_rest: Triple  # what float32 leaves of the centre
+    near: np.float32
+    far: np.float32
+    eps2d: np.float32  # px², added to the diagonal of the image covariance
+    width: np.float32  # px
+    height: np.float32
+
+
+class Limits(NamedTuple):
+    """Constants of `tdgbench.splats.blending.Blending`; the numbers are float32."""
+
+    max_alpha: np.float32
+    min_alpha: np.float32
+    log2_min_alpha: np.float32
+    min_transmittance: np.float32
+    cutoff: np.float32  # σ: alpha is below min_alpha beyond it, whatever the opacity
+    loose: bool  # tiles are listed by the square box, not by the ellipse
+    end_early: bool
 
 
 class Channels(NamedTuple):
@@ -32,7 +75,7 @@ class Channels(NamedTuple):
 class Settings:
     """What a rendering needs besides Gaussians."""
 
-    camera: Camera
+    camera: PackedCamera
     width: int  # px
     height: int
     degree: int  # −1: colours as they are
@@ -56,7 +99,7 @@ class Projected(NamedTuple):
 class Splats(NamedTuple):
     """Projected Gaussians that cover some tile."""
 
-    values: np.ndarray  # (capacity, 16) float32, columns as in `tdgbench.splats.cpu.raster.splat`
+    values: np.ndarray  # (capacity, 16) float32, columns as above
     gaussian_ids: np.ndarray  # (capacity,) int32, ascending
     pairs: np.ndarray  # (capacity, 2) int32: its first pair, and the last + 1
     depth_keys: np.ndarray  # (capacity,) uint32: bits of the camera-space z; only until the tiles are listed
@@ -77,7 +120,7 @@ class Visits(NamedTuple):
     active_blocks: np.ndarray  # (pairs,) uint32: blocks in which a pair has weight; only of those counted
 
 
-class Images(NamedTuple):
+class ImageArrays(NamedTuple):
     """One camera's images, or the gradients of a loss with respect to them."""
 
     color: np.ndarray  # (H, W, colours) float32
@@ -104,7 +147,7 @@ class GradientArrays(NamedTuple):
 class ForwardPass:
     """Images, and what the backward pass needs again."""
 
-    images: Images
+    images: ImageArrays
     projected: Projected
     projected_spans: list[Span]
     splats: Splats
@@ -126,3 +169,36 @@ class GradientRows:
     spans: list[Span]
     arrays: GradientArrays
     workspace: Workspace  # holds the arrays
+
+
+def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:
+    """Camera of viewmat (4, 4), world to camera, and K (3, 3), px; arrays or tensors on the CPU."""
+    view = np.asarray(viewmat, np.float64)
+    K = np.asarray(K, np.float64)
+    axes = (_triple(row) for row in view[:3, :3])
+    exact = np.linalg.solve(view[:3, :3], -view[:3, 3])
+    centre = _triple(exact)
+    intrinsics = map(np.float32, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    planes_and_size = map(np.float32, (near_plane, far_plane, eps2d, width, height))
+    return PackedCamera(*axes, *intrinsics, centre, _triple(exact - np.array(centre)), *planes_and_size)
+
+
+def _triple(values: np.ndarray) -> Triple:
+    x, y, z = values.astype(np.float32)
+    return x, y, z
+
+
+def pack_limits(blending: Blending) -> Limits:
+    """Limits of a blending. Raises ValueError where no cutoff exists.
+
+    >>> limits = pack_limits(Blending())
+    >>> float(limits.max_alpha), round(float(limits.cutoff), 3), limits.loose
+    (0.9900000095367432, 3.329, False)
+    """
+    if blending.min_alpha <= 0:
+        raise ValueError("backend cpu needs min_alpha above 0; use 'reference'")
+    cutoff = math.sqrt(2 * math.log(1 / blending.min_alpha))
+    numbers = (
+        blending.max_alpha, blending.min_alpha, math.log2(blending.min_alpha), blending.min_transmittance, cutoff,
+    )  # fmt: skip
+    return Limits(*map(np.float32, numbers), not blending.tight, blending.end_early)

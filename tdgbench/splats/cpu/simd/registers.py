@@ -212,13 +212,6 @@ def broadcast(typing_context, x):
     return vec(types.float32), lambda context, builder, signature, args: _broadcast(builder, args[0])
 
 
-@intrinsic
-def lane_index(typing_context):
-    """0, 1, 2, … LANES − 1."""
-    ramp = [ir.FloatType()(float(i)) for i in range(LANES)]
-    return vec(), lambda context, builder, signature, args: ir.Constant(FLOATS, ramp)
-
-
 def _elementwise(name: str, documentation: str):
     @intrinsic
     def operation(typing_context, x):

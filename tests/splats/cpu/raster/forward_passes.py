@@ -3,11 +3,9 @@
 import numpy as np
 
 from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.cpu.raster.camera import pack_camera
-from tdgbench.splats.cpu.raster.forward import forward
-from tdgbench.splats.cpu.raster.limits import pack_limits
-from tdgbench.splats.cpu.raster.source import Source, source_of_arrays
-from tdgbench.splats.cpu.raster.types import ForwardPass, Settings
+from tdgbench.splats.cpu.raster.passes import forward
+from tdgbench.splats.cpu.raster.source import GaussianSource, source_of_arrays
+from tdgbench.splats.cpu.raster.types import ForwardPass, Settings, pack_camera, pack_limits
 
 
 def settings_for(camera, width: int, height: int, colors: int, degree: int = -1, depth: bool = False) -> Settings:
@@ -16,7 +14,7 @@ def settings_for(camera, width: int, height: int, colors: int, degree: int = -1,
     return Settings(packed, width, height, degree, depth, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
 
 
-def source_of(tensors) -> Source:
+def source_of(tensors) -> GaussianSource:
     return source_of_arrays([tensor.numpy() for tensor in tensors])
 
 

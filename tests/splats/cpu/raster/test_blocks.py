@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster import blocks, splat
+from tdgbench.splats.cpu.raster import blocks, types
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -65,10 +65,10 @@ def found_and_needed(u, v, deviations, angle, opacity):
     """The blocks that `active_blocks` finds, and those in which some pixel has weight, in double precision."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     form = np.linalg.inv(turn @ np.diag(np.square(deviations)) @ turn.T) * -0.5 * np.log2(np.e)
-    one = np.zeros((1, splat.FLOATS), F)
-    one[0, [splat.U_, splat.V_]] = u, v
-    one[0, [splat.A_, splat.B_, splat.C_]] = form[0, 0], 2 * form[0, 1], form[1, 1]
-    one[0, splat.LOG2_OPACITY] = np.log2(opacity)
+    one = np.zeros((1, types.FLOATS), F)
+    one[0, [types.U_, types.V_]] = u, v
+    one[0, [types.A_, types.B_, types.C_]] = form[0, 0], 2 * form[0, 1], form[1, 1]
+    one[0, types.LOG2_OPACITY] = np.log2(opacity)
     x, y, _ = pixels_of_blocks().transpose(1, 0, 2).astype(np.float64)
     offset = np.stack([x - u, y - v], axis=-1)
     log2_alpha = np.log2(opacity) + np.einsum("...i,ij,...j", offset, form, offset)
@@ -101,4 +101,4 @@ def test_few_blocks_are_found_without_need():
 
 
 def test_a_nan_gaussian_has_no_active_block():
-    assert active(np.full((1, splat.FLOATS), np.nan, F), CORNER, LOG2_MIN, CENTRES) == 0
+    assert active(np.full((1, types.FLOATS), np.nan, F), CORNER, LOG2_MIN, CENTRES) == 0

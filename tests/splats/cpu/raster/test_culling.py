@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.culling import _pack, cull
 from tdgbench.splats.cpu.raster.source import BOUNDS, Bounds, Columns
+from tdgbench.splats.cpu.raster.types import pack_camera
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
 

@@ -5,7 +5,6 @@ import torch
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster import group as group_module
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.group import (
     GROUP,
     KEEP,
@@ -20,11 +19,20 @@ from tdgbench.splats.cpu.raster.group import (
     write_boxes,
     write_channels,
 )
-from tdgbench.splats.cpu.raster.limits import pack_limits
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect
-from tdgbench.splats.cpu.raster.splat import CHANNELS, FIRST_X, FIRST_Y, FLOATS, LAST_X, LAST_Y, OPACITY
 from tdgbench.splats.cpu.raster.tiles import Ellipse
-from tdgbench.splats.cpu.raster.types import Channels
+from tdgbench.splats.cpu.raster.types import (
+    CHANNELS,
+    FIRST_X,
+    FIRST_Y,
+    FLOATS,
+    LAST_X,
+    LAST_Y,
+    OPACITY,
+    Channels,
+    pack_camera,
+    pack_limits,
+)
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, store
 from tdgbench.splats.cpu.simd.reductions import any_positive

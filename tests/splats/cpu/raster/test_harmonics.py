@@ -3,12 +3,12 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
+from tdgbench.splats.cpu.raster.types import pack_camera
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load, store
 from tdgbench.splats.cpu.simd.registers import LANES
-from tdgbench.splats.harmonics import basis
+from tdgbench.splats.harmonics import sh_basis
 
 F = np.float32
 
@@ -41,7 +41,7 @@ def test_basis_and_gradient_are_torch_s(degree):
     pull[:] = rng.normal(size=16 * LANES)
     evaluate(directions, degree, pull, values, gradient)
     d = torch.tensor(unit, requires_grad=True)
-    want = basis(d, degree)
+    want = sh_basis(d, degree)
     assert np.allclose(values.reshape(16, LANES)[:count].T, want.detach().numpy(), atol=1e-6)
     assert not values.reshape(16, LANES)[count:].any()
     if degree > 0:

@@ -4,10 +4,10 @@ import torch
 
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.camera import pack_camera
 from tdgbench.splats.cpu.raster.parameters import STAGE, collect
 from tdgbench.splats.cpu.raster.projection import footprint_of, screen_radius
 from tdgbench.splats.cpu.raster.source import source_of_arrays
+from tdgbench.splats.cpu.raster.types import pack_camera
 from tdgbench.splats.cpu.simd.memory import aligned_floats, put_column
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera

@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from tdgbench.splats.backends import reference
-from tdgbench.splats.cpu.raster.splat import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
+from tdgbench.splats.cpu.raster.types import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.splats.cpu.raster.forward_passes import rendered
 

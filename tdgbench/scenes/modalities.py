@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tdgbench.scenes import View
+from tdgbench.scenes.scene import View
 
 THERMAL = "thermal"
 LABELS = {THERMAL: "thermal", "rgb": "RGB"}  # in print, by modality
 OTHERS = tuple(modality for modality in LABELS if modality != THERMAL)
 
 
-def metric_name(metric: str, modality: str) -> str:
-    """Name of a metric of a modality's images.
-
-    >>> metric_name("psnr", "thermal"), metric_name("psnr", "rgb")
-    ('psnr', 'rgb_psnr')
-    """
-    return metric if modality == THERMAL else f"{modality}_{metric}"
-
-
 def image_of(view: View, modality: str) -> np.ndarray | None:
-    """Image (H, W, C) of a view, float32 in [0, 1]; None if it has none of this modality."""
+    """Return the image (H, W, C) of a view, float32 in [0, 1]; None if it has none of this modality."""
     if modality == THERMAL:
         return view.thermal
     return None if view.load_rgb is None else view.rgb

@@ -1,4 +1,8 @@
-"""What held-out training views say about a training: when it needs more pixels, and when it settles and ends."""
+"""Rules that end a training early, by held-out training views or by the loss of the others.
+
+`Settling`: what held-out views say about a training: when it needs more pixels, and when it settles and ends.
+`Plateau`: the training views' loss, averaged over whole rounds of them, no longer falls.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 import torch
 
 from tdgbench.scenes import View
-from tdgbench.training.budget import SettlingRule
+from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.part import Part, Stopping
 
@@ -88,7 +92,7 @@ class Settling(Stopping):
         rule, curriculum = self.rule, self.curriculum
         if iteration >= rule.latest(self.iterations):
             return 1
-        if iteration % rule.every or not curriculum.held:
+        if iteration % rule.every or not curriculum.held_out:
             return None
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
@@ -123,8 +127,42 @@ class Settling(Stopping):
     def _held_out_psnrs(self) -> list[float]:
         """PSNR of the held-out views over valid pixels, at full resolution, dB."""
         values = []
-        for view in self.curriculum.held:
+        for view in self.curriculum.held_out:
             squares = np.square(self.render(view) - view.thermal)
             mse = float((squares if view.valid is None else squares[view.valid]).mean(dtype=np.float64))
             values.append(-10 * math.log10(max(mse, MIN_MSE)))
         return values
+
+
+class Plateau(Stopping):
+    """Detects a plateau of the loss by a rule."""
+
+    def __init__(self, rule: PlateauRule, views: int) -> None:
+        """views: number of training views."""
+        self.rule, self.views = rule, views
+        self._sum, self._count = 0.0, 0
+        self._best, self._without = float("inf"), 0
+        self._reached = False
+
+    def state_dict(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        vars(self).update(saved)
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        if self._reached:
+            return True
+        if iteration <= self.rule.after:
+            return False
+        self._sum, self._count = self._sum + loss, self._count + 1
+        if self._count < self.rule.rounds * self.views:
+            return False
+        mean, self._sum, self._count = self._sum / self._count, 0.0, 0
+        if mean < self._best * (1 - self.rule.gain):
+            self._without = 0
+        else:
+            self._without += 1
+        self._best = min(self._best, mean)
+        self._reached = self._without >= self.rule.patience
+        return self._reached

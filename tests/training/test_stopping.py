@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from tdgbench.training.budget import SettlingRule
+from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.loop import train
 from tdgbench.training.part import Part
-from tdgbench.training.settling import Settling, hold_out
+from tdgbench.training.stopping import Plateau, Settling, hold_out
 from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, ready_to_train
 
@@ -34,9 +34,9 @@ class Watched(Part):
 class Scripted(Settling):
     """Settling whose held-out PSNR follows a script: psnr(iteration, scale), a number or one for each view."""
 
-    def __init__(self, psnr, iterations=1000, held=(1,), steps=()):
+    def __init__(self, psnr, iterations=1000, held_out=(1,), steps=()):
         self.curriculum = Curriculum(list(steps))
-        self.curriculum.held, self.curriculum.is_holding = list(held), bool(held)
+        self.curriculum.held_out, self.curriculum.is_holding = list(held_out), bool(held_out)
         self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
         super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, render=lambda view: 1 / 0)
 
@@ -83,7 +83,7 @@ def test_one_view_that_gets_worse_does_not_settle_it():
     def psnr(i, scale):
         return [i / 10, i / 10, 30.0 - i]
 
-    assert end_of(Scripted(psnr, held=(1, 2, 3), iterations=300)) == 300
+    assert end_of(Scripted(psnr, held_out=(1, 2, 3), iterations=300)) == 300
 
 
 def test_a_stall_below_the_full_resolution_raises_it():
@@ -137,7 +137,7 @@ def test_what_never_settles_has_its_tail_at_the_end():
 
 
 def test_without_held_out_views_only_the_rates_fall():
-    settling = Scripted(lambda i, scale: 1.0, iterations=300, held=())
+    settling = Scripted(lambda i, scale: 1.0, iterations=300, held_out=())
     assert end_of(settling, 300) == 300 and settling.asked == [] and settling.rate == pytest.approx(0.1)
 
 
@@ -165,7 +165,7 @@ def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene)
 @pytest.mark.parametrize("name", ["splat", "tdg", "msmg"])
 def test_methods_stop_by_it(small_gray_scene, name):
     trainer = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
-    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held) == 1
+    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held_out) == 1
     log = train(trainer)
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in trainer.gaussians.values())
@@ -174,7 +174,7 @@ def test_methods_stop_by_it(small_gray_scene, name):
 def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
     """A masked pixel has no part in the PSNR by which a training settles."""
     trainer = ready_to_train(masked_scene(small_gray_scene), "splat", 60, CONF)
-    (view,) = trainer.context.curriculum.held
+    (view,) = trainer.context.curriculum.held_out
     squares = np.square(trainer.stopping.render(view) - view.thermal)
     wanted = squares if view.valid is None else squares[view.valid]
     assert trainer.stopping._held_out_psnrs() == pytest.approx([-10 * np.log10(wanted.mean())])
@@ -188,3 +188,23 @@ def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
         train(trainer)
         digests.append(digest(trainer))
     assert digests[0] == digests[1]
+
+
+def stops_at(losses, **rule):
+    plateau = Plateau(PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
+    return next((i for i, loss in enumerate(losses, start=1) if plateau.reached(i, loss)), None)
+
+
+def test_a_falling_loss_goes_on():
+    assert stops_at([0.99**i for i in range(200)]) is None
+
+
+def test_a_flat_loss_stops_after_its_patience():
+    assert stops_at([1.0] * 100) == 15  # one window to compare with, two that are no better
+    assert stops_at([1.0] * 100, patience=3) == 20
+    assert stops_at([1.0] * 100, after=30) == 45
+    assert stops_at([1.0] * 100, rounds=2) == 30
+
+
+def test_one_better_window_starts_the_patience_anew():
+    assert stops_at([1.0] * 10 + [0.5] * 5 + [0.5] * 100) == 25

@@ -1,4 +1,9 @@
-"""The backward pass over one camera: from gradients of the images to those of the Gaussians, or to their next state."""
+"""The two passes over one camera.
+
+Forward: cull, project, list by tile, blend. Backward: from gradients of the images to those of the Gaussians, or to
+their next state. Gaussians are cut into one span per thread; orders and sums do not depend on the spans, so neither do
+results.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +14,44 @@ import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import Step
+from tdgbench.splats.cpu.adam import AdamStep
+from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.blend_backward import fill_slots, slot_size
+from tdgbench.splats.cpu.raster.culling import find_candidates
 from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROWS, FusedStep, projection_backward
+from tdgbench.splats.cpu.raster.projection_forward import project_candidates
 from tdgbench.splats.cpu.raster.slot_sums import SLOT
-from tdgbench.splats.cpu.raster.source import Source
-from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, Images, Settings, Slots
+from tdgbench.splats.cpu.raster.source import GaussianSource
+from tdgbench.splats.cpu.raster.tiles import TILE, list_by_tile
+from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
-from tdgbench.splats.cpu.statistics import Watch
+from tdgbench.splats.cpu.statistics import GradientStatistics
+
+
+def forward(source: GaussianSource, settings: Settings) -> ForwardPass:
+    """Render one camera."""
+    workspace, scratch = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
+    candidates, spans = find_candidates(source, settings, scratch)
+    found = project_candidates(source, settings, candidates, spans, workspace, scratch)
+    n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
+    tiles = list_by_tile(found, n_tiles, workspace, scratch)
+    active_blocks = workspace.take("active blocks", len(tiles.splat_ids), np.uint32)
+    images, visits = blend_tiles(settings, found.splats, tiles, active_blocks)
+    if found.has_nan:  # the Gaussian could have been anywhere
+        for image in images:
+            image[:] = np.nan
+    return ForwardPass(
+        images, found.projected, found.projected_spans, found.splats, found.splat_spans, tiles, visits,
+        len(found.pair_tiles), workspace,
+    )  # fmt: skip
 
 
 @dataclass
 class Blended:
     """A view whose blend is differentiated, and whose projection is not."""
 
-    source: Source
+    source: GaussianSource
     settings: Settings
     done: ForwardPass
     slots: Slots
@@ -46,13 +73,13 @@ class Blended:
         )
         return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
 
-    def step(self, step: Step, watch: Watch, bad: np.ndarray) -> int:
+    def step(self, step: AdamStep, statistics: GradientStatistics, bad: np.ndarray) -> int:
         """Step the Gaussians that some pixel depends on, and add to their statistics; returns how many these are.
 
         The source's parameters are those of the step. bad: (spans, stride) float32, becomes 1 in columns with a
         gradient that is not finite. The view is then of no more use.
         """
-        return sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, watch, one) for one in bad]))
+        return sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
 
     def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[tuple[int, int]]:
         source, settings, done = self.source, self.settings, self.done
@@ -65,7 +92,7 @@ class Blended:
 
 
 def blend_backward(
-    source: Source,
+    source: GaussianSource,
     settings: Settings,
     done: ForwardPass,
     color: np.ndarray | None,
@@ -76,7 +103,7 @@ def blend_backward(
 
     Float32; None is zero.
     """
-    gradients = Images(
+    gradients = ImageArrays(
         *(
             np.zeros_like(image) if gradient is None else np.ascontiguousarray(gradient)
             for gradient, image in zip((color, depth, transmittance), done.images)
