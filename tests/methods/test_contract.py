@@ -36,14 +36,16 @@ OFTEN = (
 )  # fmt: skip
 SHIPPED = sorted(path.stem for path in (ROOT / "conf/method").glob("*.yaml"))
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
+OPTIONS = ["splat camera.rig=true", "msmg camera.rig=true"]  # that change parts
 
 
 @pytest.fixture
 def configured(tmp_path, monkeypatch, data_root):
-    """Return the configuration of a method, of `conf/method/` or of a worked example, with further overrides."""
+    """Return the configuration of a method, of `conf/method/` or of a worked example, and overrides after its name."""
     pages = []
 
-    def configure(name: str, *overrides: str) -> DictConfig:
+    def configure(words: str) -> DictConfig:
+        name, *overrides = words.split()
         known = name if name in SHIPPED else "splat"
         cfg = config(f"method={known}", "scene=turntable", *QUICK, *OFTEN, *overrides)
         cfg.data.root, cfg.results = str(data_root), str(tmp_path / "results")
@@ -82,7 +84,7 @@ def resumed(cfg: DictConfig, scene: Scene, path: Path) -> tuple[Trainer, Trainin
     return trainer, log
 
 
-@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
 def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name):
     cfg = configured(name)
     calm = set_up(cfg, small_gray_scene, compiles=False).trainer
@@ -94,7 +96,7 @@ def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scen
     assert digest_of_all(trainer) == digest_of_all(calm)
 
 
-@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
 def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
     cfg = configured(name)
     outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
@@ -109,7 +111,7 @@ def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
     assert read_all(Path(cfg.results) / cfg.name) == []
 
 
-@pytest.mark.parametrize("name", [*SHIPPED, *WORKED])
+@pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
 def test_a_trainer_that_is_let_go_leaves_nothing(configured, small_gray_scene, name):
     trainer = set_up(configured(name), small_gray_scene, compiles=False).trainer
     train(trainer)

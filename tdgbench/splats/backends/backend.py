@@ -14,7 +14,7 @@ from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam, Tolerance
 from tdgbench.splats.pose import with_pose_gradient
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
+from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 Collect = Callable[[Gradients | PendingGradients], None]
 
@@ -85,14 +85,15 @@ class Backend(Protocol):
         gaussians = (options.hook or Gaussians.activated)(state.split(rows), options.sh_degree)
         view = self.render(*with_pose_gradient(gaussians, camera.to(rows)), options.of_view)
         if rows.requires_grad:
-            _deliver_once(rows, lambda grad: collect(_dense(grad, view)))
+            projection = view.projection
+            _deliver_once(rows, lambda grad: collect(_dense(grad, projection)))
         return view
 
 
 def _deliver_once(rows: torch.Tensor, deliver: Callable[[torch.Tensor], None]) -> None:
     """Call deliver(gradient of the rows) in the next backward pass.
 
-    Then the hook is removed: it holds the view, whose graph holds the rows and so the hook, a cycle that Python's
+    Then the hook is removed: it may hold a tensor whose graph holds the rows and so the hook, a cycle that Python's
     garbage collector does not see. Each iteration would keep its gradients for ever.
     """
 
@@ -103,9 +104,8 @@ def _deliver_once(rows: torch.Tensor, deliver: Callable[[torch.Tensor], None]) -
     handle = rows.register_hook(receive)
 
 
-def _dense(grad: torch.Tensor, view: Render) -> Gradients:
+def _dense(grad: torch.Tensor, projection: Projection | None) -> Gradients:
     """Gradients by rows (N, columns) and by image means, after the backward pass of a view."""
-    projection = view.projection
     if projection is None or projection.means2d.grad is None:
         raise RuntimeError("a backend must set `projection`, and `means2d.grad` in its backward pass")
     return Gradients.dense(grad, projection.means2d.grad, projection.radii)
