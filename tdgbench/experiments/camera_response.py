@@ -22,7 +22,7 @@ TINY = 1e-9  # °C; a smaller truth has nothing to show
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CameraComparison:
     """A found camera and the true one in its gauge: offsets and gains (V,), found vignette (H, W), in °C.
 
     labels: scene, capture, method, camera and seed of the cell.
@@ -49,7 +49,9 @@ class Comparison:
         return max(float(np.abs(self.true.response.offsets).max()), float(np.abs(self.true.vignette).max())) > TINY
 
 
-def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: list[str]) -> Comparison | None:
+def compare_camera(
+    record: Record, labels: dict[str, Any], truth: CameraTruth, train: list[str]
+) -> CameraComparison | None:
     """The comparison of a cell; None where its scene has no temperatures, or the true camera stretches each image.
 
     A cell whose camera is ideal is compared, too: its errors are the drift itself. train: names of the training views.
@@ -65,12 +67,12 @@ def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: l
     true = truth_in_gauge(truth, views, float(facts["reference"]))
     height, width = true.vignette.shape
     found = in_gauge(Response(offsets, gains))
-    return Comparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
+    return CameraComparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
 
 
-def draw_cameras(compared: Sequence[Comparison], target: Path) -> None:
+def draw_cameras(compared: Sequence[CameraComparison], target: Path) -> None:
     """Draw each capture's true and found cameras, of its first scene, method and seed; nothing where none drifts."""
-    first: dict[str, dict[str, Comparison]] = {}
+    first: dict[str, dict[str, CameraComparison]] = {}
     for one in compared:
         cameras = first.setdefault(one.labels["capture"], {})
         same = next(iter(cameras.values()), one)

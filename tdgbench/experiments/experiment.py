@@ -103,7 +103,7 @@ def check_results_folder(folder: Path) -> None:
         raise OptionError([Problem("results", f"the results go to {folder}, but {reason}")]) from error
 
 
-def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
+def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
     """The message of an error that ends a run or a job.
 
     words: the command line, which errors of an unexpected type are told with.

@@ -30,7 +30,7 @@ class MatrixOptions:
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
 
-class Choice(NamedTuple):
+class AxisValue(NamedTuple):
     """A value on an axis. options: what it sets, by dotted names. variant: its part of the cell's variant."""
 
     label: Any
@@ -38,7 +38,7 @@ class Choice(NamedTuple):
     variant: str = ""
 
 
-Axes = Mapping[str, Sequence[Choice]]
+Axes = Mapping[str, Sequence[AxisValue]]
 
 
 class MatrixCell(NamedTuple):
@@ -50,27 +50,28 @@ class MatrixCell(NamedTuple):
     record: Record | None
 
 
-def values_of(option: str, values: Iterable[Any]) -> list[Choice]:
+def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
     """An axis of the values of an option that is part of a cell's path.
 
     >>> values_of("seed", [0, 1])
-    [Choice(label=0, options={'seed': 0}, variant=''), Choice(label=1, options={'seed': 1}, variant='')]
+    [AxisValue(label=0, options={'seed': 0}, variant=''), AxisValue(label=1, options={'seed': 1}, variant='')]
     """
-    return [Choice(value, {option: value}) for value in values]
+    return [AxisValue(value, {option: value}) for value in values]
 
 
-def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[Choice]:
+def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[AxisValue]:
     """An axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
 
     >>> groups_of("camera", {"ideal": {"estimate": []}}, variant="camera")
-    [Choice(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
+    [AxisValue(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
     """
     return [
-        Choice(str(name), {option: config}, f"{variant}={name}" if variant else "") for name, config in choices.items()
+        AxisValue(str(name), {option: config}, f"{variant}={name}" if variant else "")
+        for name, config in choices.items()
     ]
 
 
-def configured(cfg: DictConfig, choices: Iterable[Choice]) -> DictConfig:
+def configured(cfg: DictConfig, choices: Iterable[AxisValue]) -> DictConfig:
     """A copy of a configuration with the options of these choices."""
     cell = cfg.copy()
     for choice in choices:

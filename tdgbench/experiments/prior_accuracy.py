@@ -39,7 +39,7 @@ class Accuracy(NamedTuple):
     rank: float  # Spearman's rank correlation with depth, in [−1, 1]; needs no alignment
 
 
-class Judged(NamedTuple):
+class PriorErrors(NamedTuple):
     """A prior on a scene. views: its error by training view; those that show too little known depth are left out."""
 
     kind: str = ""
@@ -60,20 +60,20 @@ class KnownDepth(NamedTuple):
     z: np.ndarray  # world units
 
 
-def judge(prior: DictConfig, scene: Scene, cache: Path | None) -> Judged:
+def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorErrors:
     """Judge a prior, configured as in `conf/prior/`, on a scene. cache: see `estimate_all`."""
-    given, points = halves(scene)
+    given, points = split_points(scene)
     try:
         estimator = instantiate(prior.estimator)
         prepare(estimator)
         maps, _ = estimate_all(estimator, given if prior.get("made_from") == "points" else scene, cache)
     except PriorError as error:
-        return Judged(reason=str(error).splitlines()[0])
+        return PriorErrors(reason=str(error).splitlines()[0])
     kind = next(iter(maps.values())).kind
     if not source(scene):
-        return Judged(kind)
+        return PriorErrors(kind)
     found = {view.name: _of_view(maps[view.name], known_depth(view, points)) for view in scene.train}
-    return Judged(kind, {name: one for name, one in found.items() if one is not None})
+    return PriorErrors(kind, {name: one for name, one in found.items() if one is not None})
 
 
 def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:
@@ -92,7 +92,7 @@ def source(scene: Scene) -> str:
     return "" if scene.points is None else "SfM points"
 
 
-def halves(scene: Scene) -> tuple[Scene, np.ndarray]:
+def split_points(scene: Scene) -> tuple[Scene, np.ndarray]:
     """The scene with every second sparse point, and the other points (N, 3)."""
     if scene.points is None:
         return scene, np.zeros((0, 3))

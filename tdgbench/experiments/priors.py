@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
-    Choice,
+    AxisValue,
     MatrixCell,
     MatrixOptions,
     check_all_ran,
@@ -23,8 +23,8 @@ from tdgbench.experiments.matrix import (
     run_cells,
     values_of,
 )
-from tdgbench.experiments.prior_accuracy import Accuracy, Judged, judge, source
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.scenes import SceneError
 from tdgbench.splats.cpu import pool
@@ -100,9 +100,9 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     """
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
     priors, cache = cfg.job.priors, Path(cfg.results) / "cache" / "priors"
-    judged = {str(prior): judge(options, scene, cache) for prior, options in priors.items()}
+    judged = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
     available = {prior: priors[prior] for prior, found in judged.items() if not found.reason}
-    without = Choice(NONE, {"method": cfg.job.without}, f"prior={NONE}")
+    without = AxisValue(NONE, {"method": cfg.job.without}, f"prior={NONE}")
     axes = {
         "scene": values_of("scene", [scene.name]),
         "prior": [without, *groups_of("prior", available, variant="prior")],
@@ -110,7 +110,7 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     }
     cells, rows, views = run_cells(cfg, axes), [], []
     scores = {prior: _scores(cells, prior) for prior in (NONE, *judged)}
-    for prior, found in {NONE: Judged(), **judged}.items():
+    for prior, found in {NONE: PriorErrors(), **judged}.items():
         place = {"scene": scene.name, "prior": prior}
         failed = "" if found.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
         rows.append(
@@ -135,7 +135,7 @@ def _scores(cells: Sequence[MatrixCell], prior: str) -> pd.DataFrame:
     return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
 
 
-def _of_judged(judged: Judged, truth: str) -> dict[str, Any]:
+def _of_judged(judged: PriorErrors, truth: str) -> dict[str, Any]:
     """Errors of a prior, means over the training views, and what they are errors against."""
     errors = judged.mean or Accuracy(np.nan, np.nan, np.nan)
     known = {"kind": judged.kind, "truth": truth if judged.mean else "", "views": len(judged.views)}
@@ -152,7 +152,7 @@ def reasons(table: pd.DataFrame) -> list[str]:
 
 def latex(table: pd.DataFrame) -> str:
     """The same table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
-    shown = as_text(table, WORDS | SHOWN)
+    shown = format_columns(table, WORDS | SHOWN)
     titles = [r"$\delta<1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
     lines = [
         *(comment(reason) for reason in reasons(table)),
@@ -175,8 +175,8 @@ def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     write_text(folder / "priors.tex", latex(table))
     for scene, rows in table.groupby("scene", sort=False):
         truth = next((text for text in rows["truth"] if text), "nothing")
-        shown = as_text(rows, {"prior": WORDS["prior"], **SHOWN})
-        show(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
+        shown = format_columns(rows, {"prior": WORDS["prior"], **SHOWN})
+        show_table(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
     for reason in reasons(table):
         say(reason, "n/a:", "yellow")
     say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}, {folder / 'priors.tex'}")

@@ -14,9 +14,9 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.record import Record
 from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.matrix import Axes, Choice, MatrixOptions, check_all_ran, run_cells, table_of, values_of
+from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
 from tdgbench.experiments.preparation import prepare_prior
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import save_figure
 from tdgbench.tables.as_csv import as_csv
@@ -62,8 +62,8 @@ class SkipAblation(Experiment):
             folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.job.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))
             write_text(folder / "skips.csv", as_csv(table))
-            draw(table, folder / "skips.png")
-            show(as_text(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
+            draw_ratios(table, folder / "skips.png")
+            show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
             say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
         check_all_ran(cells)
 
@@ -76,7 +76,7 @@ def axes(cfg: DictConfig) -> Axes:
     for label, skips in variants(list(cfg.job.skips), usual).items():
         changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
         changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
-        switched.append(Choice(label, changes, label))
+        switched.append(AxisValue(label, changes, label))
     return {"scene": values_of("scene", cfg.job.scenes), "seed": values_of("seed", cfg.job.seeds), "variant": switched}
 
 
@@ -176,7 +176,7 @@ def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
     return ", ".join(dict.fromkeys(taken["scene"])) or "none"
 
 
-def draw(table: pd.DataFrame, target: Path) -> None:
+def draw_ratios(table: pd.DataFrame, target: Path) -> None:
     """Draw how much faster training is with each skip alone, and how much slower without it."""
     figure = Figure(figsize=(8, 0.5 * len(table) + 1.2), layout="constrained")
     panel = figure.subplots()

@@ -16,11 +16,11 @@ from pydantic import Field
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.record import Record
-from tdgbench.experiments.camera_response import ERRORS, Comparison, compare, draw_cameras
+from tdgbench.experiments.camera_response import ERRORS, CameraComparison, compare_camera, draw_cameras
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
     Axes,
-    Choice,
+    AxisValue,
     MatrixCell,
     MatrixOptions,
     check_all_ran,
@@ -30,7 +30,7 @@ from tdgbench.experiments.matrix import (
     values_of,
 )
 from tdgbench.experiments.preparation import prepare_prior
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
@@ -97,7 +97,7 @@ class ThermalCameraExperiment(Experiment):
             draw_cameras(list(compared.values()), folder / "cameras.png")
             for scene, of_scene in table.groupby("scene", sort=False):
                 title = f"{scene}: what the thermal camera costs, and what comes back"
-                show(as_text(of_scene, SHOWN), console(), title)
+                show_table(format_columns(of_scene, SHOWN), console(), title)
             say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}")
         check_all_ran(cells)
 
@@ -105,7 +105,7 @@ class ThermalCameraExperiment(Experiment):
 def axes(cfg: DictConfig) -> Axes:
     """Scenes, captures with errors of the camera, methods, the choices of `camera`, and seeds."""
     job = cfg.job
-    captures = [Choice(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
+    captures = [AxisValue(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
     return {
         "scene": values_of("scene", job.scenes),
         "capture": captures,
@@ -134,7 +134,7 @@ def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
     return next(clean, None), next(ideal, None)
 
 
-def comparisons(cells: Sequence[MatrixCell]) -> dict[str, Comparison]:
+def comparisons(cells: Sequence[MatrixCell]) -> dict[str, CameraComparison]:
     """True and found cameras of the finished cells that have temperatures, by the title of the cell."""
     truths: dict[tuple[Any, ...], tuple[CameraTruth, list[str]]] = {}
     found = {}
@@ -146,7 +146,7 @@ def comparisons(cells: Sequence[MatrixCell]) -> dict[str, Comparison]:
             dataset: DriftingDataset = instantiate(cell.cfg.dataset.loader)
             train = [view.name for view in dataset.outline(cell.record.scene).scene.train]
             truths[key] = dataset.truth(cell.record.scene), train
-        comparison = compare(cell.record, cell.labels, *truths[key])
+        comparison = compare_camera(cell.record, cell.labels, *truths[key])
         if comparison is not None:
             found[cell.record.title] = comparison
     return found
@@ -158,7 +158,7 @@ def _has_errors(record: Record, loader: DictConfig) -> bool:
     return all(record.setting(f"dataset.{name}") == options[name] for name in ("errors", "noise_degC", "seed"))
 
 
-def numbers(record: Record, compared: Comparison | None) -> dict[str, Any]:
+def numbers(record: Record, compared: CameraComparison | None) -> dict[str, Any]:
     """Numbers of a cell: scores, seconds, errors of the camera's parameters; NaN where there is none."""
     errors = {} if compared is None else compared.errors
     scores = {name: record.scores.get(name) for name in SCORES}

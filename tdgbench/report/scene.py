@@ -67,12 +67,12 @@ class _Strip:
             try:
                 found |= draw()
             except Exception as error:  # whatever is on disk, the page is written
-                self.problems.append(f"{self.cell.record.title}: {describe(error)}")
+                self.problems.append(f"{self.cell.record.title}: {error_text(error)}")
         return found
 
     def _pictures(self) -> dict[str, Any]:
-        truth_picture, truth = views.thermal(self.cell.folder / views.FILES.targets / f"{self.view}.png")
-        picture, image = views.thermal(self.cell.folder / views.FILES.renders / f"{self.view}.png")
+        truth_picture, truth = views.thermal_picture(self.cell.folder / views.FILES.targets / f"{self.view}.png")
+        picture, image = views.thermal_picture(self.cell.folder / views.FILES.renders / f"{self.view}.png")
         valid = views.stored_mask(self.cell.folder, self.view, truth.shape)
         error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
         return {
@@ -125,10 +125,10 @@ class _Curves:
         return text[text.index("<svg") :]
 
 
-def describe(error: Exception) -> str:
+def error_text(error: Exception) -> str:
     """An error in words, for the page.
 
-    >>> describe(ValueError("it is a FIFO")), describe(KeyError("a"))
+    >>> error_text(ValueError("it is a FIFO")), error_text(KeyError("a"))
     ('it is a FIFO', "KeyError: 'a'")
     """
     return str(error) if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {error}"

@@ -44,7 +44,7 @@ def embedded(pixels: np.ndarray) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def thermal_picture(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """A stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
     stored = read_picture(path)
     values = stored.astype(np.float64) / 255

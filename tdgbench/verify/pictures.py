@@ -28,7 +28,7 @@ MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: pr
 
 
 def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
-    """Pictures that a test view lacks, and pictures of no test view. names: of the cell's files.
+    """Yield pictures that a test view lacks, and pictures of no test view. names: of the cell's files.
 
     Test views may lack images of other modalities, but not the render or the ground truth alone. Those without masked
     pixels have no mask; the share of masked pixels in the record shows if one is missing.
@@ -66,7 +66,7 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
     return f"{differs.mean():.1%} of the values differ, by up to {off.max():.1f} levels"
 
 
-class Pictures:
+class StoredPictures:
     """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
 
     def __init__(self, folder: Path, record: Record, cameras: Cameras, found: Findings) -> None:

@@ -21,7 +21,7 @@ from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.facts import metric_settings
 from tdgbench.verify.findings import reason
-from tdgbench.verify.pictures import Pictures
+from tdgbench.verify.pictures import StoredPictures
 
 TOLERANCE = 1e-6  # of means
 
@@ -43,7 +43,7 @@ def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
             yield f"{FILE}: {metric} is {_text(recorded)}, the mean of views.csv is {_text(mean)}"
 
 
-def mask_problems(record: Record, pictures: Pictures) -> Iterator[str]:
+def mask_problems(record: Record, pictures: StoredPictures) -> Iterator[str]:
     """A share of masked test pixels that is not that of the stored masks. (Those of training views are not stored.)"""
     found = masked_share(pictures.view(name) for name in pictures.cameras)
     recorded = record.masked.get("test", 0.0)
@@ -51,7 +51,7 @@ def mask_problems(record: Record, pictures: Pictures) -> Iterator[str]:
         yield f"{FILE}: masked.test is {recorded}, the cell's masks give {found}"
 
 
-def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictures) -> Iterator[str]:
+def score_problems(record: Record, rows: dict[str, Row] | None, pictures: StoredPictures) -> Iterator[str]:
     """Scores that differ from those of the stored pictures and models.
 
     Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
@@ -117,7 +117,7 @@ def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
     raise BackboneUnavailableError(why)
 
 
-def _scene(record: Record, pictures: Pictures) -> Scene:
+def _scene(record: Record, pictures: StoredPictures) -> Scene:
     """The scene of the test views, as far as a cell's files have it."""
     span = None if record.temperature is None else TemperatureRange(*record.temperature)
     return Scene(
@@ -126,7 +126,7 @@ def _scene(record: Record, pictures: Pictures) -> Scene:
     )  # fmt: skip
 
 
-def _shown(pictures: Pictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
+def _shown(pictures: StoredPictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
     """A test view with its pictures; of the others, the depths. Raises ValueError for a picture that is unusable."""
     nothing = np.zeros((0, 0, 1), np.float32)
     renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}

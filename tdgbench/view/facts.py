@@ -11,7 +11,7 @@ import numpy as np
 from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.paint import lookup_table
-from tdgbench.view.renderer import Frame
+from tdgbench.view.renderer import RenderedLook
 
 STOPS = 12  # colours of a colour bar
 STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
@@ -43,7 +43,7 @@ def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell]
     return " · ".join(f"{name} {text}" for (name, _), text in zip(shown, texts, strict=True))
 
 
-def bar_of(frame: Frame, cells: Mapping[str, ViewedCell]) -> str:
+def bar_of(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
     """The colour bar of a frame; none where its pictures are colours already."""
     look, whole = frame.look, frame.whole
     if whole is None:
@@ -64,7 +64,7 @@ def bar(colors: str, low: str, high: str) -> str:
     )
 
 
-def numbers(cells: Mapping[str, ViewedCell]) -> str:
+def numbers_table(cells: Mapping[str, ViewedCell]) -> str:
     """A table of the cells' numbers: scores over the test views, Gaussians, training time."""
     columns = {name: _numbers_of(cell) for name, cell in cells.items()}
     rows = list(dict.fromkeys(row for column in columns.values() for row in column))

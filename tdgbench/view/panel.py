@@ -14,7 +14,7 @@ from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import VALUE_ID
 from tdgbench.view.paint import COLOR_MAPS, as_rgb
-from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Frame, Look
+from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Look, RenderedLook
 
 ALONE = "–"  # choice of no second cell
 PREVIOUS, NEXT = "← previous", "next →"
@@ -43,7 +43,7 @@ class Panel:
         self._add_look(gui)
         self._add_views(gui)
         with gui.add_folder("Numbers"):
-            gui.add_html(facts.numbers(cells))
+            gui.add_html(facts.numbers_table(cells))
 
     def look(self) -> Look:
         """What is chosen to be shown."""
@@ -54,7 +54,7 @@ class Panel:
             "" if beside == ALONE else beside, self._divide.value / 100,
         )  # fmt: skip
 
-    def describe(self, frame: Frame) -> None:
+    def describe(self, frame: RenderedLook) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
         self._bar.content = facts.bar_of(frame, self.cells)
         self._colors.visible = self._span.visible = frame.whole is not None

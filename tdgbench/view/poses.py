@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tdgbench.scenes import Camera
 
 
-class Pose(NamedTuple):
+class ViserPose(NamedTuple):
     """A camera of viser (`viser.CameraHandle`): OpenCV axes, the optical axis through the middle of the image."""
 
     wxyz: np.ndarray  # (4,) rotation from camera to world
@@ -19,10 +19,10 @@ class Pose(NamedTuple):
     fov: float  # vertical, radians
 
 
-def camera_of(pose: Pose, width: int, height: int) -> Camera:
+def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
     """The pinhole camera of a pose, for an image of width × height px.
 
-    >>> camera = camera_of(Pose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
+    >>> camera = camera_of(ViserPose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
     >>> camera.K.diagonal().round(6), camera.project(np.zeros((1, 3)))
     (array([10., 10.,  1.]), (array([[20., 10.]]), array([2.])))
     """
@@ -33,7 +33,7 @@ def camera_of(pose: Pose, width: int, height: int) -> Camera:
     return Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), world_to_camera, width, height)
 
 
-def pose_of(camera: Camera, aspect: float) -> Pose:
+def pose_of(camera: Camera, aspect: float) -> ViserPose:
     """The pose from which a window of an aspect ratio (width over height) shows all of a camera's image.
 
     >>> camera = Camera(np.diag([10.0, 10, 1]) + [[0, 0, 20], [0, 0, 10], [0, 0, 0]], np.eye(4), 40, 20)
@@ -44,7 +44,7 @@ def pose_of(camera: Camera, aspect: float) -> Pose:
     (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     vertical, horizontal = max(cy, camera.height - cy) / fy, max(cx, camera.width - cx) / fx
     fov = 2 * float(np.arctan(max(vertical, horizontal / aspect)))
-    return Pose(np.roll(Rotation.from_matrix(to_world).as_quat(), 1), camera.center, fov)
+    return ViserPose(np.roll(Rotation.from_matrix(to_world).as_quat(), 1), camera.center, fov)
 
 
 def up_direction(cameras: Iterable[Camera]) -> np.ndarray:

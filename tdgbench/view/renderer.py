@@ -36,7 +36,7 @@ class Look(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Part:
+class CellRender:
     """A cell's render of one quantity."""
 
     values: np.ndarray  # (H, W, C) float32; depth is NaN where there is no surface
@@ -45,11 +45,11 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Frame:
+class RenderedLook:
     """A rendered look. parts: the cell, and the one to the right of the divide."""
 
     look: Look
-    parts: tuple[Part, ...]
+    parts: tuple[CellRender, ...]
     whole: tuple[float, float] | None  # the quantity's whole range in the first part
 
     @property
@@ -84,13 +84,13 @@ class Renderer:
                 if self.has(name, quantity):
                     self.values(name, quantity, camera)
 
-    def render(self, look: Look, camera: Camera) -> Frame:
+    def render(self, look: Look, camera: Camera) -> RenderedLook:
         """Render a look from a camera. A cell that lacks the quantity is left out. Raises ValueError if both do."""
         names = [name for name in dict.fromkeys([look.cell, look.beside]) if self.has(name, look.quantity)]
         if not names:
             raise ValueError(f"no cell has {LABELS.get(look.quantity, look.quantity)}")
         parts = tuple(self._part(name, look, camera) for name in names)
-        return Frame(look, parts, self.range_of(names[0], look.quantity))
+        return RenderedLook(look, parts, self.range_of(names[0], look.quantity))
 
     def has(self, name: str, quantity: str) -> bool:
         """Whether there is such a cell and it has a quantity."""
@@ -136,13 +136,13 @@ class Renderer:
         image: np.ndarray = render.image.numpy()
         return cell.response.temperatures(image) if modality == THERMAL else image
 
-    def _part(self, name: str, look: Look, camera: Camera) -> Part:
+    def _part(self, name: str, look: Look, camera: Camera) -> CellRender:
         values = self.values(name, look.quantity, camera)
         whole = self.range_of(name, look.quantity)
         if whole is None:
-            return Part(values, to_8bit(values), name)
+            return CellRender(values, to_8bit(values), name)
         low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
-        return Part(values, colored(values[..., 0], look.colors, low, high), name)
+        return CellRender(values, colored(values[..., 0], look.colors, low, high), name)
 
     def _model(self, name: str, modality: str) -> GaussianTensors:
         """The activated Gaussians of a model, kept for the next frames."""

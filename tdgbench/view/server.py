@@ -15,7 +15,7 @@ from tdgbench.view.cells import ViewedCell
 from tdgbench.view.frustums import thumbnails
 from tdgbench.view.poses import camera_of, up_direction
 from tdgbench.view.renderer import Renderer
-from tdgbench.view.requests import Job, Requests
+from tdgbench.view.requests import RenderJob, Requests
 from tdgbench.view.session import Session, Shown, Wanted
 
 FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
@@ -70,7 +70,7 @@ class Viewer:
             self._error = error
             self._ended.set()
 
-    def _render(self, job: Job[Wanted]) -> None:
+    def _render(self, job: RenderJob[Wanted]) -> None:
         wanted, start = job.wanted, time.perf_counter()
         size = (wanted.width, wanted.height)
         size = size if job.is_fine else self._pace.coarse(*size)

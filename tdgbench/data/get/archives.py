@@ -51,7 +51,7 @@ class File(NamedTuple):
     content: IO[bytes]
 
 
-def files_of(path: Path) -> Iterator[File]:
+def archive_files(path: Path) -> Iterator[File]:
     """Files of an archive in its order, hidden ones and file managers' left out.
 
     Its content decides what it is, not its name. Raises BadFileError for links, devices and

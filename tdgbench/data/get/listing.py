@@ -16,7 +16,7 @@ from urllib3 import Retry
 from tdgbench import __version__
 from tdgbench.data.get.archives import is_junk, safe_path, stem
 from tdgbench.data.get.scenes import by_scene, scene_of_archive
-from tdgbench.data.get.sources import GetError, Source
+from tdgbench.data.get.sources import GetError, PublishedDataset
 from tdgbench.text import shortened
 
 ZENODO = "https://zenodo.org"
@@ -87,7 +87,7 @@ class _ZenodoRecord(BaseModel):
     files: list[_Entry]
 
 
-def list_files(source: Source, zenodo: str = ZENODO) -> list[RemoteFile]:
+def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFile]:
     """The published files of a data set. Raises GetError.
 
     zenodo: address of Zenodo, or of a mirror that speaks its API.
@@ -105,7 +105,7 @@ def list_files(source: Source, zenodo: str = ZENODO) -> list[RemoteFile]:
     return files
 
 
-def sort_out(source: Source, files: Iterable[RemoteFile]) -> Listing:
+def sort_out(source: PublishedDataset, files: Iterable[RemoteFile]) -> Listing:
     """Group published files. Files inside the folder of a scene belong to it, archives too. Raises GetError."""
     files = [file for file in files if not is_junk(file.path)]
     scenes = by_scene(source, [file.path for file in files], source.folder, f"the published folder {source.folder}")
@@ -121,7 +121,7 @@ def sort_out(source: Source, files: Iterable[RemoteFile]) -> Listing:
     return Listing(packages, [file.path for file in rest if stem(file.path.name) is None])
 
 
-def chosen(source: Source, packages: list[Package], scenes: Iterable[str]) -> list[Package]:
+def chosen(source: PublishedDataset, packages: list[Package], scenes: Iterable[str]) -> list[Package]:
     """Packages of some scenes; all if none is named. Raises GetError for a scene that no package is of."""
     names = [source.scene(scene) for scene in scenes]
     there = {package.scene.lower() for package in packages if package.scene}
@@ -146,7 +146,7 @@ def reason_of(error: BaseException) -> str:
     return shortened(" ".join(str(error).split()), LONGEST_REASON)
 
 
-def _zenodo_files(source: Source, address: str) -> list[RemoteFile]:
+def _zenodo_files(source: PublishedDataset, address: str) -> list[RemoteFile]:
     """Files of a record, as Zenodo's API gives them: `files[].key`, `.size`, `.checksum` and `.links.self`."""
     with requests.Session() as session:
         for protocol in ("http://", "https://"):
@@ -158,7 +158,7 @@ def _zenodo_files(source: Source, address: str) -> list[RemoteFile]:
     return [RemoteFile(_checked(one.key), one.links["self"], one.size, one.checksum) for one in entries]
 
 
-def _drive_files(source: Source) -> list[RemoteFile]:
+def _drive_files(source: PublishedDataset) -> list[RemoteFile]:
     """Files of a folder and its subfolders. Google publishes neither sizes nor sums to a program without an account.
 
     gdown ≥ 6 lists any number of files; before, a folder's list ended after 50 without a word (its pull request 453).

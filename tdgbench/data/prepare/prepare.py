@@ -46,7 +46,7 @@ class PrepareOptions:
     sfm: SfmOptions | None = field(default_factory=SfmOptions)
 
 
-def prepare(folder: Path, out: Path, options: PrepareOptions) -> Report:
+def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
     """Write the scene `out` of the camera files in `folder`, whole or not at all; return the report, which it holds.
 
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.

@@ -55,10 +55,10 @@ def read_cells(folder: Path) -> list[PlannedCell]:
         return []
 
 
-def counted(cells: Sequence[PlannedCell]) -> str:
+def count_by_state(cells: Sequence[PlannedCell]) -> str:
     """Number of cells by state.
 
-    >>> counted([PlannedCell("tdg", "a", "to run"), PlannedCell("tdg", "b", "without data")])
+    >>> count_by_state([PlannedCell("tdg", "a", "to run"), PlannedCell("tdg", "b", "without data")])
     '2 cells: 1 to run, 0 with a result, 1 without data'
     """
     states: tuple[State, ...] = ("to run", "with a result", "without data")
@@ -97,7 +97,7 @@ def time_left(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome], wor
     return Estimate(max(sum(times) / workers, longest), len(done), tuple(dict.fromkeys(unknown)))
 
 
-def progress(
+def remaining_time(
     cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome], workers: int, now: datetime | None = None
 ) -> str:
     """Cells that the sweep has run and has to run, and when it will be done; empty where nothing can be said."""

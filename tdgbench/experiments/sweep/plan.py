@@ -14,7 +14,7 @@ from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, key_and_value, nu
 from tdgbench.bench.record import Record
 from tdgbench.bench.stored import readable_record
 from tdgbench.experiments.preparation import unavailable_priors
-from tdgbench.experiments.sweep.cells import PlannedCell, State, counted, write_cells
+from tdgbench.experiments.sweep.cells import PlannedCell, State, count_by_state, write_cells
 from tdgbench.scenes import Description, SceneError
 from tdgbench.terminal import say
 
@@ -60,7 +60,7 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
     if (number_of_jobs(cfg) or 1) > 1:
         cells = planned_cells(cfg, plan, dict(zip(map(str, names), scenes, strict=True)), missing)
         write_cells(Path(cfg.hydra.sweep.dir), cells)
-        say(f"{cfg.name}: {counted(cells)}", stderr=True)
+        say(f"{cfg.name}: {count_by_state(cells)}", stderr=True)
     per_scene = math.prod(len(values) or 1 for key, values in options.items() if key != "scene")
     return CellCount(per_scene * len(scenes), per_scene * len(missing))
 

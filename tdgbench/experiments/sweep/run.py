@@ -19,7 +19,7 @@ from tdgbench.bench.options import check_method_name
 from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import number_of_jobs, plan_of_job
 from tdgbench.bench.progress import CellProgress
-from tdgbench.experiments.experiment import Experiment, in_words
+from tdgbench.experiments.experiment import Experiment, error_message
 from tdgbench.experiments.sweep import cells
 from tdgbench.experiments.sweep.plan import plan_sweep
 from tdgbench.files import write_text
@@ -67,7 +67,7 @@ def _run_job(cfg: DictConfig) -> None:
     workers = cells_at_once(hydra.launcher, pool.available_cores())
     if outcome.status in ("ok", "failed") and workers is not None:
         sweep = Path(hydra.sweep.dir)
-        left = cells.progress(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
+        left = cells.remaining_time(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
         if left:
             say(f"{cfg.name}: {left}", stderr=True)
 
@@ -84,7 +84,7 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
             cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
         return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
     except Exception as error:
-        return Outcome("failed", title or "the cell", in_words(error))
+        return Outcome("failed", title or "the cell", error_message(error))
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
