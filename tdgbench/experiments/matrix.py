@@ -51,7 +51,7 @@ class MatrixCell(NamedTuple):
 
 
 def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
-    """An axis of the values of an option that is part of a cell's path.
+    """Return an axis of the values of an option that is part of a cell's path.
 
     >>> values_of("seed", [0, 1])
     [AxisValue(label=0, options={'seed': 0}, variant=''), AxisValue(label=1, options={'seed': 1}, variant='')]
@@ -60,7 +60,7 @@ def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
 
 
 def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[AxisValue]:
-    """An axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
+    """Return an axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
 
     >>> groups_of("camera", {"ideal": {"estimate": []}}, variant="camera")
     [AxisValue(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
@@ -72,7 +72,7 @@ def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> lis
 
 
 def configured(cfg: DictConfig, choices: Iterable[AxisValue]) -> DictConfig:
-    """A copy of a configuration with the options of these choices."""
+    """Return a copy of a configuration with the options of these choices."""
     cell = cfg.copy()
     for choice in choices:
         for option, value in choice.options.items():
@@ -103,7 +103,7 @@ def check_all_ran(cells: Iterable[MatrixCell]) -> None:
 
 
 def table_of(cells: Iterable[MatrixCell], numbers: Callable[[Record], Mapping[str, Any]]) -> pd.DataFrame:
-    """One row per finished cell: a column per axis, then the numbers. A scene has the name in its record."""
+    """Return one row per finished cell: a column per axis, then the numbers. A scene has the name in its record."""
     return pd.DataFrame(
         [
             {**cell.labels, "scene": cell.record.scene, **numbers(cell.record)}

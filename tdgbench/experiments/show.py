@@ -19,7 +19,7 @@ def show_table(table: pd.DataFrame, console: Console, title: str = "") -> None:
 
 
 def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
-    """Some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
+    """Return some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
 
     >>> format_columns(pd.DataFrame({"psnr": [24.061, np.nan]}), {"psnr": ("PSNR", "{:.2f} dB")})["PSNR"].tolist()
     ['24.06 dB', 'n/a']
@@ -33,7 +33,7 @@ def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) 
 
 
 def _text(value: object) -> str:
-    """Three digits of a number; yes or nothing for a Boolean."""
+    """Format a value: three digits of a number; yes or nothing for a Boolean."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
     if not isinstance(value, float):

@@ -69,7 +69,7 @@ class SkipAblation(Experiment):
 
 
 def axes(cfg: DictConfig) -> Axes:
-    """Scenes, seeds, and the variants, each of which switches every skip on or off; a rule that is off is null."""
+    """Return the axes: scenes, seeds, variants. Each variant switches all skips on or off; off is null for a rule."""
     usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
     usual |= {name: cfg.budget.get(name) is not None for name in RULES}
     switched = []
@@ -81,7 +81,7 @@ def axes(cfg: DictConfig) -> Axes:
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
-    """Skips that each variant allows, by label; skips outside of `names` are off in all variants.
+    """Return the skips that each variant allows, by label; skips outside of `names` are off in all variants.
 
     usual: whether each skip is on by default. The variant `all` has those of `names` that are on by default, and only
     these have a variant without them. Raises ValueError for an unknown name.
@@ -102,7 +102,7 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
 
 
 def numbers(record: Record) -> dict[str, Any]:
-    """Numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
+    """Return the numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
         "train_seconds": record.seconds["train"],
@@ -116,7 +116,7 @@ def numbers(record: Record) -> dict[str, Any]:
 
 
 def with_changes(table: pd.DataFrame) -> pd.DataFrame:
-    """The cells with `change of …`: against the cell of the same scene and seed that has every skip off."""
+    """Add columns `change of …` to the cells: against the cell of the same scene and seed that has every skip off."""
     if table.empty:
         return table
     base = table[table["variant"] == NONE].set_index(["scene", "seed"])
@@ -127,7 +127,7 @@ def with_changes(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """One row per skip, and one for all together.
+    """Return one row per skip, and one for all together.
 
     faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
     one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
@@ -152,7 +152,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
 
 
 def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float, bool]:
-    """Change of a metric on the worst scene, its standard error, and whether every scene is within MAX_LOSS."""
+    """Return a metric's change on the worst scene, its standard error, and whether all scenes lose at most MAX_LOSS."""
     by_scene = table[table["variant"] == variant].groupby("scene")[f"change of {metric}"]
     mean, error = by_scene.mean(), by_scene.sem()
     if mean.dropna().empty:
@@ -162,7 +162,7 @@ def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float
 
 
 def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
-    """Geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
+    """Return the geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
     both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column)
     if slow not in both or fast not in both:
         return float("nan")
@@ -170,7 +170,7 @@ def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_secon
 
 
 def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
-    """Scenes on which the skip was taken."""
+    """Name the scenes on which the skip was taken."""
     cells = table[table["variant"] == variant]
     taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
     return ", ".join(dict.fromkeys(taken["scene"])) or "none"

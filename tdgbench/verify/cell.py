@@ -16,7 +16,7 @@ from tdgbench.verify.stored_cell import read_cell, read_log
 
 
 def verify_cell(folder: Path) -> list[str]:
-    """Problems of one cell, in words; of a failed cell, only those of its record."""
+    """Return the problems of one cell, in words; of a failed cell, only those of its record."""
     found = Findings()
     cell = found.read(FILE, read_cell, folder)
     if cell is None:

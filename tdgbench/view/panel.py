@@ -46,7 +46,7 @@ class Panel:
             gui.add_html(facts.numbers_table(cells))
 
     def look(self) -> Look:
-        """What is chosen to be shown."""
+        """Return what is chosen to be shown."""
         low, high = self._span.value
         beside = self._beside.value
         return Look(
@@ -119,12 +119,12 @@ class Panel:
 
 
 def _line(title: str, text: str = "") -> str:
-    """The scene, and the value under the cursor."""
+    """Return the scene, and the value under the cursor."""
     value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
     return f'<div style="{facts.STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:
-    """A picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
+    """Return a picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
     height = max(1, round(picture.shape[0] * PICTURE_WIDTH / picture.shape[1]))
     return np.asarray(Image.fromarray(as_rgb(picture, "inferno")).resize((PICTURE_WIDTH, height)))

@@ -20,7 +20,7 @@ class ViserPose(NamedTuple):
 
 
 def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
-    """The pinhole camera of a pose, for an image of width × height px.
+    """Return the pinhole camera of a pose, for an image of width × height px.
 
     >>> camera = camera_of(ViserPose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
     >>> camera.K.diagonal().round(6), camera.project(np.zeros((1, 3)))
@@ -34,7 +34,7 @@ def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
 
 
 def pose_of(camera: Camera, aspect: float) -> ViserPose:
-    """The pose from which a window of an aspect ratio (width over height) shows all of a camera's image.
+    """Return the pose from which a window of an aspect ratio (width over height) shows all of a camera's image.
 
     >>> camera = Camera(np.diag([10.0, 10, 1]) + [[0, 0, 20], [0, 0, 10], [0, 0, 0]], np.eye(4), 40, 20)
     >>> [round(float(np.tan(pose_of(camera, aspect).fov / 2)), 6) for aspect in (2, 3, 1)]
@@ -48,14 +48,14 @@ def pose_of(camera: Camera, aspect: float) -> ViserPose:
 
 
 def up_direction(cameras: Iterable[Camera]) -> np.ndarray:
-    """Direction (3,) that is up in the images on average; world z if the cameras do not agree on any."""
+    """Return the direction (3,) that is up in the images on average; world z if the cameras do not agree on any."""
     up = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
     length = float(np.linalg.norm(up))
     return up / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
 
 
 def focus(cameras: Iterable[Camera]) -> np.ndarray:
-    """The point (3,) nearest to the optical axes, in the least-squares sense; the orbit's centre of a capture.
+    """Return the point (3,) nearest to the optical axes, in the least-squares sense; the orbit's centre of a capture.
 
     Parallel axes have none: then it is one unit in front of the cameras' mean position.
     """

@@ -64,13 +64,13 @@ class Requests(Generic[T]):
             self._changed.notify_all()
 
     def is_newest(self, job: RenderJob[T]) -> bool:
-        """Whether the client is there and has requested nothing since."""
+        """Return whether the client is there and has requested nothing since."""
         with self._changed:
             pending = self._pending.get(job.client)
             return pending is not None and pending.number == job.number
 
     def take(self) -> RenderJob[T] | None:
-        """The next job that is due; None if there is none now."""
+        """Return the next job that is due; None if there is none now."""
         with self._changed:
             return self._take()
 
@@ -81,7 +81,7 @@ class Requests(Generic[T]):
                 job = self._take()
                 if job is not None:
                     return job
-                times = [one.fine_at for one in self._pending.values() if one.fine_at is not None]
+                times = [request.fine_at for request in self._pending.values() if request.fine_at is not None]
                 self._changed.wait(max(0.0, min(times) - self._now()) if times else None)
             return None
 

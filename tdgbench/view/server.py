@@ -26,7 +26,7 @@ MIN_SIDE = 16  # px
 
 
 class Viewer:
-    """Shows cells of one scene to every browser that connects.
+    """The viewer: it shows cells of one scene to every browser that connects.
 
     width: most pixels of a picture's width.
     """
@@ -106,7 +106,7 @@ class Pace:
 
 @contextlib.contextmanager
 def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
-    """A server of viser that prints nothing. port: None for the first free one from 8080 on.
+    """Run a server of viser that prints nothing. port: None for the first free one from 8080 on.
 
     Raises OSError, naming the address, if it cannot be used: viser would try other ports, and wait forever for a host
     that is not this machine.
@@ -124,7 +124,7 @@ def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
 
 
 def free_port(host: str, port: int | None) -> int:
-    """The port, or the first free one from 8080 on. Raises OSError if it cannot be used."""
+    """Return the port, or the first free one from 8080 on. Raises OSError if it cannot be used."""
     for candidate in range(FIRST_PORT, LAST_PORT + 1) if port is None else [port]:
         try:
             with socket.create_server((host, candidate)):

@@ -42,7 +42,7 @@ class Shown:
 
 
 class Session:
-    """A connected client."""
+    """A connected browser: its camera, controls and pictures."""
 
     def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
         self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width

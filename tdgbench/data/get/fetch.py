@@ -67,17 +67,17 @@ class Download:
         return self.folder / DOWNLOADS
 
     def target(self, path: PurePosixPath) -> Path:
-        """Where a published file is downloaded to."""
+        """Return where a published file is downloaded to."""
         return self.downloads / path
 
     def listing(self) -> Listing:
-        """What is published, without scenes that were not asked for. Raises GetError."""
+        """Return what is published, without scenes that were not asked for. Raises GetError."""
         packages, others = sort_out(self.source, list_files(self.source, self.zenodo))
         return Listing(chosen(self.source, packages, self.scenes), others)
 
     def state(self, package: Package, there: Mapping[str, FoundScene]) -> State:
-        """Whether a package is among the scenes that are there; with `force`, it never is."""
-        made = [one.record for one in there.values() if one.is_made_of(package.identities) and one.record]
+        """Return whether a package is among the scenes that are there; with `force`, it never is."""
+        made = [found.record for found in there.values() if found.is_made_of(package.identities) and found.record]
         if self.force or (made and not all(scene in there for scene in made[0].scenes)):
             return State.MISSING
         if made:
@@ -86,7 +86,7 @@ class Download:
 
 
 def fetch(job: Download) -> bool:
-    """Fetch a data set and say what was done; whether all that is published is there at the end.
+    """Fetch a data set and say what was done; return whether all that is published is there at the end.
 
     Raises GetError and OSError for what stops the whole download; a file that cannot be used does not. What was
     downloaded is kept then, and the same call goes on from it. An interruption has a note that says so.
@@ -107,7 +107,7 @@ def fetch(job: Download) -> bool:
 
 
 def _kept(job: Download) -> str:
-    """What an unfinished download leaves on disk."""
+    """Return what an unfinished download leaves on disk."""
     size = sum(path.stat().st_size for path in job.downloads.rglob("*") if path.is_file())
     return f"{job.downloads} keeps {amount(size)} of downloads; the same command goes on from there"
 
@@ -129,14 +129,14 @@ def _fetch(job: Download, found: Listing) -> bool:
             say(one_line(str(error)), "problem:", stderr=True)
             problems += 1
     before = [package.identities for package, state in states.items() if state is State.THERE]
-    whole = sum(any(map(one.is_made_of, before)) for one in there.values())
+    whole = sum(any(map(found.is_made_of, before)) for found in there.values())
     end = _count(problems, "problem") if problems else f"{_count(whole, 'scene')} already there"
     _say(f"{job.folder}: {_count(fetched, 'scene')} fetched, {end}")
     return not problems
 
 
 def _fetch_package(job: Download, package: Package) -> int:
-    """Download a package and put its scenes into their places; the number of scenes."""
+    """Download a package and put its scenes into their places; return the number of scenes."""
     if job.force:
         _remove(job, package)
     is_archive = package.root is None
@@ -178,7 +178,7 @@ def download(file: RemoteFile, target: Path, report: Count) -> None:
 
 
 def partial_files(target: Path) -> list[Path]:
-    """What gdown keeps of an unfinished download."""
+    """Return what gdown keeps of an unfinished download."""
     return list(target.parent.glob(f"{glob.escape(target.name)}????????.part"))
 
 
@@ -227,7 +227,7 @@ def _put_in_place(job: Download, package: Package) -> tuple[int, list[Path]]:
 
 
 def _unpack(job: Download, package: Package, folder: Path) -> list[PurePosixPath]:
-    """Copy the files of a package into a folder; their paths in it."""
+    """Copy the files of a package into a folder; return their paths in it."""
     paths = []
     with readable(job.target(package.files[0].path)):
         for file in _files(job, package):
@@ -242,7 +242,7 @@ def _unpack(job: Download, package: Package, folder: Path) -> list[PurePosixPath
 
 
 def _files(job: Download, package: Package) -> Iterator[File]:
-    """Files of a package that is downloaded."""
+    """Yield the files of a package that is downloaded."""
     if package.root is None:
         yield from archive_files(job.target(package.files[0].path))
         return

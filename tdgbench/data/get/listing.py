@@ -88,7 +88,7 @@ class _ZenodoRecord(BaseModel):
 
 
 def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFile]:
-    """The published files of a data set. Raises GetError.
+    """Return the published files of a data set. Raises GetError.
 
     zenodo: address of Zenodo, or of a mirror that speaks its API.
     """
@@ -122,7 +122,7 @@ def sort_out(source: PublishedDataset, files: Iterable[RemoteFile]) -> Listing:
 
 
 def chosen(source: PublishedDataset, packages: list[Package], scenes: Iterable[str]) -> list[Package]:
-    """Packages of some scenes; all if none is named. Raises GetError for a scene that no package is of."""
+    """Return packages of some scenes; all if none is named. Raises GetError for a scene that no package is of."""
     names = [source.scene(scene) for scene in scenes]
     there = {package.scene.lower() for package in packages if package.scene}
     unknown = [name for name in names if name.lower() not in there]
@@ -137,7 +137,7 @@ def chosen(source: PublishedDataset, packages: list[Package], scenes: Iterable[s
 
 
 def reason_of(error: BaseException) -> str:
-    """Why a request failed: the system's words where there are any, else the library's, in one line."""
+    """Say why a request failed: the system's words where there are any, else the library's, in one line."""
     inner: BaseException | None = error
     while inner is not None:
         if isinstance(inner, OSError) and not isinstance(inner, requests.RequestException) and inner.strerror:
@@ -147,7 +147,7 @@ def reason_of(error: BaseException) -> str:
 
 
 def _zenodo_files(source: PublishedDataset, address: str) -> list[RemoteFile]:
-    """Files of a record, as Zenodo's API gives them: `files[].key`, `.size`, `.checksum` and `.links.self`."""
+    """Return files of a record, as Zenodo's API gives them: `files[].key`, `.size`, `.checksum` and `.links.self`."""
     with requests.Session() as session:
         for protocol in ("http://", "https://"):
             session.mount(protocol, HTTPAdapter(max_retries=RETRIES))
@@ -155,11 +155,11 @@ def _zenodo_files(source: PublishedDataset, address: str) -> list[RemoteFile]:
         answer = session.get(url, headers={"User-Agent": AGENT}, timeout=TIMEOUT)
         answer.raise_for_status()
     entries = _ZenodoRecord.model_validate_json(answer.content).files
-    return [RemoteFile(_checked(one.key), one.links["self"], one.size, one.checksum) for one in entries]
+    return [RemoteFile(_checked(entry.key), entry.links["self"], entry.size, entry.checksum) for entry in entries]
 
 
 def _drive_files(source: PublishedDataset) -> list[RemoteFile]:
-    """Files of a folder and its subfolders. Google publishes neither sizes nor sums to a program without an account.
+    """Return files of a folder and its subfolders. Google gives neither sizes nor sums to a program without an account.
 
     gdown ≥ 6 lists any number of files; before, a folder's list ended after 50 without a word (its pull request 453).
     """
@@ -167,10 +167,10 @@ def _drive_files(source: PublishedDataset) -> list[RemoteFile]:
         id=source.identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
     )
     files = []
-    for one in found:
-        assert not isinstance(one, str)  # with skip_download, gdown gives (id, path, local_path)
-        address = f"https://drive.google.com/uc?id={one.id}"
-        files.append(RemoteFile(_checked(Path(one.path).as_posix()), address, None, f"drive:{one.id}"))
+    for file in found:
+        assert not isinstance(file, str)  # with skip_download, gdown gives (id, path, local_path)
+        address = f"https://drive.google.com/uc?id={file.id}"
+        files.append(RemoteFile(_checked(Path(file.path).as_posix()), address, None, f"drive:{file.id}"))
     return files
 
 

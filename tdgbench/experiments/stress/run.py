@@ -68,17 +68,17 @@ class Stress(Experiment):
 
 
 def all_cases(cfg: DictConfig, folder: Path) -> list[Case]:
-    """The whole suite. cfg: configuration of a small cell. folder: for what must be on disk."""
+    """Return the whole suite. cfg: configuration of a small cell. folder: for what must be on disk."""
     return [*clouds.cases(), *losses.cases(), *gradients.cases(), *training.cases(SmallTraining(cfg, folder))]
 
 
 def backends_of(case: Case) -> list[str]:
-    """The fast backends of this machine, all of which are compared with the reference; `once` where none matters."""
+    """Return the fast backends of this machine, which are compared with the reference; `once` where none matters."""
     return fast_backends() if case.every_backend else ["once"]
 
 
 def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[CaseResult], None]) -> pd.DataFrame:
-    """One row per case and backend; with `chosen`, only cases whose family or name contains it.
+    """Return one row per case and backend; with `chosen`, only cases whose family or name contains it.
 
     report: called with each result. Raises ValueError if no case is chosen.
     """

@@ -56,7 +56,7 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
 
 
 def count_outcomes(outcomes: list[Outcome]) -> str:
-    """Number of cells by outcome.
+    """Return the number of cells by outcome, in words.
 
     >>> count_outcomes([Outcome("ok", "tdg on a"), Outcome("kept", "tdg on b"), Outcome("kept", "tdg on c")])
     '1 cell run, 2 already there, 0 failed, 0 without data'

@@ -32,7 +32,6 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
     """Write the plan of a sweep; print one error for all missing scenes, one for each missing prior, and the number of
     its cells.
 
-
     Raises SystemExit(1) for an unknown scene.
     """
     dataset = instantiate(cfg.dataset.loader)
@@ -66,7 +65,7 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
 
 
 def planned_cells(cfg: DictConfig, plan: Plan, scenes: dict[str, Description], missing: list[str]) -> list[PlannedCell]:
-    """The cell of each job. scenes: by the names that the options have. missing: those that are not on disk."""
+    """Return the cell of each job. scenes: by the names that the options have. missing: those that are not on disk."""
     cells = []
     for overrides in overrides_of_jobs(cfg):
         chosen = dict(map(key_and_value, overrides))
@@ -80,7 +79,7 @@ def planned_cells(cfg: DictConfig, plan: Plan, scenes: dict[str, Description], m
 
 
 def _has_result(cfg: DictConfig, chosen: dict[str, str], place: Description, variant: str) -> bool:
-    """Whether a finished cell is in the folder of a job's cell. chosen: the job's options."""
+    """Return whether a finished cell is in the folder of a job's cell. chosen: the job's options."""
     method, init = chosen.get("method", cfg.method.name), chosen.get("init", cfg.init.name)
     seed, name = chosen.get("seed", str(cfg.seed)), chosen.get("name", cfg.name)
     if not seed.isdigit():  # the job will say what is wrong
