@@ -31,7 +31,7 @@ from PIL import Image
 from benchmarks.geometry.colmap import SEED, THREADS, from_motion, summary, triangulated
 from benchmarks.geometry.metashape import read_project
 from tdgbench.data.prepare.extract import CountScale
-from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
@@ -122,7 +122,7 @@ def fresco(source: Path, out: Path, views: int) -> None:
         mapping = Path(folder) / "homography.txt"
         mapping.write_text(RGB_TO_THERMAL, encoding="utf-8")
         sfm = SfmOptions(seed=SEED, threads=THREADS)
-        report = prepare(
+        report = prepare_scene(
             files, out / "fresco", PrepareOptions(counts=CountScale(0.025, -100.0), homography=mapping, sfm=sfm)
         )
     print(report.text())

@@ -41,9 +41,9 @@ def main() -> int:
 
 
 def _in_words(error: BaseException) -> str:
-    from tdgbench.experiments.experiment import in_words
+    from tdgbench.experiments.experiment import error_message
 
-    return in_words(error, sys.argv[1:])
+    return error_message(error, sys.argv[1:])
 
 
 def _kept() -> str:

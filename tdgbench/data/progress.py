@@ -27,7 +27,7 @@ Count = Callable[[int], None]
 
 
 def amount(size: int | None) -> str:
-    """A number of bytes in words.
+    """Return A number of bytes in words.
 
     >>> amount(819_000_000), amount(None)
     ('819.0 MB', 'unknown size')

@@ -76,7 +76,7 @@ def _status_1_on_error() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        from tdgbench.experiments.experiment import in_words
+        from tdgbench.experiments.experiment import error_message
 
-        say(in_words(error, sys.argv[1:]), "error:", stderr=True)
+        say(error_message(error, sys.argv[1:]), "error:", stderr=True)
         raise SystemExit(1) from error

@@ -1,4 +1,4 @@
-"""A cell's thermal camera, as its record tells it, beside the true one: errors, and a picture."""
+"""The estimated response of the thermal camera in a cell's record beside the true one: errors, and a picture."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ TINY = 1e-9  # °C; a smaller truth has nothing to show
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A found camera and the true one in its gauge: offsets and gains (V,), found vignette (H, W), in °C.
+class CameraComparison:
+    """An estimated response and the true one with the same means: offsets, gains (V,), found vignette (H, W), in °C.
 
     labels: scene, capture, method, camera and seed of the cell.
     """
@@ -45,12 +45,14 @@ class Comparison:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the true camera has errors to show."""
+        """True if the true response has errors to show."""
         return max(float(np.abs(self.true.response.offsets).max()), float(np.abs(self.true.vignette).max())) > TINY
 
 
-def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: list[str]) -> Comparison | None:
-    """The comparison of a cell; None where its scene has no temperatures, or the true camera stretches each image.
+def compare_camera(
+    record: Record, labels: dict[str, Any], truth: CameraTruth, train: list[str]
+) -> CameraComparison | None:
+    """Return the comparison of a cell; None for a scene without temperatures or a true camera that stretches images.
 
     A cell whose camera is ideal is compared, too: its errors are the drift itself. train: names of the training views.
     """
@@ -65,17 +67,17 @@ def compare(record: Record, labels: dict[str, Any], truth: CameraTruth, train: l
     true = truth_in_gauge(truth, views, float(facts["reference"]))
     height, width = true.vignette.shape
     found = in_gauge(ViewResponses(offsets, gains))
-    return Comparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
+    return CameraComparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
 
 
-def draw_cameras(compared: Sequence[Comparison], target: Path) -> None:
+def draw_cameras(compared: Sequence[CameraComparison], target: Path) -> None:
     """Draw each capture's true and found cameras, of its first scene, method and seed; nothing where none drifts."""
-    first: dict[str, dict[str, Comparison]] = {}
-    for one in compared:
-        cameras = first.setdefault(one.labels["capture"], {})
-        same = next(iter(cameras.values()), one)
-        if all(one.labels[name] == same.labels[name] for name in ("scene", "method", "seed")):
-            cameras.setdefault(one.labels["camera"], one)
+    first: dict[str, dict[str, CameraComparison]] = {}
+    for comparison in compared:
+        cameras = first.setdefault(comparison.labels["capture"], {})
+        same = next(iter(cameras.values()), comparison)
+        if all(comparison.labels[name] == same.labels[name] for name in ("scene", "method", "seed")):
+            cameras.setdefault(comparison.labels["camera"], comparison)
     drifting = [cameras for cameras in first.values() if next(iter(cameras.values())).has_truth]
     if not drifting:
         return
@@ -83,16 +85,16 @@ def draw_cameras(compared: Sequence[Comparison], target: Path) -> None:
     figure = Figure(figsize=(4 + 1.8 * (widest + 1), 2.4 * len(drifting) + 0.4), layout="constrained")
     panels = np.atleast_2d(figure.subplots(len(drifting), widest + 2, width_ratios=[2.4] + [1] * (widest + 1)))
     for row, cameras in zip(panels, drifting, strict=True):
-        one = next(iter(cameras.values()))
-        row[0].plot(one.true.response.offsets, color="black", linewidth=2.4, alpha=0.35, label="true")
+        shown = next(iter(cameras.values()))
+        row[0].plot(shown.true.response.offsets, color="black", linewidth=2.4, alpha=0.35, label="true")
         for name, found in cameras.items():
             row[0].plot(found.found.offsets, linewidth=1, label=plain(name))
-        row[0].set_title(plain("{capture}: {scene}, {method}, seed {seed}".format(**one.labels)), fontsize=8)
+        row[0].set_title(plain("{capture}: {scene}, {method}, seed {seed}".format(**shown.labels)), fontsize=8)
         row[0].set_ylabel("offset, °C", fontsize=8)
         row[0].set_xlabel("training view", fontsize=8)
         row[0].legend(fontsize=6)
         vignettes = {name: found.found_vignette for name, found in cameras.items()}
-        maps = {"true vignette, mean": one.true.vignette, **vignettes}
+        maps = {"true vignette, mean": shown.true.vignette, **vignettes}
         largest = max(float(np.abs(values).max()) for values in maps.values()) or 1.0
         for panel, (name, values) in zip(row[1:], maps.items(), strict=False):
             panel.imshow(values, cmap="RdBu_r", vmin=-largest, vmax=largest)

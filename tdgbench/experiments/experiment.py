@@ -59,18 +59,18 @@ class Experiment(ABC):
             raise OptionError(problems)
 
     def start(self, cfg: DictConfig) -> None:  # noqa: B027 (optional)
-        """Plan. Called once, before the first job; a sweep has one job per combination of swept options."""
+        """Plan. This is called once, before the first job; a sweep has one job per combination of swept options."""
 
     @abstractmethod
     def run(self, cfg: DictConfig) -> None:
         """Do one job, in the process of its launcher."""
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:  # noqa: B027 (optional)
-        """Conclude. Called once, after the last job; `jobs` holds the folders of Hydra's jobs."""
+        """Conclude. This is called once, after the last job; `jobs` holds the folders of Hydra's jobs."""
 
 
 def experiment_of(cfg: DictConfig) -> Experiment:
-    """The experiment of a configuration. Raises TypeError if `job._target_` names anything else."""
+    """Return the experiment of a configuration. Raises TypeError if `job._target_` names anything else."""
     if not isinstance(cfg.job._target_, str):
         raise OptionError([Problem("job._target_", "must be the dotted name of a class", cfg.job._target_)])
     try:
@@ -102,10 +102,10 @@ def check_results_folder(folder: Path) -> None:
         raise OptionError([Problem("results", f"the results go to {folder}, but {reason}")]) from error
 
 
-def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
-    """The message of an error that ends a run or a job.
+def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
+    """Return the message of an error that ends a run or a job.
 
-    words: the command line, which errors of an unexpected type are told with.
+    words: the command line, which the message of an unexpected error repeats.
     """
     if isinstance(error, OverrideParseException):
         return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
@@ -131,6 +131,6 @@ def in_words(error: BaseException, words: Sequence[str] = ()) -> str:
 
 
 def _unknown_choice(file: str, choices: Sequence[str]) -> str:
-    """file: of the choice that is not there, for example method/tgd."""
+    """Return the message for a choice that is not there. file: for example method/tgd."""
     group, _, choice = file.rpartition("/")
     return f"{group}={choice}: there is no such {group}{meant(choice, choices)} (there are {', '.join(choices)})"

@@ -30,7 +30,7 @@ class MatrixOptions:
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
 
-class Choice(NamedTuple):
+class AxisValue(NamedTuple):
     """A value on an axis. options: what it sets, by dotted names. variant: its part of the cell's variant."""
 
     label: Any
@@ -38,7 +38,7 @@ class Choice(NamedTuple):
     variant: str = ""
 
 
-Axes = Mapping[str, Sequence[Choice]]
+Axes = Mapping[str, Sequence[AxisValue]]
 
 
 class MatrixCell(NamedTuple):
@@ -50,28 +50,29 @@ class MatrixCell(NamedTuple):
     record: Record | None
 
 
-def values_of(option: str, values: Iterable[Any]) -> list[Choice]:
-    """An axis of the values of an option that is part of a cell's path.
+def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
+    """Return an axis of the values of an option that is part of a cell's path.
 
     >>> values_of("seed", [0, 1])
-    [Choice(label=0, options={'seed': 0}, variant=''), Choice(label=1, options={'seed': 1}, variant='')]
+    [AxisValue(label=0, options={'seed': 0}, variant=''), AxisValue(label=1, options={'seed': 1}, variant='')]
     """
-    return [Choice(value, {option: value}) for value in values]
+    return [AxisValue(value, {option: value}) for value in values]
 
 
-def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[Choice]:
-    """An axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
+def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[AxisValue]:
+    """Return an axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
 
     >>> groups_of("camera", {"ideal": {"estimate": []}}, variant="camera")
-    [Choice(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
+    [AxisValue(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
     """
     return [
-        Choice(str(name), {option: config}, f"{variant}={name}" if variant else "") for name, config in choices.items()
+        AxisValue(str(name), {option: config}, f"{variant}={name}" if variant else "")
+        for name, config in choices.items()
     ]
 
 
-def configured(cfg: DictConfig, choices: Iterable[Choice]) -> DictConfig:
-    """A copy of a configuration with the options of these choices."""
+def configured(cfg: DictConfig, choices: Iterable[AxisValue]) -> DictConfig:
+    """Return a copy of a configuration with the options of these choices."""
     cell = cfg.copy()
     for choice in choices:
         for option, value in choice.options.items():
@@ -102,7 +103,7 @@ def check_all_ran(cells: Iterable[MatrixCell]) -> None:
 
 
 def table_of(cells: Iterable[MatrixCell], numbers: Callable[[Record], Mapping[str, Any]]) -> pd.DataFrame:
-    """One row per finished cell: a column per axis, then the numbers. A scene has the name in its record."""
+    """Return one row per finished cell: a column per axis, then the numbers. A scene has the name in its record."""
     return pd.DataFrame(
         [
             {**cell.labels, "scene": cell.record.scene, **numbers(cell.record)}

@@ -18,7 +18,7 @@ def prepare_prior(cfg: DictConfig) -> None:
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:
-    """Messages for the priors that cells need and that are not available, one each.
+    """Return messages for the priors that cells need and that are not available, one each.
 
     Cells with options that are not allowed say so themselves when they run.
     """

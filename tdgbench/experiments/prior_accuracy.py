@@ -5,7 +5,7 @@ Network"). Scale and shift are fitted by least squares per view: of disparities 
 section 5), of affine-invariant depths to z as for Marigold (Ke et al. 2024, section 4). Metric depths are scaled by the
 ratio of medians (Zhou et al. 2017), since the unit of a COLMAP model is arbitrary.
 
-Known is the true depth of built-in scenes, else that of every second sparse point of structure from motion. A prior
+Known is the true depth of synthetic scenes, else that of every second sparse point of structure from motion. A prior
 that is made from points gets the others: none is judged by what it was made from.
 """
 
@@ -39,7 +39,7 @@ class Accuracy(NamedTuple):
     rank: float  # Spearman's rank correlation with depth, in [−1, 1]; needs no alignment
 
 
-class Judged(NamedTuple):
+class PriorErrors(NamedTuple):
     """A prior on a scene. views: its error by training view; those that show too little known depth are left out."""
 
     kind: str = ""
@@ -48,7 +48,7 @@ class Judged(NamedTuple):
 
     @property
     def mean(self) -> Accuracy | None:
-        """Means over the views; None without any."""
+        """Means of the errors over the views; None without any."""
         return Accuracy(*map(float, np.mean(list(self.views.values()), axis=0))) if self.views else None
 
 
@@ -60,24 +60,24 @@ class KnownDepth(NamedTuple):
     z: np.ndarray  # world units
 
 
-def judge(prior: DictConfig, scene: Scene, cache: Path | None) -> Judged:
-    """Judge a prior, configured as in `conf/prior/`, on a scene. cache: see `estimate_all`."""
-    given, points = halves(scene)
+def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorErrors:
+    """Measure the error of a prior, configured as in `conf/prior/`, on a scene. cache: see `estimate_all`."""
+    given, points = split_points(scene)
     try:
         estimator = instantiate(prior.estimator)
         prepare(estimator)
         maps, _ = estimate_all(estimator, given if prior.get("made_from") == "points" else scene, cache)
     except PriorError as error:
-        return Judged(reason=str(error).splitlines()[0])
+        return PriorErrors(reason=str(error).splitlines()[0])
     kind = next(iter(maps.values())).kind
     if not source(scene):
-        return Judged(kind)
+        return PriorErrors(kind)
     found = {view.name: _of_view(maps[view.name], known_depth(view, points)) for view in scene.train}
-    return Judged(kind, {name: one for name, one in found.items() if one is not None})
+    return PriorErrors(kind, {name: error for name, error in found.items() if error is not None})
 
 
 def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:
-    """Error of a map where depth is known and the prior is finite; None where that is too little."""
+    """Return the error of a map where depth is known and the prior is finite; None where that is too little."""
     if known is None:
         return None
     values = prior.values[known.rows, known.columns]
@@ -86,14 +86,14 @@ def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:
 
 
 def source(scene: Scene) -> str:
-    """What is known of a scene's depth; empty if nothing is."""
+    """Name what is known of a scene's depth; empty if nothing is."""
     if all(view.true_depth_path is not None for view in scene.train):
         return "true depth"
     return "" if scene.points is None else "SfM points"
 
 
-def halves(scene: Scene) -> tuple[Scene, np.ndarray]:
-    """The scene with every second sparse point, and the other points (N, 3)."""
+def split_points(scene: Scene) -> tuple[Scene, np.ndarray]:
+    """Return the scene with every second sparse point, and the other points (N, 3)."""
     if scene.points is None:
         return scene, np.zeros((0, 3))
     given = PointCloud(scene.points.points[::2], scene.points.colors[::2])
@@ -101,11 +101,11 @@ def halves(scene: Scene) -> tuple[Scene, np.ndarray]:
 
 
 def known_depth(view: View, points: np.ndarray) -> KnownDepth | None:
-    """Known depth in a view's measured pixels; None where that is less than MIN_POINTS. points: (N, 3), the truth."""
+    """Return the known depth in a view's measured pixels; None below MIN_POINTS. points: (N, 3), the truth."""
     known = _of_points(view, points) if view.true_depth is None else _of_map(view.true_depth)
     valid = view.valid
     if valid is not None:
-        known = KnownDepth(*(one[valid[known.rows, known.columns]] for one in known))
+        known = KnownDepth(*(array[valid[known.rows, known.columns]] for array in known))
     return known if len(known.z) >= MIN_POINTS else None
 
 
@@ -125,7 +125,7 @@ def _of_points(view: View, points: np.ndarray) -> KnownDepth:
 
 
 def accuracy(values: np.ndarray, kind: Kind, truth: np.ndarray) -> Accuracy:
-    """Accuracy of prior values (N,) against true z (N,), both finite, z > 0.
+    """Return the accuracy of prior values (N,) against true z (N,), both finite, z > 0.
 
     >>> z = np.array([1.0, 2.0, 4.0])
     >>> [round(number, 6) for number in accuracy(3 / z - 7, "disparity", z)]
@@ -142,7 +142,7 @@ def accuracy(values: np.ndarray, kind: Kind, truth: np.ndarray) -> Accuracy:
 
 
 def aligned(values: np.ndarray, kind: Kind, truth: np.ndarray) -> np.ndarray:
-    """Depths z (N,) that fit the truth (N,) best, within the truth's range (MiDaS clips to the data set's).
+    """Return the depths z (N,) that fit the truth (N,) best, within the truth's range (MiDaS clips to the data set's).
 
     >>> aligned(np.array([1.0, 2.0, 4.0]), "metric", np.array([2.0, 4.0, 6.0])).tolist()
     [2.0, 4.0, 6.0]

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
-    Choice,
+    AxisValue,
     MatrixCell,
     MatrixOptions,
     check_all_ran,
@@ -23,8 +23,8 @@ from tdgbench.experiments.matrix import (
     run_cells,
     values_of,
 )
-from tdgbench.experiments.prior_accuracy import Accuracy, Judged, judge, source
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.scenes import SceneError
 from tdgbench.splats.cpu import pool
@@ -61,7 +61,7 @@ class Priors(Experiment):
     }
 
     def run(self, cfg: DictConfig) -> None:
-        """Judge the priors, run the cells that have no result, write and print the tables.
+        """Measure the priors, run the cells that have no result, write and print the tables.
 
         A prior that is not available is n/a. Raises SystemExit(1) if a scene could not be read or a cell failed.
         """
@@ -75,7 +75,7 @@ class Priors(Experiment):
                 say(str(error), "failed:")
         if tables:
             _write(Path(cfg.results) / cfg.name, tables)
-        check_all_ran(cell for one in tables for cell in one.cells)
+        check_all_ran(cell for scene in tables for cell in scene.cells)
         if len(tables) < len(cfg.job.scenes):
             raise SystemExit(1)
 
@@ -94,30 +94,30 @@ class SceneTables(NamedTuple):
 
 
 def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
-    """Judge each prior on a scene, and run TDg without depth and with each prior that is available.
+    """Measure each prior on a scene, and run TDg without depth and with each prior that is available.
 
     Raises SceneError if the scene cannot be read.
     """
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
     priors, cache = cfg.job.priors, Path(cfg.results) / "cache" / "priors"
-    judged = {str(prior): judge(options, scene, cache) for prior, options in priors.items()}
-    available = {prior: priors[prior] for prior, found in judged.items() if not found.reason}
-    without = Choice(NONE, {"method": cfg.job.without}, f"prior={NONE}")
+    errors = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
+    available = {prior: priors[prior] for prior, found in errors.items() if not found.reason}
+    without = AxisValue(NONE, {"method": cfg.job.without}, f"prior={NONE}")
     axes = {
         "scene": values_of("scene", [scene.name]),
         "prior": [without, *groups_of("prior", available, variant="prior")],
         "seed": values_of("seed", cfg.job.seeds),
     }
     cells, rows, views = run_cells(cfg, axes), [], []
-    scores = {prior: _scores(cells, prior) for prior in (NONE, *judged)}
-    for prior, found in {NONE: Judged(), **judged}.items():
+    scores = {prior: _scores(cells, prior) for prior in (NONE, *errors)}
+    for prior, found in {NONE: PriorErrors(), **errors}.items():
         place = {"scene": scene.name, "prior": prior}
         failed = "" if found.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
         rows.append(
             {
                 **place,
                 "made_from": "" if prior == NONE else str(priors[prior].get("made_from") or ""),
-                **_of_judged(found, source(scene)),
+                **_error_columns(found, source(scene)),
                 "seeds": len(scores[prior]),
                 **scores[prior].mean(skipna=False),
                 "psnr_gain": np.nan if prior == NONE else (scores[prior]["psnr"] - scores[NONE]["psnr"]).mean(),
@@ -129,21 +129,21 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
 
 
 def _scores(cells: Sequence[MatrixCell], prior: str) -> pd.DataFrame:
-    """SCORES of the finished cells with a prior by seed, NaN for n/a."""
+    """Return SCORES of the finished cells with a prior by seed, NaN for n/a."""
     records = [cell.record for cell in cells if cell.labels["prior"] == prior and cell.record is not None]
     seeds = [record.seed for record in records]
     return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
 
 
-def _of_judged(judged: Judged, truth: str) -> dict[str, Any]:
-    """Errors of a prior, means over the training views, and what they are errors against."""
-    errors = judged.mean or Accuracy(np.nan, np.nan, np.nan)
-    known = {"kind": judged.kind, "truth": truth if judged.mean else "", "views": len(judged.views)}
-    return {**known, **errors._asdict()}
+def _error_columns(found: PriorErrors, truth: str) -> dict[str, Any]:
+    """Return the errors of a prior, means over the training views, and what they are errors against."""
+    mean = found.mean or Accuracy(np.nan, np.nan, np.nan)
+    known = {"kind": found.kind, "truth": truth if found.mean else "", "views": len(found.views)}
+    return {**known, **mean._asdict()}
 
 
 def reasons(table: pd.DataFrame) -> list[str]:
-    """Why numbers are missing, one line per reason, with the places."""
+    """Say why numbers are missing, one line per reason, with the places."""
     places: dict[str, list[str]] = {}
     for row in table[table["reason"] != ""].itertuples():
         places.setdefault(str(row.reason), []).append(f"{row.prior} on {row.scene}")
@@ -151,8 +151,8 @@ def reasons(table: pd.DataFrame) -> list[str]:
 
 
 def latex(table: pd.DataFrame) -> str:
-    """The same table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
-    shown = as_text(table, WORDS | SHOWN)
+    """Return the table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
+    shown = format_columns(table, WORDS | SHOWN)
     titles = [r"$\delta<1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
     lines = [
         *(comment(reason) for reason in reasons(table)),
@@ -167,16 +167,16 @@ def latex(table: pd.DataFrame) -> str:
 
 def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     """Write and print the tables."""
-    table = pd.DataFrame([row for one in tables for row in one.priors])
-    views = [row for one in tables for row in one.views]
+    table = pd.DataFrame([row for scene in tables for row in scene.priors])
+    views = [row for scene in tables for row in scene.views]
     view_table = pd.DataFrame(views, columns=["scene", "prior", "view", *Accuracy._fields])
     write_text(folder / "priors.csv", as_csv(table, na_rep="n/a"))
     write_text(folder / "priors_views.csv", as_csv(view_table, na_rep="n/a"))
     write_text(folder / "priors.tex", latex(table))
     for scene, rows in table.groupby("scene", sort=False):
         truth = next((text for text in rows["truth"] if text), "nothing")
-        shown = as_text(rows, {"prior": WORDS["prior"], **SHOWN})
-        show(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
+        shown = format_columns(rows, {"prior": WORDS["prior"], **SHOWN})
+        show_table(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
     for reason in reasons(table):
         say(reason, "n/a:", "yellow")
     say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}, {folder / 'priors.tex'}")

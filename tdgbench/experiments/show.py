@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 
-def show(table: pd.DataFrame, console: Console, title: str = "") -> None:
+def show_table(table: pd.DataFrame, console: Console, title: str = "") -> None:
     """Print a table."""
     view = Table(*map(str, table.columns), title=title or None)
     for row in table.itertuples(index=False):
@@ -18,10 +18,10 @@ def show(table: pd.DataFrame, console: Console, title: str = "") -> None:
     console.print(view)
 
 
-def as_text(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
-    """Some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
+def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
+    """Return some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
 
-    >>> as_text(pd.DataFrame({"psnr": [24.061, np.nan]}), {"psnr": ("PSNR", "{:.2f} dB")})["PSNR"].tolist()
+    >>> format_columns(pd.DataFrame({"psnr": [24.061, np.nan]}), {"psnr": ("PSNR", "{:.2f} dB")})["PSNR"].tolist()
     ['24.06 dB', 'n/a']
     """
     return pd.DataFrame(
@@ -33,7 +33,7 @@ def as_text(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.D
 
 
 def _text(value: object) -> str:
-    """Three digits of a number; yes or nothing for a Boolean."""
+    """Format a value: three digits of a number; yes or nothing for a Boolean."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else ""
     if not isinstance(value, float):

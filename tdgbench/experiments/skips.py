@@ -14,9 +14,9 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.record import Record
 from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.matrix import Axes, Choice, MatrixOptions, check_all_ran, run_cells, table_of, values_of
+from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
 from tdgbench.experiments.preparation import prepare_prior
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import save_figure
 from tdgbench.tables.as_csv import as_csv
@@ -62,26 +62,26 @@ class SkipAblation(Experiment):
             folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.job.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))
             write_text(folder / "skips.csv", as_csv(table))
-            draw(table, folder / "skips.png")
-            show(as_text(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
+            draw_ratios(table, folder / "skips.png")
+            show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
             say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
         check_all_ran(cells)
 
 
 def axes(cfg: DictConfig) -> Axes:
-    """Scenes, seeds, and the variants, each of which switches every skip on or off; a rule that is off is null."""
+    """Return the axes: scenes, seeds, variants. Each variant switches all skips on or off; off is null for a rule."""
     usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
     usual |= {name: cfg.budget.get(name) is not None for name in RULES}
     switched = []
     for label, skips in variants(list(cfg.job.skips), usual).items():
         changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
         changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
-        switched.append(Choice(label, changes, label))
+        switched.append(AxisValue(label, changes, label))
     return {"scene": values_of("scene", cfg.job.scenes), "seed": values_of("seed", cfg.job.seeds), "variant": switched}
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
-    """Skips that each variant allows, by label; skips outside of `names` are off in all variants.
+    """Return the skips that each variant allows, by label; skips outside of `names` are off in all variants.
 
     usual: whether each skip is on by default. The variant `all` has those of `names` that are on by default, and only
     these have a variant without them. Raises ValueError for an unknown name.
@@ -102,7 +102,7 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
 
 
 def numbers(record: Record) -> dict[str, Any]:
-    """Numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
+    """Return the numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
         "train_seconds": record.seconds["train"],
@@ -116,7 +116,7 @@ def numbers(record: Record) -> dict[str, Any]:
 
 
 def with_changes(table: pd.DataFrame) -> pd.DataFrame:
-    """The cells with `change of …`: against the cell of the same scene and seed that has every skip off."""
+    """Add columns `change of …` to the cells: against the cell of the same scene and seed that has every skip off."""
     if table.empty:
         return table
     base = table[table["variant"] == NONE].set_index(["scene", "seed"])
@@ -127,7 +127,7 @@ def with_changes(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """One row per skip, and one for all together.
+    """Return one row per skip, and one for all together.
 
     faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
     one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
@@ -152,7 +152,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
 
 
 def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float, bool]:
-    """Change of a metric on the worst scene, its standard error, and whether every scene is within MAX_LOSS."""
+    """Return a metric's change on the worst scene, its standard error, and whether all scenes lose at most MAX_LOSS."""
     by_scene = table[table["variant"] == variant].groupby("scene")[f"change of {metric}"]
     mean, error = by_scene.mean(), by_scene.sem()
     if mean.dropna().empty:
@@ -162,7 +162,7 @@ def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float
 
 
 def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
-    """Geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
+    """Return the geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
     both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column)
     if slow not in both or fast not in both:
         return float("nan")
@@ -170,13 +170,13 @@ def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_secon
 
 
 def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
-    """Scenes on which the skip was taken."""
+    """Name the scenes on which the skip was taken."""
     cells = table[table["variant"] == variant]
     taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
     return ", ".join(dict.fromkeys(taken["scene"])) or "none"
 
 
-def draw(table: pd.DataFrame, target: Path) -> None:
+def draw_ratios(table: pd.DataFrame, target: Path) -> None:
     """Draw how much faster training is with each skip alone, and how much slower without it."""
     figure = Figure(figsize=(8, 0.5 * len(table) + 1.2), layout="constrained")
     panel = figure.subplots()

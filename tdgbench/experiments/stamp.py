@@ -1,4 +1,4 @@
-"""`finished.json`: by which a repeated command finds, before anything heavy is imported, that nothing has changed.
+"""`finished.json`, by which a repeated command finds, before anything heavy is imported, that nothing has changed.
 
 It holds for one command, for one state of what cells are made from (code, configuration, packages, every path that the
 configuration names) and for one state of the results. A file's state is its name, size and times.
@@ -68,7 +68,7 @@ def leave_stamp(experiment: Path, stamp: Stamp) -> None:
 
 
 def inputs_hash(cfg: DictConfig) -> str | None:
-    """Hash of all that the cells of a command depend on.
+    """Return a hash of all that the cells of a command depend on.
 
     None where that is not known: cells run whatever is there, a sweeper chooses them, or plug-ins or values come from
     elsewhere.
@@ -78,7 +78,9 @@ def inputs_hash(cfg: DictConfig) -> str | None:
         del plain["hydra"]
     words = [OmegaConf.to_yaml(part) for part in (plain, hydra.overrides, hydra.sweeper)]
     sources = [source for source in hydra.runtime.config_sources if source.schema == "file"]
-    text = "\n".join([*words, *(path.read_text("utf-8") for one in sources for path in Path(one.path).rglob("*.yaml"))])
+    text = "\n".join(
+        [*words, *(path.read_text("utf-8") for source in sources for path in Path(source.path).rglob("*.yaml"))]
+    )
     is_decided = set(RESOLVER.findall(text)) <= DECIDED and set(TARGET.findall(text)) <= OWN
     if hydra.sweeper._target_ != BASIC_SWEEPER or cfg.overwrite == "always" or not is_decided:
         return None
@@ -94,12 +96,12 @@ def inputs_hash(cfg: DictConfig) -> str | None:
 
 
 def results_hash(experiment: Path) -> str:
-    """Hash of what a sweep made."""
+    """Return a hash of what a sweep wrote."""
     return hash_of_files([experiment / name for name in RESULTS])
 
 
 def hash_of_files(paths: Iterable[Path], skipped: Path | None = None) -> str:
-    """Hash of the names, sizes and times of files, and of those below folders, but for the folder `skipped`.
+    """Return a hash of the names, sizes and times of files, and of those below folders, but for the folder `skipped`.
 
     Links are followed, but no folder is entered twice.
     """
@@ -111,7 +113,7 @@ def hash_of_files(paths: Iterable[Path], skipped: Path | None = None) -> str:
             state = "" if path.is_dir() else f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns}"
             digest.update(f"{path.absolute()}\0{state}\0".encode("utf-8", "surrogateescape"))
 
-    for path in (one for one in paths if os.path.realpath(one) not in visited):
+    for path in (path for path in paths if os.path.realpath(path) not in visited):
         add(path)
         for place, folders, files in os.walk(path, followlinks=True):
             entered = os.path.realpath(place) not in visited
@@ -123,7 +125,7 @@ def hash_of_files(paths: Iterable[Path], skipped: Path | None = None) -> str:
 
 
 def _leaves(content: Any) -> Iterator[str]:
-    """All keys and values of a configuration, as text."""
+    """Yield all keys and values of a configuration, as text."""
     if isinstance(content, dict | list):
         for item in chain(*content.items()) if isinstance(content, dict) else content:
             yield from _leaves(item)
@@ -132,7 +134,7 @@ def _leaves(content: Any) -> Iterator[str]:
 
 
 def _code() -> Iterator[Path]:
-    """Folders of tdgbench's sources and of the data files that cells and tables are made from."""
+    """Yield the folders of tdgbench's sources and of the data files that cells and tables are made from."""
     yield from (PACKAGE, conf_folder(), paper_tables_folder())
     methods = importlib.util.find_spec("methods")
     if methods is not None:
@@ -140,6 +142,6 @@ def _code() -> Iterator[Path]:
 
 
 def _installed() -> list[str]:
-    """Names, with versions, of the installed packages."""
+    """Return the names, with versions, of the installed packages."""
     folders = dict.fromkeys(Path(entry) for entry in sys.path if entry)
     return [str(path) for folder in folders for path in sorted(folder.glob("*.dist-info"))]

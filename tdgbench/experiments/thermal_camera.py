@@ -16,11 +16,11 @@ from pydantic import Field
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.record import Record
-from tdgbench.experiments.camera_response import ERRORS, Comparison, compare, draw_cameras
+from tdgbench.experiments.camera_response import ERRORS, CameraComparison, compare_camera, draw_cameras
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
     Axes,
-    Choice,
+    AxisValue,
     MatrixCell,
     MatrixOptions,
     check_all_ran,
@@ -30,7 +30,7 @@ from tdgbench.experiments.matrix import (
     values_of,
 )
 from tdgbench.experiments.preparation import prepare_prior
-from tdgbench.experiments.show import as_text, show
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
@@ -44,7 +44,7 @@ SCORES = (
 PLACE = ["scene", "capture", "method", "camera"]
 JUDGED = "psnr_true"  # by which what is lost and recovered is measured
 FALLBACK = "psnr_affine"  # drawn where there are no true temperatures
-LOST = 0.5  # dB; of a smaller loss no share is told
+LOST = 0.5  # dB; of a smaller loss no share is given
 SHOWN = {  # on the terminal: title, format
     "capture": ("capture", "{}"), "method": ("method", "{}"), "camera": ("camera", "{}"), "psnr": ("PSNR", "{:.2f}"),
     "psnr_affine": ("affine", "{:.2f}"), "psnr_right_half": ("right half", "{:.2f}"), "psnr_true": ("true", "{:.2f}"),
@@ -97,15 +97,15 @@ class ThermalCameraExperiment(Experiment):
             draw_cameras(list(compared.values()), folder / "cameras.png")
             for scene, of_scene in table.groupby("scene", sort=False):
                 title = f"{scene}: what the thermal camera costs, and what comes back"
-                show(as_text(of_scene, SHOWN), console(), title)
+                show_table(format_columns(of_scene, SHOWN), console(), title)
             say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}")
         check_all_ran(cells)
 
 
 def axes(cfg: DictConfig) -> Axes:
-    """Scenes, captures with errors of the camera, methods, the choices of `camera`, and seeds."""
+    """Return the axes: scenes, captures with errors of the camera, methods, the choices of `camera`, and seeds."""
     job = cfg.job
-    captures = [Choice(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
+    captures = [AxisValue(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
     return {
         "scene": values_of("scene", job.scenes),
         "capture": captures,
@@ -116,7 +116,7 @@ def axes(cfg: DictConfig) -> Axes:
 
 
 def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
-    """The configured data set, seen by a camera with the errors of a capture, which a cell's seed draws."""
+    """Return the configured data set, seen by a camera with the errors of a capture, which a cell's seed draws."""
     of_camera = {name: value for name, value in errors.items() if name != "noise_degC"}
     return {
         "_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset",
@@ -128,38 +128,38 @@ def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
-    """The capture without errors and the camera that does nothing, by their options; None where there is none."""
+    """Return the names of the capture without errors and of the camera that does nothing; None where there is none."""
     clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
     ideal = (str(name) for name, camera in cfg.job.cameras.items() if not camera.estimate)
     return next(clean, None), next(ideal, None)
 
 
-def comparisons(cells: Sequence[MatrixCell]) -> dict[str, Comparison]:
-    """True and found cameras of the finished cells that have temperatures, by the title of the cell."""
+def comparisons(cells: Sequence[MatrixCell]) -> dict[str, CameraComparison]:
+    """Return the true and estimated responses of the finished cells that have temperatures, by the cell's title."""
     truths: dict[tuple[Any, ...], tuple[CameraTruth, list[str]]] = {}
     found = {}
     for cell in cells:
         if cell.record is None or not _has_errors(cell.record, cell.cfg.dataset.loader):
-            continue  # a result of other options, which overwrite=never has kept
+            continue  # a result of other options, which overwrite=never left
         key = (cell.record.scene, cell.labels["capture"], cell.labels["seed"])
         if key not in truths:
             dataset: DriftingDataset = instantiate(cell.cfg.dataset.loader)
             train = [view.name for view in dataset.outline(cell.record.scene).scene.train]
             truths[key] = dataset.truth(cell.record.scene), train
-        comparison = compare(cell.record, cell.labels, *truths[key])
+        comparison = compare_camera(cell.record, cell.labels, *truths[key])
         if comparison is not None:
             found[cell.record.title] = comparison
     return found
 
 
 def _has_errors(record: Record, loader: DictConfig) -> bool:
-    """Whether a cell was trained on captures with the errors of this loader."""
+    """Return whether a cell was trained on captures with the errors of this loader."""
     options = as_json(OmegaConf.to_container(loader, resolve=True))
     return all(record.setting(f"dataset.{name}") == options[name] for name in ("errors", "noise_degC", "seed"))
 
 
-def numbers(record: Record, compared: Comparison | None) -> dict[str, Any]:
-    """Numbers of a cell: scores, seconds, errors of the camera's parameters; NaN where there is none."""
+def numbers(record: Record, compared: CameraComparison | None) -> dict[str, Any]:
+    """Return the numbers of a cell: scores, seconds, errors of the camera's parameters; NaN where there is none."""
     errors = {} if compared is None else compared.errors
     scores = {name: record.scores.get(name) for name in SCORES}
     return {
@@ -174,7 +174,7 @@ def numbers(record: Record, compared: Comparison | None) -> dict[str, Any]:
 
 
 def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.DataFrame:
-    """Means over the seeds.
+    """Return the means over the seeds.
 
     clean, ideal: the capture without errors and the camera that does nothing. recovered: share of what a capture's
     errors cost the ideal camera in PSNR to the true temperatures that another camera brings back, a mean over the seeds
@@ -188,14 +188,14 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
-    """Share of the lost PSNR that comes back in each cell; NaN where little was lost, or its seed lacks a cell."""
+    """Return the share of the lost PSNR that each cell recovers; NaN where little was lost or a cell is missing."""
     score = cells.set_index([*PLACE, "seed"])[JUDGED].to_dict()
     found = []
     for row in cells.itertuples():
         best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)
         without = score.get((row.scene, row.capture, row.method, ideal, row.seed), np.nan)
-        is_told = best - without >= LOST and row.capture != clean and row.camera != ideal
-        found.append((getattr(row, JUDGED) - without) / (best - without) if is_told else np.nan)
+        is_known = best - without >= LOST and row.capture != clean and row.camera != ideal
+        found.append((getattr(row, JUDGED) - without) / (best - without) if is_known else np.nan)
     return found
 
 

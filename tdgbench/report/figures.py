@@ -17,7 +17,7 @@ LONGEST = 80  # characters of a title or a label
 
 
 def plain(text: str) -> str:
-    r"""Text as it is, for a title or a label: matplotlib would read `$` as mathematics and hide what begins with `_`.
+    r"""Return text for a title or label: matplotlib would read `$` as mathematics and hide what begins with `_`.
 
     >>> print(plain("$x$"), plain("_a"))
     \$x\$  _a

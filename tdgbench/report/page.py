@@ -52,12 +52,12 @@ def write_report(experiment: Path, tables: Tables) -> Path:
 
 
 def _visible(value: Any) -> Any:
-    """Text without control characters, which HTML forbids, and without changes of direction; SVG as it is."""
+    """Return text without control characters, which HTML forbids, and without changes of direction; SVG as it is."""
     return printable(value) if type(value) is str else value
 
 
 def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
-    """The distinct machines and versions that the cells ran on; records that could not be read say nothing of them."""
+    """Return the distinct machines and versions that the cells ran on; unreadable records say nothing of them."""
     found = []
     for record in records:
         if record.failure is not None and record.failure.stage == READ_STAGE:
@@ -80,6 +80,6 @@ def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
 
 
 def _entries(environment: dict[str, Any], name: str) -> list[tuple[str, Any]]:
-    """Entries of a part of an environment; none where it is null or no object."""
+    """Return the entries of a part of an environment; none where it is null or no object."""
     part = environment.get(name)
     return list(part.items()) if isinstance(part, dict) else []

@@ -22,7 +22,7 @@ CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians
 
 
 def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
-    """Pictures of the middle test view from each method's first cell, and the curves of all cells.
+    """Return pictures of the middle test view from each method's first cell, and the curves of all cells.
 
     What cannot be read or drawn is n/a, with the reason in `problems`.
     """
@@ -55,7 +55,7 @@ class _Strip:
         self.cell, self.view, self.problems = cell, view, list[str]()
 
     def section(self, label: str) -> dict[str, Any]:
-        """Pictures as data URIs, empty where they are n/a, and what is written below them."""
+        """Return pictures as data URIs, empty where they are n/a, and what is written below them."""
         psnr, described = self.cell.record.scores.get("psnr"), measure("psnr")
         shown = "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}"
         found = {
@@ -67,12 +67,12 @@ class _Strip:
             try:
                 found |= draw()
             except Exception as error:  # whatever is on disk, the page is written
-                self.problems.append(f"{self.cell.record.title}: {describe(error)}")
+                self.problems.append(f"{self.cell.record.title}: {error_text(error)}")
         return found
 
     def _pictures(self) -> dict[str, Any]:
-        truth_picture, truth = views.thermal(self.cell.folder / views.FILES.targets / f"{self.view}.png")
-        picture, image = views.thermal(self.cell.folder / views.FILES.renders / f"{self.view}.png")
+        truth_picture, truth = views.thermal_picture(self.cell.folder / views.FILES.targets / f"{self.view}.png")
+        picture, image = views.thermal_picture(self.cell.folder / views.FILES.renders / f"{self.view}.png")
         valid = views.stored_mask(self.cell.folder, self.view, truth.shape)
         error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
         return {
@@ -108,7 +108,7 @@ class _Curves:
                 self.logs.append((cell.label, log))
 
     def svg(self) -> str:
-        """The curves as SVG."""
+        """Return the curves as SVG."""
         figure = Figure(figsize=(10, 2.6), layout="constrained")
         for axes, (column, title) in zip(figure.subplots(1, len(CURVES)), CURVES.items(), strict=True):
             for label, log in self.logs:
@@ -125,10 +125,10 @@ class _Curves:
         return text[text.index("<svg") :]
 
 
-def describe(error: Exception) -> str:
-    """An error in words, for the page.
+def error_text(error: Exception) -> str:
+    """Return an error in words, for the page.
 
-    >>> describe(ValueError("it is a FIFO")), describe(KeyError("a"))
+    >>> error_text(ValueError("it is a FIFO")), error_text(KeyError("a"))
     ('it is a FIFO', "KeyError: 'a'")
     """
     return str(error) if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {error}"

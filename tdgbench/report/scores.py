@@ -25,7 +25,7 @@ PLACE = ["dataset", "scene", "method"]
 
 
 def main_scores(tables: Tables) -> dict[str, Any]:
-    """Heads, measures, notes, and rows of cells: text, value to sort by, bold, difference from print, verdict."""
+    """Return heads, measures, notes, rows of cells: text, value to sort by, bold, difference from print, verdict."""
     if tables.kind == "ablation":
         return _ablation(tables)
     found = _by_scene(tables, list(COLUMNS), _published(tables, ["method", "dataset", "scene", "metric"]))
@@ -33,7 +33,7 @@ def main_scores(tables: Tables) -> dict[str, Any]:
 
 
 def further_scores(tables: Tables) -> dict[str, Any] | None:
-    """The other measures that a cell of the main table has, in the same form; None without any."""
+    """Return the other measures that a cell of the main table has, in the same form; None without any."""
     if tables.kind == "ablation":
         return None
     known = set(tables.main.loc[tables.main["value"].notna(), "metric"])
@@ -42,7 +42,7 @@ def further_scores(tables: Tables) -> dict[str, Any] | None:
 
 
 def depth_priors(records: Sequence[Record]) -> list[str]:
-    """What the finished cells took as depth priors: method, estimator, and what its maps are made from.
+    """Say what the finished cells took as depth priors: method, estimator, and what its maps are made from.
 
     >>> prior = {"estimator": "marigold", "model": "prs-eth/marigold-depth-v1-1", "made_from": "thermal images"}
     >>> depth_priors([Record("mine", "", "a", "", 0, "", "", prior=prior)])
@@ -60,23 +60,23 @@ def depth_priors(records: Sequence[Record]) -> list[str]:
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:
-    """Meaning, range and requirements of the measures that the tables hold, and what is fitted to a test view."""
+    """Return meaning, range and requirements of the tables' measures, and what is fitted to a test view."""
     there = set(tables.main["metric"])
     return [
         {
-            "title": one.title,
-            "meaning": one.meaning,
-            "range": f"{one.limits[0]:g} to {'∞' if math.isinf(one.limits[1]) else f'{one.limits[1]:g}'}",
-            "reads": getattr(one, "reads", "") or "nothing",
-            "needs": getattr(one, "needs", ""),
+            "title": described.title,
+            "meaning": described.meaning,
+            "range": " to ".join("∞" if math.isinf(limit) else f"{limit:g}" for limit in described.limits),
+            "reads": getattr(described, "reads", "") or "nothing",
+            "needs": getattr(described, "needs", ""),
         }
-        for name, one in MEASURES.items()
+        for name, described in MEASURES.items()
         if name in there
     ]
 
 
 def published_section(tables: Tables) -> dict[str, Any] | None:
-    """Verdicts by metric, and the table of papers; None where nothing is published for these scenes."""
+    """Return verdicts by metric, and the table of papers; None where nothing is published for these scenes."""
     if tables.difference is None or tables.papers is None:
         return None
     margins = load_margins()
@@ -94,7 +94,7 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
 
 
 def _papers(papers: pd.DataFrame) -> dict[str, Any]:
-    """Heads, rows of text and notes of the table of papers: per scene, each score as printed, and the spread."""
+    """Return heads, rows of text and notes of the table of papers: per scene, each score as printed, and the spread."""
     metrics = [metric for metric in PUBLISHED if metric in set(papers["metric"])]
     rows = []
     for (method, dataset, scene), group in papers.groupby(["method", "dataset", "scene"], sort=False):
@@ -109,7 +109,7 @@ def _papers(papers: pd.DataFrame) -> dict[str, Any]:
 
 
 def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
-    """Rows of the main table in its order, methods of a scene together."""
+    """Return the rows of the main table in its order, methods of a scene together."""
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in tables.main.itertuples()}
     places = tables.main[PLACE].drop_duplicates()
     scene = pd.Series(pd.factorize(places["dataset"] + "/" + places["scene"])[0], places.index)
@@ -132,7 +132,7 @@ def _ablation(tables: Tables) -> dict[str, Any]:
 
 
 def _published(tables: Tables, keys: list[str]) -> dict[tuple[Any, ...], Any]:
-    """Rows of difference.csv by their keys."""
+    """Return the rows of difference.csv by their keys."""
     if tables.difference is None:
         return {}
     return {tuple(getattr(r, k) for k in keys): r for r in tables.difference.itertuples()}
@@ -155,7 +155,7 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
 
 
 def beside(published: Any, scene: str) -> tuple[str, str]:
-    """A number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
+    """Return a number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
 
     published: a row of difference.csv, or None where nothing is published.
     """

@@ -70,7 +70,7 @@ class _Panels(NamedTuple):
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:
-    """The name of a scene (data set, scene, split); with its split where the experiment has several.
+    """Return the name of a scene (data set, scene, split); with its split where the experiment has several.
 
     >>> places = [("synthetic", "orbit", "folder"), ("synthetic", "orbit", "every_8th")]
     >>> place_name(places[0], places)
@@ -80,7 +80,7 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
 
 
 def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Ground truth, render and mask of the middle test view, in [0, 1]. Raises ValueError where there is none."""
+    """Read ground truth, render and mask of the middle test view, in [0, 1]. Raises ValueError where there is none."""
     names = sorted(p.name for p in (folder / FILES.renders).glob("*.png"))
     if not names:
         raise ValueError(f"{folder / FILES.renders} holds no picture")

@@ -26,7 +26,7 @@ MIN_ALPHA = 0.5  # below, a pixel shows no surface
 
 
 def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
-    """Values (H, W) in a perceptual colour map: (H, W, 3) uint8; gray where they are not finite.
+    """Return values (H, W) in a perceptual colour map: (H, W, 3) uint8; gray where they are not finite.
 
     >>> colored(np.array([[np.nan]]), "inferno", 0, 1).tolist()
     [[[128, 128, 128]]]
@@ -38,13 +38,13 @@ def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarra
 
 
 def embedded(pixels: np.ndarray) -> str:
-    """A picture (H, W, 3) uint8 as a data URI."""
+    """Return a picture (H, W, 3) uint8 as a data URI."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def thermal(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def thermal_picture(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """A stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
     stored = read_picture(path)
     values = stored.astype(np.float64) / 255

@@ -10,13 +10,13 @@ from tdgbench.bench.scores import read_views
 from tdgbench.bench.stored import cell_files, file_problems
 from tdgbench.verify import facts
 from tdgbench.verify.findings import Findings
-from tdgbench.verify.pictures import Pictures, picture_problems
+from tdgbench.verify.pictures import StoredPictures, picture_problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 from tdgbench.verify.stored_cell import read_cell, read_log
 
 
 def verify_cell(folder: Path) -> list[str]:
-    """Problems of one cell, in words; of a failed cell, only those of its record."""
+    """Return the problems of one cell, in words; of a failed cell, only those of its record."""
     found = Findings()
     cell = found.read(FILE, read_cell, folder)
     if cell is None:
@@ -43,7 +43,7 @@ def verify_cell(folder: Path) -> list[str]:
     found.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
     if rows is not None:
         found.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
-    pictures = Pictures(folder, record, cameras, found)
+    pictures = StoredPictures(folder, record, cameras, found)
     pictures.check_renders()
     found.check("its masks", mask_problems, record, pictures)
     found.check("scores", score_problems, record, rows, pictures)

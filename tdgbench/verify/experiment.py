@@ -48,7 +48,7 @@ def main(arguments: list[str]) -> int:
 
 
 def verify(experiment: Path) -> tuple[int, list[str]]:
-    """Number of cells, and every problem in words. Raises ValueError if there are no cells."""
+    """Return the number of cells, and every problem in words. Raises ValueError if there are no cells."""
     found = verify_experiment(experiment)
     return found.cells, found.problems
 
@@ -74,7 +74,7 @@ def verify_experiment(experiment: Path) -> Verification:
 
 
 def _without_record(experiment: Path) -> list[Path]:
-    """Folders with files of a cell but no record, hidden folders excepted."""
+    """Return folders with files of a cell but no record, hidden folders excepted."""
     cells = experiment / "cells"
     folders = {path.parent for name in OF_A_CELL for path in cells.rglob(name)}
     visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]

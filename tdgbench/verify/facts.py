@@ -43,7 +43,7 @@ class MetricSettings(TypedDict):
 
 
 def metric_settings(record: Record) -> MetricSettings:
-    """The recorded settings of the scores. Raises ValueError for any that this version does not know."""
+    """Return the recorded settings of the scores. Raises ValueError for any that this version does not know."""
     try:
         return TypeAdapter(MetricSettings).validate_python(record.setting("metrics"))
     except ValidationError as error:
@@ -53,7 +53,7 @@ def metric_settings(record: Record) -> MetricSettings:
 
 
 def key_problems(record: Record) -> Iterator[str]:
-    """A key that is not that of the recorded configuration, data, scene and code. A failed cell may have none."""
+    """Yield a key that is not that of the recorded configuration, data, scene and code. A failed cell may have none."""
     if record.status == "failed" and not record.key:
         return
     expected = cell_key(record)
@@ -62,7 +62,7 @@ def key_problems(record: Record) -> Iterator[str]:
 
 
 def setting_problems(record: Record) -> Iterator[str]:
-    """Fields that differ from the configuration, and settings of scores that are unknown."""
+    """Yield fields that differ from the configuration, and settings of scores that are unknown."""
     stated = {"method.name": record.method, "init.name": record.init, "seed": record.seed}
     stated["metrics.convention"] = record.convention
     for name, value in stated.items():
@@ -72,7 +72,7 @@ def setting_problems(record: Record) -> Iterator[str]:
 
 
 def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
-    """Iterations, Gaussians and training time against the log."""
+    """Check iterations, Gaussians and training time against the log."""
     if not log:
         yield "log.csv has no row"
         return
@@ -91,7 +91,7 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
 
 
 def model_problems(folder: Path, record: Record) -> Iterator[str]:
-    """Models against the recorded number of Gaussians."""
+    """Check models against the recorded number of Gaussians."""
     expected = {files_of(name).model: count for name, count in {THERMAL: None, **record.gaussians}.items()}
     for name in sorted({*expected, *(path.name for path in folder.glob("model*.ply"))}):
         count = expected.get(name)
@@ -107,7 +107,7 @@ def model_problems(folder: Path, record: Record) -> Iterator[str]:
 
 
 def train_score_problems(record: Record) -> Iterator[str]:
-    """Scores of training views that are missing. (Their pictures are not stored; they are not computed again.)"""
+    """Yield scores of training views that are missing. (Their pictures are not stored; they are not computed again.)"""
     for metric in TRAIN_METRICS:
         if metric not in record.train_scores:
             yield f"{FILE}: train_scores lacks {metric}"
@@ -116,7 +116,7 @@ def train_score_problems(record: Record) -> Iterator[str]:
 
 
 def view_problems(record: Record, cameras: Cameras) -> Iterator[str]:
-    """Numbers of views against the cameras."""
+    """Check numbers of views against the cameras."""
     for part, views in cameras.items():
         if record.views.get(part) != len(views):
             yield f"{FILE}: views.{part} is {record.views.get(part)}, cameras.json has {len(views)}"
@@ -127,6 +127,6 @@ def view_problems(record: Record, cameras: Cameras) -> Iterator[str]:
 
 
 def row_problems(rows: dict[str, Row], cameras: dict[str, Any]) -> Iterator[str]:
-    """Rows of views.csv that are missing, or of no test view."""
+    """Yield rows of views.csv that are missing, or of no test view."""
     yield from (f"views.csv has no row of the test view {name}" for name in cameras if name not in rows)
     yield from (f"views.csv has a row of {name}, which is no test view" for name in rows if name not in cameras)

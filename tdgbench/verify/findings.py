@@ -27,7 +27,7 @@ class Findings:
             self._add(f"{what} cannot be checked: {reason(error)}")
 
     def read(self, what: str, reader: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
-        """Value of a reader; None, and a problem, if it raises."""
+        """Return the value of a reader; None, and a problem, if it raises."""
         try:
             return reader(*args, **kwargs)
         except Exception as error:
@@ -40,7 +40,7 @@ class Findings:
 
 
 def reason(error: Exception) -> str:
-    """An error in words.
+    """Return an error in words.
 
     >>> reason(FileNotFoundError()), reason(KeyError("x"))
     ('it is missing', "KeyError: 'x'")

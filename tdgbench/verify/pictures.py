@@ -28,7 +28,7 @@ MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: pr
 
 
 def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
-    """Pictures that a test view lacks, and pictures of no test view. names: of the cell's files.
+    """Yield pictures that a test view lacks, and pictures of no test view. names: of the cell's files.
 
     Test views may lack images of other modalities, but not the render or the ground truth alone. Those without masked
     pixels have no mask; the share of masked pixels in the record shows if one is missing.
@@ -50,7 +50,7 @@ def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
 
 
 def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
-    """How stored levels (uint8) differ from an image in [0, 1] of the same shape; empty if they do not.
+    """Say how stored levels (uint8) differ from an image in [0, 1] of the same shape; empty if they do not.
 
     Halfway between two levels, where a saturated gray of 0.5 lies, both are right.
 
@@ -66,7 +66,7 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
     return f"{differs.mean():.1%} of the values differ, by up to {off.max():.1f} levels"
 
 
-class Pictures:
+class StoredPictures:
     """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
 
     def __init__(self, folder: Path, record: Record, cameras: Cameras, found: Findings) -> None:
@@ -108,7 +108,7 @@ class Pictures:
         )  # fmt: skip
 
     def view(self, name: str) -> View:
-        """A test view with its stored ground truth and mask."""
+        """Return a test view with its stored ground truth and mask."""
         camera = self.cameras[name]
         mask = partial(read_mask, self.folder, name, (camera.width, camera.height))
         rgb = files_of("rgb").targets
@@ -119,7 +119,7 @@ class Pictures:
         )  # fmt: skip
 
     def rendered(self, name: str) -> RenderedImages:
-        """A test view's stored renders, and its depth (zeros if it could not be rendered)."""
+        """Return a test view's stored renders, and its depth (zeros if it could not be rendered)."""
         folders = {modality: files_of(modality).renders for modality in OTHERS}
         others = {modality: self._values(sub, name) for modality, sub in folders.items() if self._has(sub, name)}
         image = self._values(files_of(THERMAL).renders, name)
@@ -128,7 +128,7 @@ class Pictures:
     def _differences(
         self, render_view: Callable[[str], Render], modality: str, name: str, stored: np.ndarray
     ) -> list[str]:  # fmt: skip
-        """How a stored render differs from the model's. Both must be (H, W, C)."""
+        """Say how a stored render differs from the model's. Both must be (H, W, C)."""
         files, is_thermal = files_of(modality), modality == THERMAL
         path = f"{files.renders}/{name}.png"
         render = render_view(name)
@@ -152,7 +152,7 @@ class Pictures:
         return read_picture(self.folder / sub / f"{name}.png", (camera.width, camera.height))
 
     def _values(self, sub: str, name: str) -> np.ndarray:
-        """A stored picture, (H, W, C) float32 in [0, 1]. Raises ValueError, naming it, if it cannot be read."""
+        """Read a stored picture, (H, W, C) float32 in [0, 1]. Raises ValueError, naming it, if it cannot be read."""
         try:
             return self._stored(sub, name).astype(np.float32) / np.float32(255)
         except FileNotFoundError as error:

@@ -21,13 +21,13 @@ from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.facts import metric_settings
 from tdgbench.verify.findings import reason
-from tdgbench.verify.pictures import Pictures
+from tdgbench.verify.pictures import StoredPictures
 
 TOLERANCE = 1e-6  # of means
 
 
 def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
-    """Recorded scores that are not the means of views.csv, and scores that are n/a without a reason."""
+    """Yield recorded scores that are not the means of views.csv, and scores that are n/a without a reason."""
     columns = {metric for row in rows.values() for metric in row}
     yield from (f"views.csv has no column {metric}" for metric in record.scores if metric not in columns)
     yield from (
@@ -43,16 +43,16 @@ def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
             yield f"{FILE}: {metric} is {_text(recorded)}, the mean of views.csv is {_text(mean)}"
 
 
-def mask_problems(record: Record, pictures: Pictures) -> Iterator[str]:
-    """A share of masked test pixels that is not that of the stored masks. (Those of training views are not stored.)"""
+def mask_problems(record: Record, pictures: StoredPictures) -> Iterator[str]:
+    """Yield a share of masked test pixels that is not that of the stored masks. (Training views' are not stored.)"""
     found = masked_share(pictures.view(name) for name in pictures.cameras)
     recorded = record.masked.get("test", 0.0)
     if not _close(found, recorded):
         yield f"{FILE}: masked.test is {recorded}, the cell's masks give {found}"
 
 
-def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictures) -> Iterator[str]:
-    """Scores that differ from those of the stored pictures and models.
+def score_problems(record: Record, rows: dict[str, Row] | None, pictures: StoredPictures) -> Iterator[str]:
+    """Yield scores that differ from those of the stored pictures and models.
 
     Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
     only weights of a backbone were missing.
@@ -60,7 +60,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictur
     convention = _convention(record)
     metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
     if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
-        metrics = [one for one in metrics if isinstance(one, ImageMetric)]
+        metrics = [metric for metric in metrics if isinstance(metric, ImageMetric)]
     computed: dict[str, list[float]] = {metric.name: [] for metric in metrics}
     scene = _scene(record, pictures)
     for name in pictures.cameras:
@@ -88,7 +88,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Pictur
 
 
 def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[float | None, str]:
-    """The value of a metric from files, None without one; and a problem, if a stored value cannot be computed again."""
+    """Return the value of a metric from files or None, and a problem if a stored value cannot be computed again."""
     if stored is None:  # whether the files give it without weights, which may not have been there
         bare = Convention(shown.convention.ssim_border, partial(_unusable, "no weights"))
         shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
@@ -99,7 +99,7 @@ def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[flo
 
 
 def _convention(record: Record) -> Convention:
-    """The recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
+    """Return the recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
     settings = metric_settings(record)
     weights = settings["lpips"]["weights"]
     try:
@@ -117,8 +117,8 @@ def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
     raise BackboneUnavailableError(why)
 
 
-def _scene(record: Record, pictures: Pictures) -> Scene:
-    """The scene of the test views, as far as a cell's files have it."""
+def _scene(record: Record, pictures: StoredPictures) -> Scene:
+    """Return the scene of the test views, as far as a cell's files have it."""
     span = None if record.temperature is None else TemperatureRange(*record.temperature)
     return Scene(
         record.scene, record.dataset, record.group, train=[], test=[pictures.view(name) for name in pictures.cameras],
@@ -126,7 +126,7 @@ def _scene(record: Record, pictures: Pictures) -> Scene:
     )  # fmt: skip
 
 
-def _shown(pictures: Pictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
+def _shown(pictures: StoredPictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
     """A test view with its pictures; of the others, the depths. Raises ValueError for a picture that is unusable."""
     nothing = np.zeros((0, 0, 1), np.float32)
     renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}

@@ -1,4 +1,4 @@
-"""A cell as it lies on disk: its record, whose types nobody has checked yet, its cameras, scores and log."""
+"""A cell as it lies on disk: its record, whose types are not checked yet, its cameras, scores and log."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class StoredCell:
         return self.record.status == "ok"
 
     def schema_problems(self) -> Iterator[str]:
-        """What does not fit the schema, and numbers that are none in JSON."""
+        """Yield what does not fit the schema, and numbers that are none in JSON."""
         yield from (f"{FILE}: {problem}" for problem in schema_problems(self.text))
         constants: list[str] = []
         json.loads(self.text, parse_constant=constants.append)
         yield from (f"{FILE} holds {name}, which is no number in JSON" for name in dict.fromkeys(constants))
 
     def place_problems(self) -> Iterator[str]:
-        """The folder that the record belongs to, if it lies in another one."""
+        """Yield the folder that the record belongs to, if it lies in another one."""
         place = cell_folder_of(Path(), self.record)
         if self.folder.absolute().parts[-len(place.parts) :] != place.parts:
             yield f"{FILE} is of another cell: its folder is {place.as_posix()}; move it there, or run the cell again"
@@ -55,7 +55,7 @@ def read_cell(folder: Path) -> StoredCell:
 
 
 def read_log(folder: Path) -> list[dict[str, float]]:
-    """Rows of log.csv: iteration, seconds, loss, train_psnr, gaussians. Raises ValueError for any other file."""
+    """Read the rows of log.csv: iteration, seconds, loss, train_psnr, gaussians. Raises ValueError for other files."""
     names = ["iteration", "seconds", "loss", "train_psnr", "gaussians"]
     rows = read_table(folder / "log.csv")
     if not rows or rows[0][: len(names)] != names:

@@ -1,4 +1,4 @@
-"""The cells that the viewer shows: records, models, cameras and stored pictures, read and checked."""
+"""The cells of the viewer: records, models, cameras and stored pictures, read and checked."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ViewedCell:
 
     @property
     def cameras(self) -> dict[str, Camera]:
-        """Those of all views, training views first."""
+        """Cameras of all views, training views first."""
         return {**self.train, **self.test}
 
     @property
@@ -55,11 +55,11 @@ class ViewedCell:
 
     @cached_property
     def response(self) -> ImageResponse:
-        """What the thermal camera shows of renders, read once and not for each frame."""
+        """Response of the thermal camera to renders, read once and not for each frame."""
         return response_of(self.record)
 
     def pictures(self, view: str) -> dict[str, np.ndarray]:
-        """Pictures of a view, (H, W, 1 or 3) uint8, by modality: the ground truth, else a test view's stored render.
+        """Return the pictures of a view, (H, W, 1 or 3) uint8, by modality: ground truth, else stored renders.
 
         Raises ValueError, naming the file, if one cannot be read.
         """
@@ -86,7 +86,7 @@ class ViewedCell:
 
 
 def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
-    """The cells by a short name that tells them apart. Raises ValueError, naming a folder, if they cannot be shown.
+    """Return the cells by short names. Raises ValueError, naming a folder, if they cannot be shown.
 
     They must be finished, unchanged since their record was written, and of one scene.
     """
@@ -130,13 +130,13 @@ def _finished_record(folder: Path) -> Record:
 
 
 def _example(folder: Path) -> str:
-    """One of the cells below an experiment's folder, to name in a message."""
+    """Name one of the cells below an experiment's folder, to name in a message."""
     cells = record_files(folder) if folder.is_dir() else []
     return f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
 
 
 def short_names(records: Sequence[Record]) -> list[str]:
-    """Names of cells of one scene: the method, and what else is needed to tell them apart.
+    """Return names of cells of one scene: the method, and what else is needed to tell them apart.
 
     >>> tdg, msmg = (Record(method, "paper", "Truck", "colmap", 0, "table1", "") for method in ("tdg", "msmg"))
     >>> short_names([tdg, msmg]), short_names([tdg, tdg])

@@ -58,7 +58,7 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _with_training_views(cells: dict[str, ViewedCell], root: Path) -> dict[str, ViewedCell]:
-    """The cells; the first one, whose cameras are shown, with the ground truth of its training views if it is there."""
+    """Add the ground truth of training views, if it is there, to the first cell, whose cameras are shown."""
     name, first = next(iter(cells.items()))
     try:
         return {**cells, name: replace(first, ground_truth=training_views(first.record, root))}
@@ -68,7 +68,7 @@ def _with_training_views(cells: dict[str, ViewedCell], root: Path) -> dict[str, 
 
 
 def has_screen() -> bool:
-    """Whether a browser can open a window here. Without one, Python may start a browser in the terminal."""
+    """Return whether a browser can open a window here. Without one, Python may start a browser in the terminal."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 

@@ -1,4 +1,4 @@
-"""Where the mouse is on the picture. viser 1.1 reports clicks and no motion, so a script in the page tells it.
+"""Where the mouse is on the picture. viser 1.1 reports clicks and no motion, so a script in the page reports it.
 
 The script writes "cursor x y" (shares of the picture's width and height) into a text field of viser, which it hides,
 and shows the value that the server answers beside the mouse.
@@ -66,7 +66,7 @@ def watch_cursor(gui: viser.GuiApi, on_move: Callable[[float, float], None]) -> 
 
 
 def parse_place(text: str) -> tuple[float, float] | None:
-    """The shares x and y that the script wrote; None for any other text.
+    """Return the shares x and y that the script wrote; None for any other text.
 
     >>> parse_place("cursor 0.2500 1.0000"), parse_place("cursor - -"), parse_place("cursor nan 0.1")
     ((0.25, 1.0), None, None)

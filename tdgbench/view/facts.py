@@ -11,14 +11,14 @@ import numpy as np
 from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.paint import lookup_table
-from tdgbench.view.renderer import Frame
+from tdgbench.view.renderer import RenderedLook
 
 STOPS = 12  # colours of a colour bar
 STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
 
 
 def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | None) -> str:
-    """One pixel's values (C,) in words. degC: temperatures of the image values 0 and 1, if they are known.
+    """Return one pixel's values (C,) in words. degC: temperatures of the image values 0 and 1, if they are known.
 
     >>> value_text(np.array([0.5]), "thermal", (20.0, 30.0)), value_text(np.array([0.5]), "thermal", None)
     ('25.0 °C', '0.500')
@@ -36,15 +36,15 @@ def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | No
 
 
 def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: str) -> str:
-    """The values under the cursor, of each cell."""
+    """Return the values under the cursor, of each cell."""
     texts = [value_text(values, quantity, cells[name].degC) for name, values in shown]
     if len(shown) == 1:
         return texts[0]
     return " · ".join(f"{name} {text}" for (name, _), text in zip(shown, texts, strict=True))
 
 
-def bar_of(frame: Frame, cells: Mapping[str, ViewedCell]) -> str:
-    """The colour bar of a frame; none where its pictures are colours already."""
+def bar_of(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
+    """Return the colour bar of a rendered look; none where its pictures are colours already."""
     look, whole = frame.look, frame.whole
     if whole is None:
         return ""
@@ -54,7 +54,7 @@ def bar_of(frame: Frame, cells: Mapping[str, ViewedCell]) -> str:
 
 
 def bar(colors: str, low: str, high: str) -> str:
-    """A colour bar with the texts of its ends."""
+    """Return a colour bar with the texts of its ends."""
     table = lookup_table(colors)[np.linspace(0, 255, STOPS).astype(int)]
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in table)
     ends = f"<span>{escape(low)}</span><span>{escape(high)}</span>"
@@ -64,8 +64,8 @@ def bar(colors: str, low: str, high: str) -> str:
     )
 
 
-def numbers(cells: Mapping[str, ViewedCell]) -> str:
-    """A table of the cells' numbers: scores over the test views, Gaussians, training time."""
+def numbers_table(cells: Mapping[str, ViewedCell]) -> str:
+    """Return a table of the cells' numbers: scores over the test views, Gaussians, training time."""
     columns = {name: _numbers_of(cell) for name, cell in cells.items()}
     rows = list(dict.fromkeys(row for column in columns.values() for row in column))
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
@@ -77,7 +77,7 @@ def numbers(cells: Mapping[str, ViewedCell]) -> str:
 
 
 def _numbers_of(cell: ViewedCell) -> dict[str, str]:
-    """The numbers of a cell by their titles."""
+    """Return the numbers of a cell by their titles."""
     record, found = cell.record, {}
     for name, measure in METRICS.items():
         if name in record.scores:

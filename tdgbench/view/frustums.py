@@ -58,14 +58,14 @@ class Frustums:
 
 
 def size_of(cell: ViewedCell) -> float:
-    """Size of the frustums in world units."""
+    """Return the size of the frustums in world units."""
     cameras = list(cell.cameras.values())
     centers = np.stack([camera.center for camera in cameras])
     return SIZE * float(np.linalg.norm(centers - focus(cameras), axis=1).mean())
 
 
 def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:
-    """Small thermal pictures (H, W, 3) uint8 of the views that have one."""
+    """Return small thermal pictures (H, W, 3) uint8 of the views that have one."""
     found = {}
     for view in cell.cameras:
         picture = cell.pictures(view).get("thermal")

@@ -17,7 +17,7 @@ from tdgbench.scenes.synthetic import SyntheticDataset
 
 
 def training_views(record: Record, root: Path) -> dict[str, View]:
-    """The training views of a cell by name, read from the data below `root`; nothing is written.
+    """Return the training views of a cell by name, read from the data below `root`; nothing is written.
 
     root: as `data.root`. Raises ValueError, in words, if the data are not there or not those of the cell.
     """
@@ -41,20 +41,20 @@ def training_views(record: Record, root: Path) -> dict[str, View]:
 
 @cache
 def known_targets() -> frozenset[str]:
-    """What data sets in `conf/` name. A record may come from anywhere: nothing else that it names is run."""
+    """Return the classes that data sets in `conf/` name. Nothing else that a record names is run."""
     files = [conf_folder() / "read_options.yaml", *(conf_folder() / "dataset").glob("*.yaml")]
     return frozenset(one for path in files for one in _targets(OmegaConf.to_container(OmegaConf.load(path))))
 
 
 def _with_root(loader: dict[str, Any], root: str) -> dict[str, Any]:
-    """A loader's options with the folder, which goes to the innermost loader."""
+    """Return a loader's options with the folder, which goes to the innermost loader."""
     if "inner" in loader:
         return {**loader, "inner": _with_root(loader["inner"], root)}
     return {**loader, "root": root}
 
 
 def _targets(config: object) -> Iterator[str]:
-    """Every `_target_` of a configuration, at any depth."""
+    """Yield every `_target_` of a configuration, at any depth."""
     if isinstance(config, Mapping):
         if "_target_" in config:
             yield str(config["_target_"])

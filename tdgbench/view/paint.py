@@ -15,12 +15,12 @@ LEVELS = 256
 
 @cache
 def lookup_table(name: str) -> np.ndarray:
-    """Colours (256, 3) uint8 of one of matplotlib's colour maps."""
+    """Return the colours (256, 3) uint8 of one of matplotlib's colour maps."""
     return (matplotlib.colormaps[name](np.linspace(0, 1, LEVELS))[:, :3] * 255 + 0.5).astype(np.uint8)
 
 
 def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
-    """Values (H, W) float32 in a colour map from `low` to `high`: (H, W, 3) uint8; gray where they are NaN.
+    """Return values (H, W) float32 in a colour map from `low` to `high`: (H, W, 3) uint8; gray where they are NaN.
 
     >>> colored(np.array([[-1.0, 0.5, 2.0, np.nan]], np.float32), "gray", 0, 1)[0, :, 0].tolist()
     [0, 128, 255, 128]
@@ -37,12 +37,12 @@ def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarra
 
 
 def as_rgb(picture: np.ndarray, name: str = "gray") -> np.ndarray:
-    """A stored picture (H, W, 1 or 3) uint8 as (H, W, 3); gray in a colour map."""
+    """Return a stored picture (H, W, 1 or 3) uint8 as (H, W, 3); gray in a colour map."""
     return picture if picture.shape[2] == 3 else lookup_table(name)[picture[..., 0]]
 
 
 def wiped(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
-    """Two pictures (H, W, 3) of one size in one, divided by a white line after `share` of the width.
+    """Join two pictures (H, W, 3) of one size in one, divided by a white line after `share` of the width.
 
     >>> wiped(np.zeros((1, 4, 3), np.uint8), np.full((1, 4, 3), 9, np.uint8), 0.5)[0, :, 0].tolist()
     [0, 0, 255, 9]
@@ -55,7 +55,7 @@ def wiped(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
 
 
 def labelled(picture: np.ndarray, share: float, left: str = "", right: str = "") -> np.ndarray:
-    """A picture (H, W, 3) uint8 with names at the bottom, left and right of a share of its width."""
+    """Return a picture (H, W, 3) uint8 with names at the bottom, left and right of a share of its width."""
     image = Image.fromarray(picture)
     draw, divide, gap = ImageDraw.Draw(image), share * image.width, image.height / 80
     font = ImageFont.load_default(max(8.0, image.height / 36))

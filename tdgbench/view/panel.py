@@ -14,7 +14,7 @@ from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import VALUE_ID
 from tdgbench.view.paint import COLOR_MAPS, as_rgb
-from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Frame, Look
+from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Look, RenderedLook
 
 ALONE = "–"  # choice of no second cell
 PREVIOUS, NEXT = "← previous", "next →"
@@ -43,10 +43,10 @@ class Panel:
         self._add_look(gui)
         self._add_views(gui)
         with gui.add_folder("Numbers"):
-            gui.add_html(facts.numbers(cells))
+            gui.add_html(facts.numbers_table(cells))
 
     def look(self) -> Look:
-        """What is chosen to be shown."""
+        """Return what is chosen to be shown."""
         low, high = self._span.value
         beside = self._beside.value
         return Look(
@@ -54,7 +54,7 @@ class Panel:
             "" if beside == ALONE else beside, self._divide.value / 100,
         )  # fmt: skip
 
-    def describe(self, frame: Frame) -> None:
+    def describe(self, frame: RenderedLook) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
         self._bar.content = facts.bar_of(frame, self.cells)
         self._colors.visible = self._span.visible = frame.whole is not None
@@ -119,12 +119,12 @@ class Panel:
 
 
 def _line(title: str, text: str = "") -> str:
-    """The scene, and the value under the cursor."""
+    """Return the scene, and the value under the cursor."""
     value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
     return f'<div style="{facts.STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:
-    """A picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
+    """Return a picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
     height = max(1, round(picture.shape[0] * PICTURE_WIDTH / picture.shape[1]))
     return np.asarray(Image.fromarray(as_rgb(picture, "inferno")).resize((PICTURE_WIDTH, height)))

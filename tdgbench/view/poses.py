@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tdgbench.scenes import Camera
 
 
-class Pose(NamedTuple):
+class ViserPose(NamedTuple):
     """A camera of viser (`viser.CameraHandle`): OpenCV axes, the optical axis through the middle of the image."""
 
     wxyz: np.ndarray  # (4,) rotation from camera to world
@@ -19,10 +19,10 @@ class Pose(NamedTuple):
     fov: float  # vertical, radians
 
 
-def camera_of(pose: Pose, width: int, height: int) -> Camera:
-    """The pinhole camera of a pose, for an image of width × height px.
+def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
+    """Return the pinhole camera of a pose, for an image of width × height px.
 
-    >>> camera = camera_of(Pose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
+    >>> camera = camera_of(ViserPose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
     >>> camera.K.diagonal().round(6), camera.project(np.zeros((1, 3)))
     (array([10., 10.,  1.]), (array([[20., 10.]]), array([2.])))
     """
@@ -33,8 +33,8 @@ def camera_of(pose: Pose, width: int, height: int) -> Camera:
     return Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), world_to_camera, width, height)
 
 
-def pose_of(camera: Camera, aspect: float) -> Pose:
-    """The pose from which a window of an aspect ratio (width over height) shows all of a camera's image.
+def pose_of(camera: Camera, aspect: float) -> ViserPose:
+    """Return the pose from which a window of an aspect ratio (width over height) shows all of a camera's image.
 
     >>> camera = Camera(np.diag([10.0, 10, 1]) + [[0, 0, 20], [0, 0, 10], [0, 0, 0]], np.eye(4), 40, 20)
     >>> [round(float(np.tan(pose_of(camera, aspect).fov / 2)), 6) for aspect in (2, 3, 1)]
@@ -44,18 +44,18 @@ def pose_of(camera: Camera, aspect: float) -> Pose:
     (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     vertical, horizontal = max(cy, camera.height - cy) / fy, max(cx, camera.width - cx) / fx
     fov = 2 * float(np.arctan(max(vertical, horizontal / aspect)))
-    return Pose(np.roll(Rotation.from_matrix(to_world).as_quat(), 1), camera.center, fov)
+    return ViserPose(np.roll(Rotation.from_matrix(to_world).as_quat(), 1), camera.center, fov)
 
 
 def up_direction(cameras: Iterable[Camera]) -> np.ndarray:
-    """Direction (3,) that is up in the images on average; world z if the cameras do not agree on any."""
+    """Return the direction (3,) that is up in the images on average; world z if the cameras do not agree on any."""
     up = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
     length = float(np.linalg.norm(up))
     return up / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
 
 
 def focus(cameras: Iterable[Camera]) -> np.ndarray:
-    """The point (3,) nearest to the optical axes, in the least-squares sense; the orbit's centre of a capture.
+    """Return the point (3,) nearest to the optical axes, in the least-squares sense; the orbit's centre of a capture.
 
     Parallel axes have none: then it is one unit in front of the cameras' mean position.
     """

@@ -25,7 +25,7 @@ DEPTH_VIEWS, DEPTH_WIDTH, DEPTH_TAILS = 5, 96, (2, 98)  # cameras, px, percentil
 
 
 class Look(NamedTuple):
-    """What is shown."""
+    """A choice of what the viewer shows."""
 
     cell: str
     quantity: str = THERMAL
@@ -36,7 +36,7 @@ class Look(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Part:
+class CellRender:
     """A cell's render of one quantity."""
 
     values: np.ndarray  # (H, W, C) float32; depth is NaN where there is no surface
@@ -45,11 +45,11 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Frame:
+class RenderedLook:
     """A rendered look. parts: the cell, and the one to the right of the divide."""
 
     look: Look
-    parts: tuple[Part, ...]
+    parts: tuple[CellRender, ...]
     whole: tuple[float, float] | None  # the quantity's whole range in the first part
 
     @property
@@ -61,14 +61,14 @@ class Frame:
         return labelled(first.picture, 0.0, right=first.cell) if self.look.beside else first.picture
 
     def at(self, x: float, y: float) -> list[tuple[str, np.ndarray]]:
-        """Each cell's values (C,) at a place; x and y are shares of the width and height."""
+        """Return each cell's values (C,) at a place; x and y are shares of the width and height."""
         height, width = self.parts[0].values.shape[:2]
         row, column = min(int(y * height), height - 1), min(int(x * width), width - 1)
         return [(part.cell, part.values[max(row, 0), max(column, 0)]) for part in self.parts]
 
 
 class Renderer:
-    """Renders cells of one scene with the splat core; not for several threads at a time."""
+    """A renderer of cells of one scene with the splat core; not for several threads at a time."""
 
     def __init__(self, cells: Mapping[str, ViewedCell]) -> None:
         self.cells = cells
@@ -84,27 +84,27 @@ class Renderer:
                 if self.has(name, quantity):
                     self.values(name, quantity, camera)
 
-    def render(self, look: Look, camera: Camera) -> Frame:
+    def render(self, look: Look, camera: Camera) -> RenderedLook:
         """Render a look from a camera. A cell that lacks the quantity is left out. Raises ValueError if both do."""
         names = [name for name in dict.fromkeys([look.cell, look.beside]) if self.has(name, look.quantity)]
         if not names:
             raise ValueError(f"no cell has {LABELS.get(look.quantity, look.quantity)}")
         parts = tuple(self._part(name, look, camera) for name in names)
-        return Frame(look, parts, self.range_of(names[0], look.quantity))
+        return RenderedLook(look, parts, self.range_of(names[0], look.quantity))
 
     def has(self, name: str, quantity: str) -> bool:
-        """Whether there is such a cell and it has a quantity."""
+        """Return whether there is such a cell and it has a quantity."""
         return name in self.cells and (quantity in GEOMETRY or quantity in self.cells[name].modalities)
 
     def range_of(self, name: str, quantity: str) -> tuple[float, float] | None:
-        """Values at the ends of a quantity's whole range; None if its pictures are colours already."""
+        """Return the values at the ends of a quantity's whole range; None if its pictures are colours already."""
         if quantity == "depth":
             return self.depth_range()
         is_gray = self.cells[name].models[THERMAL].channels == 1
         return (0.0, 1.0) if quantity == "alpha" or (quantity == THERMAL and is_gray) else None
 
     def depth_range(self) -> tuple[float, float]:
-        """z between which nearly all surfaces lie, in world units, as the first cell's training cameras see them."""
+        """Return z between which nearly all surfaces lie, in world units, as the first cell's cameras see them."""
         if self._depth_range is None:
             name, cell = next(iter(self.cells.items()))
             cameras = list(cell.cameras.values())
@@ -117,7 +117,7 @@ class Renderer:
 
     @torch.no_grad()
     def values(self, name: str, quantity: str, camera: Camera) -> np.ndarray:
-        """A cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
+        """Return a cell's values from a camera, (H, W, C) float32: image values, z in world units, or alpha."""
         is_geometry = quantity in GEOMETRY
         modality = THERMAL if is_geometry else quantity
         cell = self.cells[name]
@@ -125,7 +125,7 @@ class Renderer:
             render = cell.method.render(modality, camera)
         else:
             gaussians, background = self._model(name, modality), background_of(cell.record, modality)
-            if is_geometry:  # colours are not looked at; the kernels with one channel or more are there from training
+            if is_geometry:  # colours are not used; the kernels with one channel or more are there from training
                 gaussians = gaussians._replace(sh_degree=0)
             render = render_view(gaussians, Pinhole.of(camera), depth=is_geometry, background=background)
         if quantity == "alpha":
@@ -136,16 +136,16 @@ class Renderer:
         image: np.ndarray = render.image.numpy()
         return cell.response.temperatures(image) if modality == THERMAL else image
 
-    def _part(self, name: str, look: Look, camera: Camera) -> Part:
+    def _part(self, name: str, look: Look, camera: Camera) -> CellRender:
         values = self.values(name, look.quantity, camera)
         whole = self.range_of(name, look.quantity)
         if whole is None:
-            return Part(values, to_8bit(values), name)
+            return CellRender(values, to_8bit(values), name)
         low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
-        return Part(values, colored(values[..., 0], look.colors, low, high), name)
+        return CellRender(values, colored(values[..., 0], look.colors, low, high), name)
 
     def _model(self, name: str, modality: str) -> GaussianTensors:
-        """The activated Gaussians of a model, kept for the next frames."""
+        """Return the activated Gaussians of a model, kept for the next frames."""
         if (name, modality) not in self._models:
             gaussians = self.cells[name].models[modality]
             self._models[name, modality] = gaussians.activated(gaussians.sh_degree)

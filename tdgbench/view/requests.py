@@ -13,7 +13,7 @@ REST_SECONDS = 0.25  # without a new camera, until the fine picture is rendered
 
 
 @dataclass(frozen=True)
-class Job(Generic[T]):
+class RenderJob(Generic[T]):
     """A picture to render for a client."""
 
     client: int
@@ -63,25 +63,25 @@ class Requests(Generic[T]):
             self._is_closed = True
             self._changed.notify_all()
 
-    def is_newest(self, job: Job[T]) -> bool:
-        """Whether the client is there and has requested nothing since."""
+    def is_newest(self, job: RenderJob[T]) -> bool:
+        """Return whether the client is there and has requested nothing since."""
         with self._changed:
             pending = self._pending.get(job.client)
             return pending is not None and pending.number == job.number
 
-    def take(self) -> Job[T] | None:
-        """The next job that is due; None if there is none now."""
+    def take(self) -> RenderJob[T] | None:
+        """Return the next job that is due; None if there is none now."""
         with self._changed:
             return self._take()
 
-    def next(self) -> Job[T] | None:
+    def next(self) -> RenderJob[T] | None:
         """Wait for the next job that is due; None once closed."""
         with self._changed:
             while not self._is_closed:
                 job = self._take()
                 if job is not None:
                     return job
-                times = [one.fine_at for one in self._pending.values() if one.fine_at is not None]
+                times = [request.fine_at for request in self._pending.values() if request.fine_at is not None]
                 self._changed.wait(max(0.0, min(times) - self._now()) if times else None)
             return None
 
@@ -91,7 +91,7 @@ class Requests(Generic[T]):
             self._pending[client] = _Pending(wanted, self._count, is_coarse_due, fine_at)  # keeps the client's turn
             self._changed.notify_all()
 
-    def _take(self) -> Job[T] | None:
+    def _take(self) -> RenderJob[T] | None:
         for client, one in self._pending.items():
             is_fine = not one.is_coarse_due
             if is_fine and (one.fine_at is None or one.fine_at > self._now()):
@@ -100,5 +100,5 @@ class Requests(Generic[T]):
             one.is_coarse_due = False
             if is_fine:
                 one.fine_at = None
-            return Job(client, one.wanted, is_fine, one.number)
+            return RenderJob(client, one.wanted, is_fine, one.number)
         return None

@@ -15,7 +15,7 @@ from tdgbench.view.cells import ViewedCell
 from tdgbench.view.frustums import thumbnails
 from tdgbench.view.poses import camera_of, up_direction
 from tdgbench.view.renderer import Renderer
-from tdgbench.view.requests import Job, Requests
+from tdgbench.view.requests import RenderJob, Requests
 from tdgbench.view.session import Session, Shown, Wanted
 
 FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
@@ -26,7 +26,7 @@ MIN_SIDE = 16  # px
 
 
 class Viewer:
-    """Shows cells of one scene to every browser that connects.
+    """The viewer: it shows cells of one scene to every browser that connects.
 
     width: most pixels of a picture's width.
     """
@@ -70,7 +70,7 @@ class Viewer:
             self._error = error
             self._ended.set()
 
-    def _render(self, job: Job[Wanted]) -> None:
+    def _render(self, job: RenderJob[Wanted]) -> None:
         wanted, start = job.wanted, time.perf_counter()
         size = (wanted.width, wanted.height)
         size = size if job.is_fine else self._pace.coarse(*size)
@@ -106,7 +106,7 @@ class Pace:
 
 @contextlib.contextmanager
 def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
-    """A server of viser that prints nothing. port: None for the first free one from 8080 on.
+    """Run a server of viser that prints nothing. port: None for the first free one from 8080 on.
 
     Raises OSError, naming the address, if it cannot be used: viser would try other ports, and wait forever for a host
     that is not this machine.
@@ -124,7 +124,7 @@ def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
 
 
 def free_port(host: str, port: int | None) -> int:
-    """The port, or the first free one from 8080 on. Raises OSError if it cannot be used."""
+    """Return the port, or the first free one from 8080 on. Raises OSError if it cannot be used."""
     for candidate in range(FIRST_PORT, LAST_PORT + 1) if port is None else [port]:
         try:
             with socket.create_server((host, candidate)):

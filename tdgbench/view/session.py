@@ -14,8 +14,8 @@ from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import watch_cursor
 from tdgbench.view.frustums import Frustums
 from tdgbench.view.panel import Panel
-from tdgbench.view.poses import Pose, focus, pose_of
-from tdgbench.view.renderer import Frame, Look
+from tdgbench.view.poses import ViserPose, focus, pose_of
+from tdgbench.view.renderer import Look, RenderedLook
 from tdgbench.view.requests import Requests
 
 JPEG_QUALITY = 80  # of coarse pictures; fine ones are PNG
@@ -27,7 +27,7 @@ class Wanted(NamedTuple):
 
     session: Session
     look: Look
-    pose: Pose
+    pose: ViserPose
     width: int  # of the fine picture, px
     height: int
 
@@ -42,13 +42,13 @@ class Shown:
 
 
 class Session:
-    """A connected client."""
+    """A connected browser: its camera, controls and pictures."""
 
     def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
         self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width
         self._first = next(iter(shown.cells.values()))
         self._focus = focus(self._first.cameras.values())
-        self._frame: Frame | None = None
+        self._frame: RenderedLook | None = None
         self._cursor: tuple[float, float] | None = None
         self._turn = threading.RLock()  # viser calls from several threads at once
         self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to, self.step)
@@ -96,7 +96,7 @@ class Session:
         if self._frame is not None:
             self.panel.show_value(facts.readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
 
-    def show(self, frame: Frame, is_fine: bool) -> None:
+    def show(self, frame: RenderedLook, is_fine: bool) -> None:
         """Send a picture to the browser."""
         send = self.client.scene.set_background_image
         send(frame.picture, "png" if is_fine else "jpeg", jpeg_quality=JPEG_QUALITY)
@@ -130,4 +130,4 @@ class Session:
         camera = self.client.camera
         width = min(self._width, camera.image_width)
         height = max(1, round(width * camera.image_height / camera.image_width))
-        return Wanted(self, self.panel.look(), Pose(camera.wxyz, camera.position, camera.fov), width, height)
+        return Wanted(self, self.panel.look(), ViserPose(camera.wxyz, camera.position, camera.fov), width, height)

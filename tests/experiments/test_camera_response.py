@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.bench.record import Record
-from tdgbench.experiments.camera_response import compare
+from tdgbench.experiments.camera_response import compare_camera
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.accuracy import truth_in_gauge
@@ -29,7 +29,7 @@ def facts(offsets, gains, reference=20.0, views=NAMES):
 def test_a_camera_that_is_found_has_no_errors():
     true = truth()
     found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
-    errors = compare(record(estimated=found), {}, true, NAMES).errors
+    errors = compare_camera(record(estimated=found), {}, true, NAMES).errors
     assert max(errors.values()) < 1e-9
 
 
@@ -40,15 +40,15 @@ def test_a_vignette_that_is_found_has_no_errors():
     terms = legendre_basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
     shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.vignette.ravel(), rcond=None)[0]
     found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
-    none = compare(record(estimated=found), {}, true, NAMES)
-    one = compare(record(estimated=found | {"vignette": shape.tolist()}), {}, true, NAMES)
+    none = compare_camera(record(estimated=found), {}, true, NAMES)
+    one = compare_camera(record(estimated=found | {"vignette": shape.tolist()}), {}, true, NAMES)
     assert max(one.errors.values()) < 1e-6 < 0.5 < none.errors["vignette_degC_worst"]
     assert one.found_vignette == pytest.approx(in_gauge.vignette, abs=1e-6)
 
 
 @pytest.mark.parametrize("camera", [{}, {"estimated": {"unknown": "no points"}}])
 def test_the_errors_of_an_ideal_camera_are_the_drift(camera):
-    one = compare(record(**camera), {}, truth(), NAMES[1:])
+    one = compare_camera(record(**camera), {}, truth(), NAMES[1:])
     assert (
         one.errors["offset_degC_worst"] == pytest.approx(np.abs(one.true.response.offsets).max())
         and one.views == NAMES[1:]
@@ -58,4 +58,4 @@ def test_the_errors_of_an_ideal_camera_are_the_drift(camera):
 def test_without_temperatures_there_is_nothing_to_compare():
     one = record(estimated={"unknown": "no points"})
     one.temperature = None
-    assert compare(one, {}, truth(encoding="agc"), NAMES) is None
+    assert compare_camera(one, {}, truth(encoding="agc"), NAMES) is None

@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError
-from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of, in_words
+from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
 from tests.helpers.command import command, command_here
 from tests.helpers.configs import config
 
@@ -86,7 +86,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     file = {"class": "logging.FileHandler", "filename": str(tmp_path / "nosuch" / "tdgbench.log")}
     with pytest.raises(ValueError) as error:
         logging.config.dictConfig({"version": 1, "handlers": {"file": file}, "root": {"handlers": ["file"]}})
-    said = in_words(error.value, ["seed=0"])
+    said = error_message(error.value, ["seed=0"])
     assert said.startswith("Unable to configure handler 'file': ") and "nosuch/tdgbench.log" in said
 
 

@@ -3,13 +3,13 @@ import pytest
 from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.record import Record
 from tdgbench.experiments import matrix
-from tdgbench.experiments.matrix import Choice, check_all_ran, groups_of, run_cells, table_of, values_of
+from tdgbench.experiments.matrix import AxisValue, check_all_ran, groups_of, run_cells, table_of, values_of
 from tests.helpers.configs import config
 
 AXES = {
     "scene": values_of("scene", ["orbit", None]),
     "camera": groups_of("camera", {"ideal": {"estimate": []}}, variant="camera"),
-    "skip": [Choice("none", {}), Choice("gray", {"skip.gray": False, "skip.unheard_of": True}, "gray off")],
+    "skip": [AxisValue("none", {}), AxisValue("gray", {"skip.gray": False, "skip.unheard_of": True}, "gray off")],
     "seed": values_of("seed", [0, 1]),
 }
 

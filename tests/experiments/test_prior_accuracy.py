@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.experiments.prior_accuracy import accuracy, aligned, halves, judge, known_depth, source
+from tdgbench.experiments.prior_accuracy import accuracy, aligned, known_depth, measure_prior, source, split_points
 from tests.helpers.configs import config
 
 RNG = np.random.default_rng(0)
@@ -54,7 +54,7 @@ def test_true_depth_counts_before_points(small_scene):
 
 
 def test_points_show_the_true_depth(small_scene):
-    given, truth = halves(small_scene)
+    given, truth = split_points(small_scene)
     assert len(given.points.points) == len(truth) == 150
     both = np.concatenate([given.points.points, truth])
     assert {tuple(p) for p in both} == {tuple(p) for p in small_scene.points.points}
@@ -77,18 +77,20 @@ def test_pixels_that_were_not_measured_do_not_count(small_scene):
 
 def test_a_prior_from_points_is_judged_by_the_others(small_scene):
     scene, prior = without_truth(small_scene), config("prior=sfm_points").prior
-    honest = judge(prior, scene, None)
+    honest = measure_prior(prior, scene, None)
     assert honest.kind == "disparity" and len(honest.views) == 8
     prior.made_from = "files"  # then it is given the points that it is judged by
-    assert judge(prior, scene, None).mean.abs_rel < honest.mean.abs_rel
-    against_truth = judge(config("prior=sfm_points").prior, small_scene, None)
+    assert measure_prior(prior, scene, None).mean.abs_rel < honest.mean.abs_rel
+    against_truth = measure_prior(config("prior=sfm_points").prior, small_scene, None)
     assert honest.mean.rank == pytest.approx(against_truth.mean.rank, abs=0.1)
 
 
 def test_a_prior_that_is_not_available_says_why(small_scene):
     bare = replace(without_truth(small_scene), points=None)
-    assert judge(config("prior=synthetic").prior, bare, None).reason.startswith(
+    assert measure_prior(config("prior=synthetic").prior, bare, None).reason.startswith(
         "view view001 of orbit has no true depth"
     )
-    assert "has no sparse points" in judge(config("prior=sfm_points").prior, bare, None).reason
-    assert judge(config("prior=onnx").prior, bare, None).reason == "prior=onnx is not available: it has no network"
+    assert "has no sparse points" in measure_prior(config("prior=sfm_points").prior, bare, None).reason
+    assert (
+        measure_prior(config("prior=onnx").prior, bare, None).reason == "prior=onnx is not available: it has no network"
+    )

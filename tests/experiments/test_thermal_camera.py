@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.show import as_text
+from tdgbench.experiments.show import format_columns
 from tdgbench.experiments.thermal_camera import SHOWN, ThermalCameraExperiment, summary
 from tdgbench.priors import PriorUnavailableError
 from tests.helpers.configs import config
@@ -167,7 +167,7 @@ def test_rows_stand_in_the_order_of_the_cells():
 
 
 def test_numbers_that_are_missing_are_shown_as_such():
-    shown = as_text(summary(cells(seeds=(0,)), "clean", "ideal"), SHOWN)
+    shown = format_columns(summary(cells(seeds=(0,)), "clean", "ideal"), SHOWN)
     assert shown["right half"].tolist() == ["n/a"] * 4 and shown["±"].tolist() == ["n/a"] * 4
     assert shown["recovered"].tolist() == ["n/a"] * 3 + ["80%"]
 

@@ -11,8 +11,8 @@ import pytest
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import open_cells
 from tdgbench.view.facts import readout
-from tdgbench.view.poses import Pose, camera_of
-from tdgbench.view.renderer import Frame, Look, Renderer
+from tdgbench.view.poses import ViserPose, camera_of
+from tdgbench.view.renderer import Look, RenderedLook, Renderer
 from tests.helpers.browser import CHROMIUM, Page, opened
 from tests.helpers.waiting import waited
 
@@ -32,21 +32,21 @@ class Open(NamedTuple):
     server: object
     renderer: Renderer
 
-    def expected(self, **look) -> Frame:
+    def expected(self, **look) -> RenderedLook:
         """What the page should show, from the camera that viser reports."""
         return self.renderer.render(Look("tdg", beside="msmg", **look), self.camera())
 
     def camera(self) -> Camera:
         """That of the page, over the pixels of its canvas."""
         (client,) = self.server.get_clients().values()
-        pose = Pose(client.camera.wxyz, client.camera.position, client.camera.fov)
+        pose = ViserPose(client.camera.wxyz, client.camera.position, client.camera.fov)
         return camera_of(pose, *self.page.run(SIZE))
 
     def position(self) -> np.ndarray:
         (client,) = self.server.get_clients().values()
         return client.camera.position
 
-    def is_shown(self, frame: Frame) -> bool:
+    def is_shown(self, frame: RenderedLook) -> bool:
         """Whether the page shows a frame; cameras and messages cover some of it."""
         height, width = frame.picture.shape[:2]
         shown = self.page.screenshot()[:height, :width].astype(int)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera
-from tdgbench.view.poses import Pose, camera_of, focus, pose_of, up_direction
+from tdgbench.view.poses import ViserPose, camera_of, focus, pose_of, up_direction
 
 
 def test_a_camera_survives_the_way_to_a_pose_and_back(small_scene):
@@ -21,7 +21,7 @@ def test_poses_are_those_of_viser():
     """The same rotation, in viser's own terms: R of `P_world = [R | t] p_camera`."""
     transforms = pytest.importorskip("viser.transforms")
     wxyz, position = np.array([0.5, 0.1, -0.7, 0.5]) / np.linalg.norm([0.5, 0.1, -0.7, 0.5]), np.array([1.0, 2, 3])
-    to_world = np.linalg.inv(camera_of(Pose(wxyz, position, 1.0), 64, 48).world_to_camera)
+    to_world = np.linalg.inv(camera_of(ViserPose(wxyz, position, 1.0), 64, 48).world_to_camera)
     pose = transforms.SE3.from_rotation_and_translation(transforms.SO3(wxyz), position)
     assert np.allclose(to_world, pose.as_matrix())
 

@@ -163,6 +163,6 @@ def test_names_from_records_are_text(client, cells, monkeypatch):
     from tdgbench.view import facts
 
     monkeypatch.setattr(cells["tdg"].record, "notes", [])
-    content = facts.numbers({"<b>tdg": cells["tdg"]})
+    content = facts.numbers_table({"<b>tdg": cells["tdg"]})
     assert "&lt;b&gt;tdg" in content and "<b>" not in content
     assert f"{cells['tdg'].record.scores['psnr']:.2f}" in content and "PSNR, dB" in content

@@ -55,7 +55,7 @@ class Untrusted(NamedTuple):
 
 
 def edge_offset(pairs: Sequence[ViewPair]) -> Offset | Untrusted:
-    """Offset between thermal and RGB edges over views of one scene, or why it cannot be told.
+    """Return the offset between thermal and RGB edges over views of one scene, or why it is not known.
 
     All images have one size. An offset is trusted if the peak stands out of the correlations at other shifts, lies
     inside the searched range, and hardly moves when views are resampled.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.data.check.report import as_json, print_table
+from tdgbench.data.check.report import checks_as_json, print_table
 from tdgbench.data.check.scenes import check_scenes, find_place
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.splits import SPLITS
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"{arguments.root} does not exist", stderr=True)
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
     if arguments.json:
-        say(as_json(arguments.root, checks, place.is_paper))
+        say(checks_as_json(arguments.root, checks, place.is_paper))
     else:
         print_table(arguments.root, checks)
     return 0 if all(check.status == "ok" for check in checks) else 1

@@ -59,7 +59,7 @@ def _range(check: SceneCheck) -> str:
     return "n/a" if check.temperature is None else f"{check.temperature[0]:.1f} to {check.temperature[1]:.1f} °C"
 
 
-def as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
+def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
     """Return the check as JSON with stable keys, described in docs/data.md."""
     return json.dumps(
         {

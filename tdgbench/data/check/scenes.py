@@ -67,7 +67,7 @@ class SceneCheck:
 
 @dataclass(frozen=True)
 class Place:
-    """Scenes that are looked for. root: data.root. names: all that should be there. is_paper: whether the paper's."""
+    """Scenes to look for. root: data.root. names: all that should be there. is_paper: whether the paper's."""
 
     root: Path
     dataset: Dataset
@@ -76,7 +76,7 @@ class Place:
 
 
 def find_place(root: Path, split: str) -> Place:
-    """Which scenes should be in a folder.
+    """Find out which scenes should be in a folder.
 
     The paper's, if it holds a folder of one of their data sets, or is one; else those that it holds or is, in whatever
     layout. Of an empty folder or none, the paper's, all of which are missing.
@@ -85,8 +85,8 @@ def find_place(root: Path, split: str) -> Place:
     titles = {title.lower(): key for key, title in registry.DATASETS.items()}
     key = titles.get(root.resolve().name.lower())
     if key is not None and is_folder(root):
-        one = RegisteredDataset(str(root.resolve().parent), options, key)  # type: ignore[arg-type]
-        return Place(root.parent, one, one.names(), is_paper=True)
+        dataset = RegisteredDataset(str(root.resolve().parent), options, key)  # type: ignore[arg-type]
+        return Place(root.parent, dataset, dataset.names(), is_paper=True)
     paper = RegisteredDataset(str(root), options)
     if not is_folder(root) or any(path.name.lower() in titles and is_folder(path) for path in listed(root)):
         return Place(root, paper, paper.names(), is_paper=True)
@@ -178,7 +178,7 @@ def _read_rgb(scene: Scene, check: SceneCheck) -> None:
 
 
 def _rgb_of(view: View) -> np.ndarray:
-    """The RGB image of a view, which the view does not keep."""
+    """Read the RGB image of a view, which the view does not keep."""
     assert view.load_rgb is not None
     return view.load_rgb()
 
@@ -193,7 +193,7 @@ def _as_problem(check: SceneCheck) -> Iterator[None]:
 
 
 def _broken_images(dataset: Dataset, name: str, said: str) -> Iterator[str]:
-    """Images of a scene that cannot be read, besides those already said: loading ends at the first one."""
+    """Yield the images of a scene that cannot be read, besides those already said: loading ends at the first one."""
     folder = _folder_of(dataset, name)
     for sub in ("thermal", "warped_thermal", "rgb", "images", "masks"):
         try:
@@ -210,7 +210,7 @@ def _broken_images(dataset: Dataset, name: str, said: str) -> Iterator[str]:
 
 
 def _folder_of(dataset: Dataset, name: str) -> Path | None:
-    """Folder of a scene that cannot be loaded."""
+    """Return the folder of a scene that cannot be loaded."""
     root = getattr(dataset, "root", None)
     if not isinstance(root, Path):
         return None

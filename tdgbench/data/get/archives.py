@@ -51,8 +51,8 @@ class File(NamedTuple):
     content: IO[bytes]
 
 
-def files_of(path: Path) -> Iterator[File]:
-    """Files of an archive in its order, hidden ones and file managers' left out.
+def archive_files(path: Path) -> Iterator[File]:
+    """Return files of an archive in its order, hidden ones and file managers' left out.
 
     Its content decides what it is, not its name. Raises BadFileError for links, devices and
     encrypted members, for names that lead elsewhere, and for more than 100 times its bytes, as soon as it declares
@@ -91,7 +91,7 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def safe_path(name: str) -> PurePosixPath:
-    """The path of a member of an archive or listing below its top. Raises ValueError that says what is wrong with it.
+    """Return the path of a member of an archive or listing below its top. Raises ValueError, with the reason.
 
     >>> safe_path("./lion/rgb/1.jpg")
     PurePosixPath('lion/rgb/1.jpg')
@@ -109,7 +109,7 @@ def safe_path(name: str) -> PurePosixPath:
 
 
 def stem(name: str) -> str | None:
-    """Name of an archive without its suffix; None if it is not that of an archive which can be unpacked here.
+    """Return name of an archive without its suffix; None if it is not that of an archive which can be unpacked here.
 
     >>> stem("Lion.ZIP"), stem("lion.tar.gz"), stem("lion.7z")
     ('Lion', 'lion', None)
@@ -119,7 +119,7 @@ def stem(name: str) -> str | None:
 
 
 def is_junk(path: PurePosixPath) -> bool:
-    """Whether a file is hidden or a file manager's.
+    """Return whether a file is hidden or a file manager's.
 
     >>> is_junk(PurePosixPath("__MACOSX/lion/._1.jpg")), is_junk(PurePosixPath("lion/1.jpg"))
     (True, False)

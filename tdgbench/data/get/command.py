@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.data.get.fetch import Job, fetch
+from tdgbench.data.get.fetch import Download, fetch
 from tdgbench.data.get.listing import ZENODO
 from tdgbench.data.get.scenes import found_scenes
 from tdgbench.data.get.sources import SOURCES, GetError
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     source = SOURCES[arguments.dataset]
     folder = arguments.root / source.folder
-    job = Job(source, folder, tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
+    job = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
     say(f"{source.folder} ({source.paper}): {source.page}")
     try:
         if not arguments.list:
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def show_listing(job: Job) -> None:
+def show_listing(job: Download) -> None:
     """Show each download of a data set: its size, and whether it is there."""
     packages, others = job.listing()
     there = found_scenes(job.source, job.folder)

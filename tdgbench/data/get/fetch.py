@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 import gdown
 
 from tdgbench.bench.lock import file_lock
-from tdgbench.data.get.archives import File, files_of, readable, stem
+from tdgbench.data.get.archives import File, archive_files, readable, stem
 from tdgbench.data.get.listing import (
     AGENT,
     FAILURES,
@@ -28,8 +28,8 @@ from tdgbench.data.get.listing import (
     reason_of,
     sort_out,
 )
-from tdgbench.data.get.scenes import Found, SceneRecord, by_scene, found_scenes
-from tdgbench.data.get.sources import BadFileError, GetError, Source
+from tdgbench.data.get.scenes import FoundScene, SceneRecord, by_scene, found_scenes
+from tdgbench.data.get.sources import BadFileError, GetError, PublishedDataset
 from tdgbench.data.progress import Count, amount, step
 from tdgbench.files import whole_folder
 from tdgbench.terminal import say
@@ -49,13 +49,13 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Job:
+class Download:
     """The download of one data set into `folder`.
 
     scenes: names; empty: all. force: fetch and replace what is there. keep: keep archives. zenodo: address of Zenodo.
     """
 
-    source: Source
+    source: PublishedDataset
     folder: Path
     scenes: tuple[str, ...] = ()
     force: bool = False
@@ -67,17 +67,17 @@ class Job:
         return self.folder / DOWNLOADS
 
     def target(self, path: PurePosixPath) -> Path:
-        """Where a published file is downloaded to."""
+        """Return where a published file is downloaded to."""
         return self.downloads / path
 
     def listing(self) -> Listing:
-        """What is published, without scenes that were not asked for. Raises GetError."""
+        """Return what is published, without scenes that were not asked for. Raises GetError."""
         packages, others = sort_out(self.source, list_files(self.source, self.zenodo))
         return Listing(chosen(self.source, packages, self.scenes), others)
 
-    def state(self, package: Package, there: Mapping[str, Found]) -> State:
-        """Whether a package is among the scenes that are there; with `force`, it never is."""
-        made = [one.record for one in there.values() if one.is_made_of(package.identities) and one.record]
+    def state(self, package: Package, there: Mapping[str, FoundScene]) -> State:
+        """Return whether a package is among the scenes that are there; with `force`, it never is."""
+        made = [found.record for found in there.values() if found.is_made_of(package.identities) and found.record]
         if self.force or (made and not all(scene in there for scene in made[0].scenes)):
             return State.MISSING
         if made:
@@ -85,8 +85,8 @@ class Job:
         return State.LEFT if package.scene in there else State.MISSING
 
 
-def fetch(job: Job) -> bool:
-    """Fetch a data set and say what was done; whether all that is published is there at the end.
+def fetch(job: Download) -> bool:
+    """Fetch a data set and say what was done; return whether all that is published is there at the end.
 
     Raises GetError and OSError for what stops the whole download; a file that cannot be used does not. What was
     downloaded is kept then, and the same call goes on from it. An interruption has a note that says so.
@@ -106,13 +106,13 @@ def fetch(job: Job) -> bool:
             raise
 
 
-def _kept(job: Job) -> str:
-    """What an unfinished download leaves on disk."""
+def _kept(job: Download) -> str:
+    """Return what an unfinished download leaves on disk."""
     size = sum(path.stat().st_size for path in job.downloads.rglob("*") if path.is_file())
     return f"{job.downloads} keeps {amount(size)} of downloads; the same command goes on from there"
 
 
-def _fetch(job: Job, found: Listing) -> bool:
+def _fetch(job: Download, found: Listing) -> bool:
     there = found_scenes(job.source, job.folder)
     states = {package: job.state(package, there) for package in found.packages}
     missing = [package for package, state in states.items() if state is State.MISSING]
@@ -129,14 +129,14 @@ def _fetch(job: Job, found: Listing) -> bool:
             say(one_line(str(error)), "problem:", stderr=True)
             problems += 1
     before = [package.identities for package, state in states.items() if state is State.THERE]
-    whole = sum(any(map(one.is_made_of, before)) for one in there.values())
+    whole = sum(any(map(found.is_made_of, before)) for found in there.values())
     end = _count(problems, "problem") if problems else f"{_count(whole, 'scene')} already there"
     _say(f"{job.folder}: {_count(fetched, 'scene')} fetched, {end}")
     return not problems
 
 
-def _fetch_package(job: Job, package: Package) -> int:
-    """Download a package and put its scenes into their places; the number of scenes."""
+def _fetch_package(job: Download, package: Package) -> int:
+    """Download a package and put its scenes into their places; return the number of scenes."""
     if job.force:
         _remove(job, package)
     is_archive = package.root is None
@@ -178,7 +178,7 @@ def download(file: RemoteFile, target: Path, report: Count) -> None:
 
 
 def partial_files(target: Path) -> list[Path]:
-    """What gdown keeps of an unfinished download."""
+    """Return what gdown keeps of an unfinished download."""
     return list(target.parent.glob(f"{glob.escape(target.name)}????????.part"))
 
 
@@ -196,7 +196,7 @@ def _fetch_file(file: RemoteFile, target: Path, report: Count) -> None:
         ) from error
 
 
-def _put_in_place(job: Job, package: Package) -> tuple[int, list[Path]]:
+def _put_in_place(job: Download, package: Package) -> tuple[int, list[Path]]:
     """Unpack a package and put scenes that are not there yet into their places, or all with `force`.
 
     Returns their number, and folders of scenes of other origin that were left as they are. Raises BadFileError if an
@@ -226,8 +226,8 @@ def _put_in_place(job: Job, package: Package) -> tuple[int, list[Path]]:
     return len(free), [found.folder for found in others if not found.is_made_of(package.identities)]
 
 
-def _unpack(job: Job, package: Package, folder: Path) -> list[PurePosixPath]:
-    """Copy the files of a package into a folder; their paths in it."""
+def _unpack(job: Download, package: Package, folder: Path) -> list[PurePosixPath]:
+    """Copy the files of a package into a folder; return their paths in it."""
     paths = []
     with readable(job.target(package.files[0].path)):
         for file in _files(job, package):
@@ -241,10 +241,10 @@ def _unpack(job: Job, package: Package, folder: Path) -> list[PurePosixPath]:
     return paths
 
 
-def _files(job: Job, package: Package) -> Iterator[File]:
-    """Files of a package that is downloaded."""
+def _files(job: Download, package: Package) -> Iterator[File]:
+    """Yield the files of a package that is downloaded."""
     if package.root is None:
-        yield from files_of(job.target(package.files[0].path))
+        yield from archive_files(job.target(package.files[0].path))
         return
     for file in package.files:
         path = job.target(file.path)
@@ -252,7 +252,7 @@ def _files(job: Job, package: Package) -> Iterator[File]:
             yield File(file.path, path.stat().st_size, content)
 
 
-def _remove(job: Job, package: Package) -> None:
+def _remove(job: Download, package: Package) -> None:
     """Remove what was downloaded of a package."""
     for file in package.files:
         for path in (job.target(file.path), *partial_files(job.target(file.path))):

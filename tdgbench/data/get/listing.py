@@ -16,7 +16,7 @@ from urllib3 import Retry
 from tdgbench import __version__
 from tdgbench.data.get.archives import is_junk, safe_path, stem
 from tdgbench.data.get.scenes import by_scene, scene_of_archive
-from tdgbench.data.get.sources import GetError, Source
+from tdgbench.data.get.sources import GetError, PublishedDataset
 from tdgbench.text import shortened
 
 ZENODO = "https://zenodo.org"
@@ -87,8 +87,8 @@ class _ZenodoRecord(BaseModel):
     files: list[_Entry]
 
 
-def list_files(source: Source, zenodo: str = ZENODO) -> list[RemoteFile]:
-    """The published files of a data set. Raises GetError.
+def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFile]:
+    """Return the published files of a data set. Raises GetError.
 
     zenodo: address of Zenodo, or of a mirror that speaks its API.
     """
@@ -105,7 +105,7 @@ def list_files(source: Source, zenodo: str = ZENODO) -> list[RemoteFile]:
     return files
 
 
-def sort_out(source: Source, files: Iterable[RemoteFile]) -> Listing:
+def sort_out(source: PublishedDataset, files: Iterable[RemoteFile]) -> Listing:
     """Group published files. Files inside the folder of a scene belong to it, archives too. Raises GetError."""
     files = [file for file in files if not is_junk(file.path)]
     scenes = by_scene(source, [file.path for file in files], source.folder, f"the published folder {source.folder}")
@@ -121,8 +121,8 @@ def sort_out(source: Source, files: Iterable[RemoteFile]) -> Listing:
     return Listing(packages, [file.path for file in rest if stem(file.path.name) is None])
 
 
-def chosen(source: Source, packages: list[Package], scenes: Iterable[str]) -> list[Package]:
-    """Packages of some scenes; all if none is named. Raises GetError for a scene that no package is of."""
+def chosen(source: PublishedDataset, packages: list[Package], scenes: Iterable[str]) -> list[Package]:
+    """Return packages of some scenes; all if none is named. Raises GetError for a scene that no package is of."""
     names = [source.scene(scene) for scene in scenes]
     there = {package.scene.lower() for package in packages if package.scene}
     unknown = [name for name in names if name.lower() not in there]
@@ -137,7 +137,7 @@ def chosen(source: Source, packages: list[Package], scenes: Iterable[str]) -> li
 
 
 def reason_of(error: BaseException) -> str:
-    """Why a request failed: the system's words where there are any, else the library's, in one line."""
+    """Say why a request failed: the system's words where there are any, else the library's, in one line."""
     inner: BaseException | None = error
     while inner is not None:
         if isinstance(inner, OSError) and not isinstance(inner, requests.RequestException) and inner.strerror:
@@ -146,8 +146,8 @@ def reason_of(error: BaseException) -> str:
     return shortened(" ".join(str(error).split()), LONGEST_REASON)
 
 
-def _zenodo_files(source: Source, address: str) -> list[RemoteFile]:
-    """Files of a record, as Zenodo's API gives them: `files[].key`, `.size`, `.checksum` and `.links.self`."""
+def _zenodo_files(source: PublishedDataset, address: str) -> list[RemoteFile]:
+    """Return files of a record, as Zenodo's API gives them: `files[].key`, `.size`, `.checksum` and `.links.self`."""
     with requests.Session() as session:
         for protocol in ("http://", "https://"):
             session.mount(protocol, HTTPAdapter(max_retries=RETRIES))
@@ -155,11 +155,11 @@ def _zenodo_files(source: Source, address: str) -> list[RemoteFile]:
         answer = session.get(url, headers={"User-Agent": AGENT}, timeout=TIMEOUT)
         answer.raise_for_status()
     entries = _ZenodoRecord.model_validate_json(answer.content).files
-    return [RemoteFile(_checked(one.key), one.links["self"], one.size, one.checksum) for one in entries]
+    return [RemoteFile(_checked(entry.key), entry.links["self"], entry.size, entry.checksum) for entry in entries]
 
 
-def _drive_files(source: Source) -> list[RemoteFile]:
-    """Files of a folder and its subfolders. Google publishes neither sizes nor sums to a program without an account.
+def _drive_files(source: PublishedDataset) -> list[RemoteFile]:
+    """Return files of a folder and its subfolders. Google gives neither sizes nor sums to a program without an account.
 
     gdown ≥ 6 lists any number of files; before, a folder's list ended after 50 without a word (its pull request 453).
     """
@@ -167,10 +167,10 @@ def _drive_files(source: Source) -> list[RemoteFile]:
         id=source.identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
     )
     files = []
-    for one in found:
-        assert not isinstance(one, str)  # with skip_download, gdown gives (id, path, local_path)
-        address = f"https://drive.google.com/uc?id={one.id}"
-        files.append(RemoteFile(_checked(Path(one.path).as_posix()), address, None, f"drive:{one.id}"))
+    for file in found:
+        assert not isinstance(file, str)  # with skip_download, gdown gives (id, path, local_path)
+        address = f"https://drive.google.com/uc?id={file.id}"
+        files.append(RemoteFile(_checked(Path(file.path).as_posix()), address, None, f"drive:{file.id}"))
     return files
 
 

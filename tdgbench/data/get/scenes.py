@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from tdgbench.data.get.sources import BadFileError, GetError, Source
+from tdgbench.data.get.sources import BadFileError, GetError, PublishedDataset
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import check_scene_name, is_folder, is_hidden, is_there, listed, read_bytes
 
@@ -40,7 +40,7 @@ class SceneRecord:
         (scene / FILE).write_text(text + "\n", encoding="utf-8")
 
 
-class Found(NamedTuple):
+class FoundScene(NamedTuple):
     """A scene that is there; its record is None if it was not fetched by this program."""
 
     folder: Path
@@ -64,16 +64,16 @@ def read_record(scene: Path) -> SceneRecord | None:
         ) from error
 
 
-def found_scenes(source: Source, folder: Path) -> dict[str, Found]:
+def found_scenes(source: PublishedDataset, folder: Path) -> dict[str, FoundScene]:
     """Scenes in the folder of a data set by name. Raises SceneError if two folders are the same scene."""
-    found: dict[str, Found] = {}
+    found: dict[str, FoundScene] = {}
     for path in listed(folder) if is_folder(folder) else []:
         if is_hidden(path.name) or not is_folder(path):
             continue
         scene = source.scene(path.name)
         if scene in found:
             raise GetError(f"{found[scene].folder} and {path} are both the scene {scene}; keep one of them")
-        found[scene] = Found(path, read_record(path))
+        found[scene] = FoundScene(path, read_record(path))
     return found
 
 
@@ -87,7 +87,9 @@ def scene_folders(paths: Iterable[PurePosixPath]) -> list[PurePosixPath]:
     return [root for root in found if not any(above in found for above in root.parents)]
 
 
-def by_scene(source: Source, paths: Iterable[PurePosixPath], default: str, where: str) -> dict[str, PurePosixPath]:
+def by_scene(
+    source: PublishedDataset, paths: Iterable[PurePosixPath], default: str, where: str
+) -> dict[str, PurePosixPath]:
     """Scenes among some files: the name of each, and its folder.
 
     default: name of a scene that lies at the top, without a folder. where: for messages. Raises BadFileError if two
@@ -106,7 +108,7 @@ def by_scene(source: Source, paths: Iterable[PurePosixPath], default: str, where
     return scenes
 
 
-def scene_of_archive(source: Source, stem: str) -> str | None:
+def scene_of_archive(source: PublishedDataset, stem: str) -> str | None:
     """The one scene that an archive is named after; None for an archive of the whole data set.
 
     >>> from tdgbench.data.get.sources import SOURCES

@@ -19,7 +19,7 @@ class BadFileError(GetError):
 
 
 @dataclass(frozen=True)
-class Source:
+class PublishedDataset:
     """A published data set.
 
     folder: of the data set in a data root. identifier: of a Zenodo record or of a Google Drive folder. authors: whom to
@@ -61,13 +61,13 @@ SOURCES = {
     source.dataset: source
     for source in (
         # mert-o/ThermalNeRFs, readme.md, d822bd1
-        Source("thermalmix", DATASETS["thermalmix"], "Özer et al. 2024", "Zenodo", "11065834",
+        PublishedDataset("thermalmix", DATASETS["thermalmix"], "Özer et al. 2024", "Zenodo", "11065834",
                "github.com/mert-o/ThermalNeRFs"),
         # chen-hangyu/Thermal-Gaussian-main, README.md, 050c291; issue 14 (November 2025): the folder is gone
-        Source("rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024", "Google Drive",
+        PublishedDataset("rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024", "Google Drive",
                "1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main"),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
-        Source("thermoscenes", "ThermoScenes", "Hassan et al. 2024", "Zenodo", "10835108",
+        PublishedDataset("thermoscenes", "ThermoScenes", "Hassan et al. 2024", "Zenodo", "10835108",
                "github.com/Schindler-EPFL-Lab/thermo-nerf"),
     )
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Read all files of a folder of camera files, and keep what they hold until the scene is written."""
+"""Read all files of a folder of camera files, and store what they hold until the scene is written."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Captured:
 
 
 def capture(folder: Path, work: Path, pairs: tuple[str, str] | None, counts: CountScale, report: Report) -> Captured:
-    """Read all files, and keep their content in `work`.
+    """Read all files, and store their content in `work`.
 
     Files that cannot be read are reported. Raises SceneError if none can, and for sizes that differ.
     """
@@ -57,14 +57,14 @@ def capture(folder: Path, work: Path, pairs: tuple[str, str] | None, counts: Cou
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
             rgb = "inside" if files.rgb is None else str(files.rgb)
-            one = FileReport(str(files.thermal), rgb, files.view, "written")
-            report.files.append(one)
+            entry = FileReport(str(files.thermal), rgb, files.view, "written")
+            report.files.append(entry)
             try:
                 content = extract(files, scale)
             except SceneError as error:
-                one.status, one.reason = "not read", str(error)
+                entry.status, entry.reason = "not read", str(error)
             else:
-                _keep(captured, files, content, index)
+                _store(captured, files, content, index)
                 kinds.setdefault((*content.sizes, content.is_celsius, files.rgb is None), []).append(files.view)
                 settings[content.settings] = settings.get(content.settings, 0) + 1
             count(index + 1)
@@ -79,16 +79,16 @@ def capture(folder: Path, work: Path, pairs: tuple[str, str] | None, counts: Cou
 
 
 def too_few(folder: Path, count: int, report: Report) -> SceneError:
-    """The error of a folder with too few views for a scene."""
-    reasons = "; ".join(one.reason for one in report.files if one.reason)[:400]
+    """Return the error of a folder with too few views for a scene."""
+    reasons = "; ".join(file.reason for file in report.files if file.reason)[:400]
     return SceneError(
         f"{folder} holds {count} usable pictures; structure from motion needs 3, and a good scene 30 or more. "
         "Take more, or extract temperatures alone with --no-sfm" + (f" ({reasons})" if reasons else "")
     )
 
 
-def _keep(captured: Captured, files: ViewFiles, content: Extracted, index: int) -> None:
-    """Keep a view's images in the folder. COLMAP reads focal lengths from the EXIF data of JPEG files."""
+def _store(captured: Captured, files: ViewFiles, content: Extracted, index: int) -> None:
+    """Store a view's images in the folder. COLMAP reads focal lengths from the EXIF data of JPEG files."""
     is_jpeg = files.rgb is not None and files.rgb.suffix.lower() in (".jpg", ".jpeg")
     name = f"{index:06d}{'.jpg' if is_jpeg else '.png'}"  # without spaces, which lists of pairs cannot have
     if is_jpeg and files.rgb is not None:

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from tdgbench.data.prepare.extract import CountScale
-from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Prepare a scene and print its report. Exit status 0 if every file is in the scene, else 1."""
-    report = prepare(arguments.source, arguments.out, _options(arguments))
+    report = prepare_scene(arguments.source, arguments.out, _options(arguments))
     say(report.text().rstrip())
     if arguments.no_sfm:
         return 0 if report.is_complete else 1

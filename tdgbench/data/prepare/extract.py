@@ -17,7 +17,7 @@ from tdgbench.scenes.temperature import Radiometry
 
 @dataclass(frozen=True)
 class CountScale:
-    """Meaning of 16-bit counts: degC = counts × degC_per_count + degC_at_zero. None: they have none."""
+    """The meaning of 16-bit counts: degC = counts × degC_per_count + degC_at_zero. None: they have none."""
 
     degC_per_count: float | None = None
     degC_at_zero: float = 0.0
@@ -61,7 +61,7 @@ def extract(files: ViewFiles, scale: CountScale) -> Extracted:
 
 
 def _in_words(settings: dict[str, float]) -> str:
-    """What a FLIR file's temperatures were corrected with."""
+    """Say what a FLIR file's temperatures were corrected with."""
     return (
         f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
         f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
@@ -70,13 +70,13 @@ def _in_words(settings: dict[str, float]) -> str:
 
 
 def read_rgb(path: Path) -> np.ndarray:
-    """RGB image (H, W, 3) float32 in [0, 1]. Raises SceneError."""
+    """Read an RGB image (H, W, 3), float32 in [0, 1]. Raises SceneError."""
     image = read_image(path)
     return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
 
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:
-    """Whether temperatures can be read from a thermal file; else it shows values without a scale."""
+    """Return whether temperatures can be read from a thermal file; else it shows values without a scale."""
     if is_radiometric(regular_file(path)):
         return True
     with whole_image(path) as image:
@@ -84,7 +84,7 @@ def holds_celsius(path: Path, scale: CountScale) -> bool:
 
 
 def count_scale(given: CountScale, radiometry: Radiometry | None) -> CountScale:
-    """Scale of 16-bit counts: as given, else as the folder's temperature.json says."""
+    """Return the scale of 16-bit counts: as given, else as the folder's temperature.json says."""
     if given.degC_per_count is not None or radiometry is None:
         return given
     return CountScale(radiometry.degC_per_count, radiometry.degC_at_zero)

@@ -27,14 +27,14 @@ class Mapping:
     assumption: str
 
     def apply(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Thermal x and y of RGB positions of any shape, in px."""
+        """Return thermal x and y of RGB positions of any shape, in px."""
         points = np.einsum("ij,j...->i...", self.thermal_from_rgb, np.stack([x, y, np.ones_like(x)]))
         with np.errstate(divide="ignore", invalid="ignore"):
             return points[0] / points[2], points[1] / points[2]
 
 
 def same_view(rgb: Size, thermal: Size) -> Mapping:
-    """Both images show the same field of view. Raises SceneError if their aspect ratios differ.
+    """Return the mapping of images that show the same field of view. Raises SceneError if their aspect ratios differ.
 
     >>> same_view((640, 480), (320, 240)).thermal_from_rgb.diagonal()
     array([0.5, 0.5, 1. ])
@@ -51,7 +51,7 @@ def same_view(rgb: Size, thermal: Size) -> Mapping:
 
 
 def inside_photo(stated: PhotoMapping, rgb: Size, thermal: Size, by: str) -> Mapping:
-    """The thermal image covers 1 / ratio of the RGB image's width, with its centre off the RGB image's centre.
+    """Return the mapping of a thermal image that covers 1 / ratio of the RGB image's width, with its centre off.
 
     by: who states it. Raises SceneError for numbers that put it outside of the RGB image.
     """
@@ -71,7 +71,7 @@ def inside_photo(stated: PhotoMapping, rgb: Size, thermal: Size, by: str) -> Map
 
 
 def from_file(path: Path) -> Mapping:
-    """Homography from RGB to thermal pixels in a text file of 9 numbers, as OpenCV's findHomography gives it.
+    """Read a homography from RGB to thermal pixels, a text file of 9 numbers as OpenCV's findHomography gives it.
 
     Pixel centres are at integers there. Raises SceneError.
     """

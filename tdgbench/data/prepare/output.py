@@ -18,7 +18,7 @@ NARROWEST = 0.01  # °C, of a range
 
 
 class SceneWriter:
-    """Writes views one by one, then what concerns them all.
+    """A writer of views, one by one, then of what concerns them all.
 
     is_celsius: thermal images hold °C and are written as float TIFF; else values in [0, 1], as 16-bit gray or 8-bit
     colour PNG.
@@ -76,7 +76,7 @@ class SceneWriter:
 
 
 def _range_of(samples: np.ndarray) -> tuple[float, float]:
-    """Range of image values 0 and 1, in °C: robust, and never empty."""
+    """Return the range of image values 0 and 1, in °C: robust, and never empty."""
     try:
         span = robust_range([samples])
         return span.min, span.max

@@ -46,7 +46,7 @@ class PrepareOptions:
     sfm: SfmOptions | None = field(default_factory=SfmOptions)
 
 
-def prepare(folder: Path, out: Path, options: PrepareOptions) -> Report:
+def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
     """Write the scene `out` of the camera files in `folder`, whole or not at all; return the report, which it holds.
 
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.
@@ -94,7 +94,7 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
 
 
 def _choose_mapping(captured: Captured, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
-    """The mapping that the output is cropped by, and those of views for which the camera states others."""
+    """Return the mapping that the output is cropped by, and those of views for which the camera states others."""
     sizes = captured.rgb_size, captured.thermal_size
     if options.homography is not None:
         return from_file(options.homography), {}
@@ -116,11 +116,11 @@ def _note_structure(structure: Structure, captured: Captured, report: Report) ->
     report.models, report.error_px = structure.models, structure.error_px
     report.points = len(structure.points.points)
     report.camera = f"{structure.camera.model_name}, f = {structure.camera.mean_focal_length():.0f} px"
-    for one in report.files:
-        name = captured.names.get(one.view)
-        if one.status == "written" and name not in structure.poses:
-            one.status = "not registered"
-            one.reason = (
+    for file in report.files:
+        name = captured.names.get(file.view)
+        if file.status == "written" and name not in structure.poses:
+            file.status = "not registered"
+            file.reason = (
                 f"COLMAP finds no pose: {structure.features[str(name)]} features, {structure.matches[str(name)]} "
                 "verified matches with all other images"
             )
@@ -155,6 +155,6 @@ def _write_views(
 
 
 def _known_range(folder: Path, captured: Captured) -> tuple[float, float] | None:
-    """°C of the values of shown images, if the folder's temperature.json says."""
+    """Return °C of the values of shown images, if the folder's temperature.json says."""
     radiometry = None if captured.is_celsius else read_radiometry(folder / FILE)
     return None if radiometry is None else (radiometry.range.min, radiometry.range.max)

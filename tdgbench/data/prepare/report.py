@@ -11,7 +11,7 @@ Status = Literal["written", "not registered", "not read", "left out"]
 
 @dataclass
 class FileReport:
-    """What became of one file or pair of files. reason: empty if all is well."""
+    """The fate of one file or pair of files. reason: empty if all is well."""
 
     file: str
     rgb: str  # file of the RGB image; "inside" for the photo of a radiometric file
@@ -41,18 +41,18 @@ class Report:
     edge_offset: dict[str, float] | str | None = None  # of thermal edges from RGB edges; a string says why unknown
 
     def count(self, status: Status) -> int:
-        return sum(one.status == status for one in self.files)
+        return sum(file.status == status for file in self.files)
 
     @property
     def is_complete(self) -> bool:
-        """Whether every file became part of the scene."""
+        """True if every file became part of the scene."""
         return self.count("written") == len(self.files)
 
     def json(self) -> str:
         return json.dumps({**asdict(self), "complete": self.is_complete}, indent=1, ensure_ascii=False) + "\n"
 
     def text(self) -> str:
-        """The report in lines. Files without a problem are counted, others are listed."""
+        """Return the report in lines. Files without a problem are counted, others are listed."""
         lines = [f"{self.source} -> {self.out}", *self._facts(), "", "assumed:"]
         lines += [f"  {text}" for text in self.assumptions]
         lines += ["", f"{self.count('written')} of {len(self.files)} views are in the scene"]

@@ -39,15 +39,15 @@ class Grid:
         return self.rows.shape[1], self.rows.shape[0]
 
     def camera(self, world_to_camera: np.ndarray) -> Camera:
-        """Camera of an output view with a pose (4, 4)."""
+        """Return camera of an output view with a pose (4, 4)."""
         return Camera(self.K, world_to_camera, *self.size)
 
     def rgb(self, image: np.ndarray) -> np.ndarray:
-        """RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
+        """Return RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
         return _averaged(self.crop.apply(image).astype(np.float32), self.size)
 
     def thermal(self, image: np.ndarray, mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
-        """Thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
+        """Return thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
 
         Others, beyond the thermal image or beside an invalid pixel, take the value of the nearest measured one.
         """
@@ -61,7 +61,7 @@ class Grid:
 
 
 def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: int | None = None) -> Grid:
-    """Grid of the part of the undistorted RGB image that the thermal image covers.
+    """Return grid of the part of the undistorted RGB image that the thermal image covers.
 
     source: camera of the RGB images; where no model is known, `no_distortion`. thermal: size of the thermal images.
     width: of the output in px; by default one pixel of the output is one of the thermal image, but never finer than
@@ -94,13 +94,13 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: i
 
 
 def no_distortion(rgb: Size) -> pycolmap.Camera:
-    """A camera that leaves images as they are, where no model is known."""
+    """Return A camera that leaves images as they are, where no model is known."""
     width, height = rgb
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[width, width, width / 2, height / 2])
 
 
 def _averaged(image: np.ndarray, size: Size) -> np.ndarray:
-    """Image (h, w, C) at a smaller size. A box filter of whole pixels would move edges by up to half a pixel."""
+    """Return image (h, w, C) at a smaller size. A box filter of whole pixels would move edges by up to half a pixel."""
     if size == image.shape[1::-1]:
         return image
     planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
@@ -108,14 +108,14 @@ def _averaged(image: np.ndarray, size: Size) -> np.ndarray:
 
 
 def _thermal_positions(rgb_positions: tuple[np.ndarray, np.ndarray], mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns in the thermal image of rows and columns in the RGB image (pixel indices)."""
+    """Return rows and columns in the thermal image of rows and columns in the RGB image (pixel indices)."""
     rows, columns = rgb_positions
     x, y = mapping.apply(columns + 0.5, rows + 0.5)
     return y - 0.5, x - 0.5
 
 
 def _box(inside: np.ndarray) -> tuple[int, int, int, int]:
-    """Top, bottom, left and right of the box around the true pixels, without lines that are mostly false."""
+    """Return top, bottom, left and right of the box around the true pixels, without lines that are mostly false."""
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows):
         return 0, 0, 0, 0
@@ -131,7 +131,7 @@ def _box(inside: np.ndarray) -> tuple[int, int, int, int]:
 
 
 def _density(rows: np.ndarray, columns: np.ndarray) -> float:
-    """Thermal pixels per RGB pixel along a side, from their positions in the thermal image."""
+    """Return thermal pixels per RGB pixel along a side, from their positions in the thermal image."""
     (down_rows, right_rows), (down_columns, right_columns) = np.gradient(rows), np.gradient(columns)
     return float(np.sqrt(np.median(np.abs(right_columns * down_rows - right_rows * down_columns))))
 
@@ -144,7 +144,7 @@ def _cropped(camera: pycolmap.Camera, left: int, top: int, width: int, height: i
 
 
 def _bilinear(plane: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Values at positions; NaN more than half a pixel outside, and where a neighbour is NaN."""
+    """Return values at positions; NaN more than half a pixel outside, and where a neighbour is NaN."""
     height, width = plane.shape
     values = map_coordinates(plane.astype(np.float64), [rows, columns], order=1, mode="nearest")
     outside = (rows <= -0.5) | (rows >= height - 0.5) | (columns <= -0.5) | (columns >= width - 0.5)

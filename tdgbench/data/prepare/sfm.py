@@ -26,7 +26,7 @@ IMAGES_AT_A_TIME, PAIRS_AT_A_TIME = 4, 64  # between two steps of the progress
 
 @dataclass(frozen=True)
 class SfmOptions:
-    """How COLMAP is run. One camera is shared by all images. threads: None for all processors."""
+    """Options of COLMAP. One camera is shared by all images. threads: None for all processors."""
 
     matching: Literal["exhaustive", "sequential"] = "exhaustive"
     camera_model: CameraModel = "SIMPLE_RADIAL"
@@ -106,7 +106,7 @@ def _match(database: Path, list_path: Path, names: list[str], options: SfmOption
 
 
 def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
-    """Pairs of images to match: all of them, or each with its next neighbours by name, and those 2, 4, 8 … away.
+    """Yield pairs of images to match: all of them, or each with its next neighbours by name, and those 2, 4, 8 … away.
 
     >>> list(image_pairs(["a", "b", "c"], "exhaustive"))
     [('a', 'b'), ('a', 'c'), ('b', 'c')]
@@ -139,7 +139,7 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
 
 
 def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:
-    """Keypoints, and verified matches with all other images, by image file."""
+    """Return keypoints, and verified matches with all other images, by image file."""
     features: Counter[str] = Counter()
     matches: Counter[str] = Counter()
     with pycolmap.Database.open(database) as stored:

@@ -54,7 +54,7 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
 
 
 def _matching(folder: Path, pattern: str) -> dict[str, Path]:
-    """Files by view name: what the pattern's `*` stands for."""
+    """Return files by view name: what the pattern's `*` stands for."""
     before, star, after = pattern.partition("*")
     if not star or "*" in after or Path(pattern).is_absolute() or ".." in Path(pattern).parts:
         raise SceneError(f"--pairs: {pattern!r} must be a path below {folder} with one * for the view's name")

@@ -19,7 +19,7 @@ from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by, milestones
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.preparation import prepare_prior
-from tdgbench.experiments.show import show
+from tdgbench.experiments.show import show_table
 from tdgbench.files import write_text
 from tdgbench.scenes import Scene
 from tdgbench.scoring import Scorer, mean_scores
@@ -180,11 +180,11 @@ def _compare(curves: pd.DataFrame, labels: list[str], folder: Path, is_chain: bo
     savings = faster_by(curves, labels[0], labels[1:])
     _write(milestones(curves), folder / "milestones.csv")
     _write(savings, folder / "faster.csv")
-    show(savings, console(), f"time saved against {labels[0]}")
+    show_table(savings, console(), f"time saved against {labels[0]}")
     if is_chain:
         contributions = attribution(curves, labels)
         _write(contributions, folder / "attribution.csv")
-        show(contributions, console(), f"contribution of each step after {labels[0]} to the speed-up")
+        show_table(contributions, console(), f"contribution of each step after {labels[0]} to the speed-up")
     draw_curves(curves, folder / "curves.png")
 
 

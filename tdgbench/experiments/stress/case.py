@@ -44,7 +44,7 @@ class Close:
     gradients: float = GRADIENT_TOLERANCE
 
     def share(self, observed: Observed) -> float:
-        """The larger error, relative to its limit; NaN if either error is NaN."""
+        """Return the larger error, relative to its limit; NaN if either error is NaN."""
         shares = (observed.numbers["image"] / self.image, observed.numbers["gradients"] / self.gradients)
         return math.nan if any(map(math.isnan, shares)) else max(shares)
 

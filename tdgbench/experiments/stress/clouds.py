@@ -17,7 +17,7 @@ Change = Callable[[Tensor], Tensor]
 
 
 def cases() -> list[Case]:
-    """Every case of the families `geometry` and `appearance`."""
+    """Return every case of the families `geometry` and `appearance`."""
     return [
         *(Case("geometry", name, Close(), _compare(make)) for name, make in _geometry()),
         Case("geometry", "a million Gaussians", Close(), _million),
@@ -33,7 +33,7 @@ def cases() -> list[Case]:
 
 
 def compared(scene: Cloud, backend: str, seed: int = 0) -> Observed:
-    """Errors of values and gradients, see `Errors`, and the share of pixels that a rounding error could flip."""
+    """Return the errors of values and gradients, see `Errors`, and the share of pixels that rounding could flip."""
     want = expected(scene, backend, seed)
     errors = want.errors(render(scene, backend, want.weights))
     excluded = want.undecided.double().mean().item()
@@ -44,7 +44,7 @@ def changed(
     seed: int = 0, count: int = 60, *, size: tuple[int, int] = (40, 30), degree: int | None = None,
     at_origin: bool = False, near_plane: float | None = None, **changes: Change,
 ) -> Make:  # fmt: skip
-    """A function that makes a random cloud with changed tensors, by the names of its fields.
+    """Return a function that makes a random cloud with changed tensors, by the names of its fields.
 
     at_origin: the camera stands at the origin and looks along z.
     """
@@ -63,17 +63,17 @@ def changed(
 
 
 def times(factor: float) -> Change:
-    """A change: every value times a factor."""
+    """Return a change: every value times a factor."""
     return lambda values: values * factor
 
 
 def filled(*values: float) -> Change:
-    """A change: the same value, or row of values, for all Gaussians."""
+    """Return a change: the same value, or row of values, for all Gaussians."""
     return lambda old: torch.tensor(values if len(values) > 1 else values[0]).expand_as(old).clone()
 
 
 def moved(axis: int, value: float, count: int | None = None) -> Change:
-    """A change of positions: the first `count` Gaussians are moved to a coordinate along an axis."""
+    """Return a change of positions: the first `count` Gaussians are moved to a coordinate along an axis."""
 
     def change(means: Tensor) -> Tensor:
         means[:count, axis] = value
@@ -83,7 +83,7 @@ def moved(axis: int, value: float, count: int | None = None) -> Change:
 
 
 def stacked(nearest: float, farthest: float) -> Change:
-    """A change of positions: layers one behind the other on the z axis."""
+    """Return a change of positions: layers one behind the other on the z axis."""
     return lambda means: torch.stack([torch.zeros(len(means))] * 2 + [torch.linspace(nearest, farthest, len(means))], 1)
 
 
@@ -155,7 +155,7 @@ def _scaled(scale: float) -> Make:
 
 
 def _around_the_near_plane(means: Tensor) -> Tensor:
-    """Depths on both sides of the near plane, 0.2, some of them very close to it."""
+    """Set depths on both sides of the near plane, 0.2, some of them very close to it."""
     steps = torch.tensor([-1e-2, -1e-4, 1e-6, 1e-4, 1e-2])
     means[:, 2] = 0.2 + steps.repeat(len(means) // len(steps))
     means[:, :2] *= 0.1
@@ -163,7 +163,7 @@ def _around_the_near_plane(means: Tensor) -> Tensor:
 
 
 def _offset(offset: float) -> Make:
-    """Cloud and camera far from the origin; the camera's rotation is exact in float32."""
+    """Put cloud and camera far from the origin; the camera's rotation is exact in float32."""
     shift = torch.tensor([offset, -offset / 2, offset / 4])
     rotation = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     viewmat = torch.eye(4)

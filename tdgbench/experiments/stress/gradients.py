@@ -24,7 +24,7 @@ DEGREES = (None, 0, 1, 2, 3)
 
 
 def cases() -> list[Case]:
-    """Every case of this family."""
+    """Return every case of this family."""
     parameters = [(name, None) for name in NAMES] + [("means", 3), ("colors", 3)]
     return [
         *(
@@ -36,7 +36,7 @@ def cases() -> list[Case]:
 
 
 def _differences(name: str, degree: int | None) -> Callable[[str], Observed]:
-    """Central differences of the float64 reference in every element of one parameter."""
+    """Compare with central differences of the float64 reference in every element of one parameter."""
 
     def run(backend: str) -> Observed:
         scene = cloud(4, seed=30, width=9, height=7, degree=degree)

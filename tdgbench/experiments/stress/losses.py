@@ -31,7 +31,7 @@ Loss = Callable[[Tensor], Tensor]
 
 
 def cases() -> list[Case]:
-    """Every case of this family. They run once: losses do not depend on the backend."""
+    """Return every case of this family. They run once: losses do not depend on the backend."""
     return [
         *(Case(FAMILY, name, CLOSE, _fused_against_torch(loss, at), False) for name, loss, at in _losses()),
         *(Case(FAMILY, name, expected, _acted(act), False) for name, expected, act in _inputs()),
@@ -39,7 +39,7 @@ def cases() -> list[Case]:
 
 
 def _losses() -> list[tuple[str, Loss, Tensor]]:
-    """Name, loss, and the tensor at which its value and gradient are compared."""
+    """Return name, loss, and the tensor at which its value and gradient are compared."""
     black, white, noise = torch.zeros(*SIZE, 1), torch.ones(*SIZE, 1), _noise(0)
     depth = _noise(1)[..., 0] * 5 + 1
     clear, other = torch.zeros(*SIZE), _noise(2)[..., 0] * 5 + 1
@@ -72,7 +72,7 @@ def _losses() -> list[tuple[str, Loss, Tensor]]:
 
 
 def _inputs() -> list[tuple[str, Raises, Callable[[], object]]]:
-    """Name, expected error, and action of each case."""
+    """Return name, expected error, and action of each case."""
     none, no_range = Raises("SceneError", "holds no temperature"), json.dumps({"min": 20, "max": 20}).encode()
     return [
         ("a thermal image of NaN", none, lambda: _read(read_celsius, _tiff(math.nan))),

@@ -57,7 +57,7 @@ class Stress(Experiment):
         folder = Path(cfg.results) / cfg.name
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "stress.csv", table.to_csv(index=False, lineterminator="\n"))
-        draw(table, folder / "stress.png")
+        draw_errors(table, folder / "stress.png")
         surprises = int((~table["passed"]).sum())
         cases = len(table[["family", "case"]].drop_duplicates())
         backends = ", ".join(dict.fromkeys(table["backend"]))
@@ -68,17 +68,17 @@ class Stress(Experiment):
 
 
 def all_cases(cfg: DictConfig, folder: Path) -> list[Case]:
-    """The whole suite. cfg: configuration of a small cell. folder: for what must be on disk."""
+    """Return the whole suite. cfg: configuration of a small cell. folder: for what must be on disk."""
     return [*clouds.cases(), *losses.cases(), *gradients.cases(), *training.cases(SmallTraining(cfg, folder))]
 
 
 def backends_of(case: Case) -> list[str]:
-    """The fast backends of this machine, all of which are compared with the reference; `once` where none matters."""
+    """Return the fast backends of this machine, which are compared with the reference; `once` where none matters."""
     return fast_backends() if case.every_backend else ["once"]
 
 
 def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[CaseResult], None]) -> pd.DataFrame:
-    """One row per case and backend; with `chosen`, only cases whose family or name contains it.
+    """Return one row per case and backend; with `chosen`, only cases whose family or name contains it.
 
     report: called with each result. Raises ValueError if no case is chosen.
     """
@@ -94,7 +94,7 @@ def run_suite(cfg: DictConfig, chosen: str | None, report: Callable[[CaseResult]
     return pd.DataFrame(map(asdict, results))
 
 
-def draw(table: pd.DataFrame, target: Path) -> None:
+def draw_errors(table: pd.DataFrame, target: Path) -> None:
     """Draw the error of each case that measures one, relative to its limit; NaN is at the right edge."""
     measured = table[table["share"].notna() | (~table["passed"])].reset_index(drop=True)
     figure = Figure(figsize=(9, 0.19 * max(len(measured), 4) + 1), layout="constrained")

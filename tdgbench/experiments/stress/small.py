@@ -58,7 +58,7 @@ class FaultyMethod(Method):
 
 @dataclass(frozen=True)
 class SmallTraining:
-    """Trains the configured method on the configured scene. `folder` is for what must be on disk."""
+    """A small training: the configured method on the configured scene. `folder` is for what must be on disk."""
 
     cfg: DictConfig
     folder: Path
@@ -88,12 +88,12 @@ class SmallTraining:
 
 
 def with_points(scene: Scene, points: np.ndarray) -> Scene:
-    """A scene with other points (N, 3), world units, all gray."""
+    """Return a scene with other points (N, 3), world units, all gray."""
     return replace(scene, points=PointCloud(points.astype(np.float64), np.full((len(points), 3), 0.5, np.float32)))
 
 
 def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
-    """A scene whose training cameras have the rotation of the first one and stand on a line, `step` units apart."""
+    """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
     first = scene.train[0].camera
     views = []
     for i, view in enumerate(scene.train):
@@ -104,7 +104,7 @@ def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
-    """A scene moved by an offset along each axis, world units. Raises ValueError if it has no points."""
+    """Return a scene moved by an offset along each axis, world units. Raises ValueError if it has no points."""
     if scene.points is None:
         raise ValueError(f"scene {scene.name} has no points to shift")
     views = []

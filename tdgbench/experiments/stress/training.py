@@ -48,7 +48,7 @@ FAULTS = (  # where, the tensor that the error must name, the fault
 
 
 def cases(small: SmallTraining) -> list[Case]:
-    """Every case of the families `training` and `determinism`."""
+    """Return every case of the families `training` and `determinism`."""
 
     def finite(**given: Any) -> Callable[[str], Observed]:
         return lambda backend: _check_finite(*small.train(backend, **given))
@@ -118,7 +118,7 @@ def _budgets(cfg: DictConfig) -> list[tuple[str, Expected, dict[str, Any]]]:
 
 
 def _rates(cfg: DictConfig, factor: float) -> dict[str, Any]:
-    """Learning rates of the budget times a factor; a rate has to be positive."""
+    """Return the learning rates of the budget times a factor; a rate has to be positive."""
     rates = {k: v for k, v in cfg.budget.rates.items() if k not in ("_target_", "position_steps")}
     return {f"rates.{name}": max(float(value) * factor, 1e-30) for name, value in rates.items()}
 
@@ -178,12 +178,12 @@ def repeated(train: Callable[[], Trainer], camera: Camera, backend: str) -> Obse
 
 
 def spread(images: torch.Tensor) -> float:
-    """Largest standard deviation of any value over the first axis; images (N, H, W, C)."""
+    """Return the largest standard deviation of any value over the first axis; images (N, H, W, C)."""
     return float(images.std(dim=0).max())
 
 
 def _digest(trainer: Trainer) -> str:
-    """Hash of all parameters of the Gaussians."""
+    """Return a hash of all parameters of the Gaussians."""
     digest = hashlib.sha256()
     for model in trainer.gaussians.values():
         for _, tensor in model.gaussians.items():
@@ -208,6 +208,6 @@ def _with_another_seed(small: SmallTraining, backend: str) -> Observed:
     cfg = small.cfg.copy()
     cfg.seed = int(cfg.seed) + 1
     other = SmallTraining(cfg, small.folder)
-    digests = [_digest(one.train(backend)[0]) for one in (small, other)]
+    digests = [_digest(training.train(backend)[0]) for training in (small, other)]
     require(digests[0] != digests[1], f"both {digests[0]}")
     return Observed(" and ".join(digests))

@@ -48,17 +48,17 @@ def write_cells(folder: Path, cells: Sequence[PlannedCell]) -> None:
 
 
 def read_cells(folder: Path) -> list[PlannedCell]:
-    """The cells of a sweep; none if its folder does not say."""
+    """Return the cells of a sweep; none if its folder does not say."""
     try:
         return _SCHEMA.validate_json((folder / FILE).read_bytes())
     except (OSError, ValueError):
         return []
 
 
-def counted(cells: Sequence[PlannedCell]) -> str:
-    """Number of cells by state.
+def count_by_state(cells: Sequence[PlannedCell]) -> str:
+    """Return the number of cells by state, in words.
 
-    >>> counted([PlannedCell("tdg", "a", "to run"), PlannedCell("tdg", "b", "without data")])
+    >>> count_by_state([PlannedCell("tdg", "a", "to run"), PlannedCell("tdg", "b", "without data")])
     '2 cells: 1 to run, 0 with a result, 1 without data'
     """
     states: tuple[State, ...] = ("to run", "with a result", "without data")
@@ -67,7 +67,7 @@ def counted(cells: Sequence[PlannedCell]) -> str:
 
 
 def pending(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome]) -> list[PlannedCell]:
-    """Cells without an outcome that will run. Results count as outdated once the sweep has run a cell that had one.
+    """Return the cells without an outcome that will run. Results are outdated once one was run again.
 
     outcomes: by the number of the job.
     """
@@ -77,7 +77,7 @@ def pending(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome]) -> li
 
 
 def time_left(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome], workers: int) -> Estimate | None:
-    """Time until the pending cells are done, each as long as the finished ones that are most like it.
+    """Return the time until the pending cells are done, each as long as the finished ones that are most like it.
 
     Those are the cells of the same kind and scene, else of the same kind, else all. None before the first finished
     cell. workers: cells that run at once.
@@ -97,10 +97,10 @@ def time_left(cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome], wor
     return Estimate(max(sum(times) / workers, longest), len(done), tuple(dict.fromkeys(unknown)))
 
 
-def progress(
+def remaining_time(
     cells: Sequence[PlannedCell], outcomes: Mapping[int, Outcome], workers: int, now: datetime | None = None
 ) -> str:
-    """Cells that the sweep has run and has to run, and when it will be done; empty where nothing can be said."""
+    """Say how many cells are still to run, and when the sweep will be done; empty where that is unknown."""
     outcomes = {n: outcome for n, outcome in outcomes.items() if n in range(len(cells))}  # a single run has no number
     left, estimate = pending(cells, outcomes), time_left(cells, outcomes, workers)
     if not left or estimate is None:
@@ -115,7 +115,7 @@ def progress(
 
 
 def roughly(seconds: float) -> str:
-    """A time without seconds.
+    """Return a time without seconds, as text.
 
     >>> roughly(11400), roughly(600), roughly(20)
     ('3:10 h', '10 min', '1 min')

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.outcome import COMPLETE, Outcome, Status
 from tdgbench.experiments.callback import ExperimentCallback
 from tdgbench.experiments.stamp import Stamp, inputs_hash, leave_stamp, results_hash
-from tdgbench.experiments.sweep.cells import PlannedCell, counted
+from tdgbench.experiments.sweep.cells import PlannedCell, count_by_state
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
@@ -34,12 +34,14 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
         text, found = _write_all(experiment)
         if all(outcome.status in COMPLETE for outcome in outcomes) and inputs and inputs == inputs_hash(cfg):
             kept = [Outcome("kept", outcome.title) for outcome in outcomes]
-            there = counted([PlannedCell("", "", "with a result")] * len(kept))
+            there = count_by_state([PlannedCell("", "", "with a result")] * len(kept))
             lines = [f"{experiment.name}: {there}"] * (len(kept) > 1) + [one.line for one in kept]
-            leave_stamp(experiment, Stamp(inputs, results_hash(experiment), lines, f"{text}\n{summary(kept)}", found))
+            leave_stamp(
+                experiment, Stamp(inputs, results_hash(experiment), lines, f"{text}\n{count_outcomes(kept)}", found)
+            )
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
-    say(summary(outcomes))
+    say(count_outcomes(outcomes))
     for outcome in outcomes:
         if outcome.status == "failed":
             say(f"{outcome.title}: {outcome.message}", "failed:")
@@ -53,10 +55,10 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
         raise SystemExit(1)
 
 
-def summary(outcomes: list[Outcome]) -> str:
-    """Number of cells by outcome.
+def count_outcomes(outcomes: list[Outcome]) -> str:
+    """Return the number of cells by outcome, in words.
 
-    >>> summary([Outcome("ok", "tdg on a"), Outcome("kept", "tdg on b"), Outcome("kept", "tdg on c")])
+    >>> count_outcomes([Outcome("ok", "tdg on a"), Outcome("kept", "tdg on b"), Outcome("kept", "tdg on c")])
     '1 cell run, 2 already there, 0 failed, 0 without data'
     """
     count = {s: sum(o.status == s for o in outcomes) for s in get_args(Status)}

@@ -14,7 +14,7 @@ from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, key_and_value, nu
 from tdgbench.bench.record import Record
 from tdgbench.bench.stored import readable_record
 from tdgbench.experiments.preparation import unavailable_priors
-from tdgbench.experiments.sweep.cells import PlannedCell, State, counted, write_cells
+from tdgbench.experiments.sweep.cells import PlannedCell, State, count_by_state, write_cells
 from tdgbench.scenes import Description, SceneError
 from tdgbench.terminal import say
 
@@ -31,7 +31,6 @@ class CellCount(NamedTuple):
 def plan_sweep(cfg: DictConfig) -> CellCount:
     """Write the plan of a sweep; print one error for all missing scenes, one for each missing prior, and the number of
     its cells.
-
 
     Raises SystemExit(1) for an unknown scene.
     """
@@ -60,13 +59,13 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
     if (number_of_jobs(cfg) or 1) > 1:
         cells = planned_cells(cfg, plan, dict(zip(map(str, names), scenes, strict=True)), missing)
         write_cells(Path(cfg.hydra.sweep.dir), cells)
-        say(f"{cfg.name}: {counted(cells)}", stderr=True)
+        say(f"{cfg.name}: {count_by_state(cells)}", stderr=True)
     per_scene = math.prod(len(values) or 1 for key, values in options.items() if key != "scene")
     return CellCount(per_scene * len(scenes), per_scene * len(missing))
 
 
 def planned_cells(cfg: DictConfig, plan: Plan, scenes: dict[str, Description], missing: list[str]) -> list[PlannedCell]:
-    """The cell of each job. scenes: by the names that the options have. missing: those that are not on disk."""
+    """Return the cell of each job. scenes: by the names that the options have. missing: those that are not on disk."""
     cells = []
     for overrides in overrides_of_jobs(cfg):
         chosen = dict(map(key_and_value, overrides))
@@ -80,7 +79,7 @@ def planned_cells(cfg: DictConfig, plan: Plan, scenes: dict[str, Description], m
 
 
 def _has_result(cfg: DictConfig, chosen: dict[str, str], place: Description, variant: str) -> bool:
-    """Whether a finished cell is in the folder of a job's cell. chosen: the job's options."""
+    """Return whether a finished cell is in the folder of a job's cell. chosen: the job's options."""
     method, init = chosen.get("method", cfg.method.name), chosen.get("init", cfg.init.name)
     seed, name = chosen.get("seed", str(cfg.seed)), chosen.get("name", cfg.name)
     if not seed.isdigit():  # the job will say what is wrong

@@ -19,7 +19,7 @@ from tdgbench.bench.options import check_method_name
 from tdgbench.bench.outcome import Outcome
 from tdgbench.bench.plan import number_of_jobs, plan_of_job
 from tdgbench.bench.progress import CellProgress
-from tdgbench.experiments.experiment import Experiment, in_words
+from tdgbench.experiments.experiment import Experiment, error_message
 from tdgbench.experiments.sweep import cells
 from tdgbench.experiments.sweep.plan import plan_sweep
 from tdgbench.files import write_text
@@ -67,13 +67,13 @@ def _run_job(cfg: DictConfig) -> None:
     workers = cells_at_once(hydra.launcher, pool.available_cores())
     if outcome.status in ("ok", "failed") and workers is not None:
         sweep = Path(hydra.sweep.dir)
-        left = cells.progress(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
+        left = cells.remaining_time(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
         if left:
             say(f"{cfg.name}: {left}", stderr=True)
 
 
 def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
-    """Outcome of the job's cell; a job that describes no cell has failed."""
+    """Return the outcome of the job's cell; a job that describes no cell has failed."""
     overrides = list(hydra.overrides.task)
     title = " ".join(overrides)
     try:
@@ -84,11 +84,11 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
             cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
         return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
     except Exception as error:
-        return Outcome("failed", title or "the cell", in_words(error))
+        return Outcome("failed", title or "the cell", error_message(error))
 
 
 def worker_threads(launcher: DictConfig, cores: int) -> int | None:
-    """Threads of one cell, so that the cells that a launcher runs at once share the cores; None: all cores.
+    """Return the threads of one cell, so that the cells that a launcher runs at once share the cores; None: all cores.
 
     launcher: joblib configures the number of workers (negative: one per core), submitit and ray the cores per worker.
 
@@ -106,7 +106,7 @@ def worker_threads(launcher: DictConfig, cores: int) -> int | None:
 
 
 def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
-    """Number of cells that a launcher runs at once; None where a queue decides, so that no end can be foreseen.
+    """Return the number of cells that a launcher runs at once; None where a queue decides.
 
     >>> cells_at_once(DictConfig({"n_jobs": 2}), cores=8)
     2
@@ -117,7 +117,7 @@ def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
 
 
 def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
-    """Outcomes of the jobs of a run or sweep, in the order of the jobs.
+    """Return the outcomes of the jobs of a run or sweep, in the order of the jobs.
 
     jobs: their number, where it is known. One that left no readable outcome has failed.
     """
@@ -128,7 +128,7 @@ def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
 
 
 def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:
-    """Outcomes of the jobs that have ended, by number; that of a single run has the number -1."""
+    """Return the outcomes of the jobs that have ended, by number; that of a single run has the number -1."""
     return {_number(path): _read(path) for path in hydra_folder.rglob(OUTCOME)}
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tdgbench.data.get import archives
-from tdgbench.data.get.archives import files_of, readable
+from tdgbench.data.get.archives import archive_files, readable
 from tdgbench.data.get.sources import BadFileError
 from tests.helpers.archives import scene_files, tarred, zipped
 
@@ -31,7 +31,7 @@ def unpacked(path: Path, content: bytes) -> dict[str, bytes]:
     """Contents of the files of an archive by their paths."""
     path.write_bytes(content)
     with readable(path):
-        return {str(file.path): file.content.read() for file in files_of(path)}
+        return {str(file.path): file.content.read() for file in archive_files(path)}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import gdown
 import pytest
 import requests
 
-from tdgbench.data.get.fetch import Job, fetch
+from tdgbench.data.get.fetch import Download, fetch
 from tdgbench.data.get.scenes import FILE, read_record
 from tdgbench.data.get.sources import SOURCES, GetError
 from tests.helpers.archives import scene_files, zipped
@@ -58,8 +58,8 @@ def drive(monkeypatch, files: dict[str, bytes]) -> Drive:
     return one
 
 
-def job(tmp_path: Path, **options) -> Job:
-    return Job(SOURCE, tmp_path / SOURCE.folder, **options)
+def job(tmp_path: Path, **options) -> Download:
+    return Download(SOURCE, tmp_path / SOURCE.folder, **options)
 
 
 TRUCK, BIKE = scene_files("RGBT-Scenes/Truck", seed=1), scene_files("Ebikes", seed=2)
@@ -123,7 +123,7 @@ def test_a_folder_that_cannot_be_listed(tmp_path, monkeypatch, error):
 def test_folders_that_cannot_be_used(tmp_path, monkeypatch, files, message):
     drive(monkeypatch, files)
     with pytest.raises(GetError, match=message):
-        Job(SOURCE, Path()).listing()
+        Download(SOURCE, Path()).listing()
 
 
 def test_one_scene(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ import pytest
 
 from tdgbench.bench.lock import file_lock
 from tdgbench.data.get import fetch as fetching
-from tdgbench.data.get.fetch import Job, fetch
+from tdgbench.data.get.fetch import Download, fetch
 from tdgbench.data.get.scenes import FILE
 from tdgbench.data.get.sources import SOURCES, GetError
 from tests.helpers.archives import scene_files, tarred, zipped
@@ -36,9 +36,9 @@ def no_waits(monkeypatch):
     monkeypatch.setattr("random.uniform", lambda low, high: 0.0)
 
 
-def job(tmp_path: Path, server, **options) -> Job:
+def job(tmp_path: Path, server, **options) -> Download:
     source = SOURCES["thermalmix"]
-    return Job(source, tmp_path / source.folder, zenodo=server.address, **options)
+    return Download(source, tmp_path / source.folder, zenodo=server.address, **options)
 
 
 def ranges(server, name: str = "lion.zip") -> list[str]:
@@ -46,7 +46,7 @@ def ranges(server, name: str = "lion.zip") -> list[str]:
     return [asked for requested, asked in server.requests if requested == name]
 
 
-def make_part(job: Job, content: bytes) -> Path:
+def make_part(job: Download, content: bytes) -> Path:
     """A partial download as gdown keeps it."""
     job.downloads.mkdir(parents=True)
     part = job.downloads / "lion.zipabcd_123.part"
@@ -78,7 +78,7 @@ def is_whole(root: Path) -> bool:
     )
 
 
-def downloads(job: Job) -> dict[str, int]:
+def downloads(job: Download) -> dict[str, int]:
     """Sizes of what is kept of downloads; the name of a partial file has a random part."""
     kept = [path for path in job.downloads.rglob("*") if path.is_file() and path.name != ".lock"]
     return {re.sub("(?<=zip).{8}[.]part", ".part", path.name): path.stat().st_size for path in kept}

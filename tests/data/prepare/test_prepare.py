@@ -10,7 +10,7 @@ from PIL import Image
 
 from tdgbench.data.prepare import prepare as module
 from tdgbench.data.prepare.extract import CountScale
-from tdgbench.data.prepare.prepare import PrepareOptions, prepare
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
@@ -55,7 +55,7 @@ def known_structure(scene, left_out=()):
 def test_scene_of_flir_files_is_read_back(tmp_path, small_gray_scene, monkeypatch):
     monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene))
     source = capture(small_gray_scene, tmp_path / "camera")
-    report = prepare(source, tmp_path / "scene", PrepareOptions())
+    report = prepare_scene(source, tmp_path / "scene", PrepareOptions())
     assert report.is_complete and report.models == [6] and report.size == (47, 35)
     assert report.rgb_size == (96, 72) and report.thermal_size == (48, 36)
     scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
@@ -86,7 +86,7 @@ def test_report_says_what_became_of_each_file(tmp_path, small_gray_scene, monkey
     broken = source / "broken.jpg"
     broken.write_bytes((source / f"{lost}.jpg").read_bytes()[:3000])
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(source / "selfie.png")
-    report = prepare(source, tmp_path / "scene", PrepareOptions())
+    report = prepare_scene(source, tmp_path / "scene", PrepareOptions())
     status = {one.view: one.status for one in report.files}
     assert (status["broken"], status["selfie"], status[lost]) == ("not read", "left out", "not registered")
     assert report.count("written") == 5 and not report.is_complete
@@ -100,7 +100,7 @@ def test_report_says_what_became_of_each_file(tmp_path, small_gray_scene, monkey
 
 def test_extraction_alone(tmp_path, small_gray_scene):
     source = capture(small_gray_scene, tmp_path / "camera", views=2)
-    report = prepare(source, tmp_path / "out", EXTRACT)
+    report = prepare_scene(source, tmp_path / "out", EXTRACT)
     view = small_gray_scene.views[0]
     degC = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.tiff"))
     assert np.allclose(degC, read_celsius(source / f"{view.name}.jpg"), atol=1e-3)  # nothing is undistorted
@@ -117,10 +117,10 @@ def test_a_part_of_the_photo(tmp_path, small_gray_scene):
     photo[36:108, 48:144] = 200
     for view in small_gray_scene.views[:2]:
         write_flir(source / f"{view.name}.jpg", FlirCamera().counts(celsius(view, small_gray_scene)), photo)
-    report = prepare(source, tmp_path / "out", replace(EXTRACT, mapping=PhotoMapping(2.0, 0, 0)))
+    report = prepare_scene(source, tmp_path / "out", replace(EXTRACT, mapping=PhotoMapping(2.0, 0, 0)))
     rgb = np.asarray(Image.open(next((tmp_path / "out" / "rgb").iterdir())))
     assert report.size == (48, 36) and rgb[2:-2, 2:-2].min() > 180
-    whole = prepare(source, tmp_path / "whole", EXTRACT)
+    whole = prepare_scene(source, tmp_path / "whole", EXTRACT)
     assert whole.size == (48, 36) and "same field of view" in whole.text()
     assert np.asarray(Image.open(next((tmp_path / "whole" / "rgb").iterdir()))).min() < 20
 
@@ -135,17 +135,17 @@ def test_radiometric_tiff_pairs_and_masks(tmp_path):
         Image.fromarray(counts).save(source / f"{index}_T.tiff")
         Image.fromarray(np.full((60, 80, 3), 100, np.uint8)).save(source / f"{index}_V.jpg")
     options = replace(EXTRACT, pairs=("*_T.tiff", "*_V.jpg"), counts=CountScale(1 / 40, -100.0))
-    report = prepare(source, tmp_path / "out", options)
+    report = prepare_scene(source, tmp_path / "out", options)
     assert report.size == (40, 30) and report.is_complete
     written = np.asarray(Image.open(tmp_path / "out" / "thermal" / "1.tiff"))
     assert np.allclose(written[10:], degC[10:], atol=0.02) and not (tmp_path / "out" / "masks").exists()
     with pytest.raises(SceneError, match="degC_per_count"):
-        prepare(source, tmp_path / "without", replace(options, counts=CountScale()))
+        prepare_scene(source, tmp_path / "without", replace(options, counts=CountScale()))
     for index in range(3):
         values = degC.astype(np.float32)
         values[3:6, 3:6] = np.nan
         Image.fromarray(values).save(source / f"{index}_T.tiff")
-    report = prepare(source, tmp_path / "nan", options)
+    report = prepare_scene(source, tmp_path / "nan", options)
     mask = np.asarray(Image.open(tmp_path / "nan" / "masks" / "2.png"))
     assert set(np.unique(mask)) == {0, 255} and (mask[3:6, 3:6] == 0).all() and (mask == 0).mean() < 0.03
     assert "see masks/" in report.text()
@@ -156,7 +156,7 @@ def test_errors_leave_nothing(tmp_path, small_gray_scene):
     source = capture(small_gray_scene, tmp_path / "camera", views=2)
     out = tmp_path / "out"
     with pytest.raises(SceneError, match=r"2 usable pictures.*needs 3.*--no-sfm"):
-        prepare(source, out, PrepareOptions())
+        prepare_scene(source, out, PrepareOptions())
     view = small_gray_scene.views[0]
     write_flir(
         source / "other.jpg", FlirCamera().counts(celsius(view, small_gray_scene)[:20]), np.zeros((72, 96, 3), np.uint8)
@@ -164,14 +164,14 @@ def test_errors_leave_nothing(tmp_path, small_gray_scene):
     with pytest.raises(
         SceneError, match=r"different cameras.*2 with RGB 96×72 and thermal 48×36.*1 with RGB 96×72 and"
     ):
-        prepare(source, out, EXTRACT)
+        prepare_scene(source, out, EXTRACT)
     (source / "other.jpg").unlink()
     with pytest.raises(SceneError, match="outside of the RGB image"):
-        prepare(source, out, replace(EXTRACT, mapping=PhotoMapping(5.0, 96, 0)))
+        prepare_scene(source, out, replace(EXTRACT, mapping=PhotoMapping(5.0, 96, 0)))
     assert not out.exists() and not [p for p in tmp_path.iterdir() if "part" in p.name]
     out.mkdir()
     with pytest.raises(SceneError, match="is there already"):
-        prepare(source, out, EXTRACT)
+        prepare_scene(source, out, EXTRACT)
 
 
 def test_dji_files_are_reported_with_the_remedy(tmp_path):
@@ -183,7 +183,7 @@ def test_dji_files_are_reported_with_the_remedy(tmp_path):
     (source / "plain.jpg").unlink()
     (source / "DJI_0001_R.JPG").write_bytes(plain[:2] + exif + app3 + plain[2:])
     with pytest.raises(SceneError, match="export it as float TIFF"):
-        prepare(source, tmp_path / "out", EXTRACT)
+        prepare_scene(source, tmp_path / "out", EXTRACT)
 
 
 @pytest.mark.slow
@@ -198,7 +198,7 @@ def test_real_pairs_give_the_known_poses(tmp_path):
         for name in names:
             shutil.copy(real / kind / "train" / name, tmp_path / "camera" / kind / name)
     shutil.copy(real / "temperature.json", tmp_path / "camera")
-    report = prepare(tmp_path / "camera", tmp_path / "scene", PrepareOptions())
+    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", PrepareOptions())
     assert report.is_complete and report.models == [12] and report.error_px < 1
     scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
     known = read_model(real / "sparse" / "0").images
@@ -223,7 +223,7 @@ def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
         degC[25:35, 35 - shift // 2 : 45 - shift // 2] = 30
         counts = FlirCamera().counts(degC)
         write_flir(source / f"{index}.jpg", counts, photo, mapping=(1.0, shift, 0))
-    report = prepare(source, tmp_path / "out", EXTRACT)
+    report = prepare_scene(source, tmp_path / "out", EXTRACT)
     assert "1 views differ, and each has its own" in report.text()
     assert "emissivity 1.00, distance 0 m" in report.text()
     for index in range(3):

@@ -10,10 +10,10 @@ from tdgbench.bench.outcome import Outcome
 from tdgbench.experiments.sweep.cells import (
     FILE,
     PlannedCell,
-    counted,
+    count_by_state,
     pending,
-    progress,
     read_cells,
+    remaining_time,
     time_left,
     write_cells,
 )
@@ -46,7 +46,7 @@ def test_other_seeds_of_a_scene_are_the_best_guess():
 def test_a_method_that_has_not_run_is_named():
     found = time_left(cells(), ran(3600), workers=1)
     assert found.seconds == 5 * 3600 and found.unknown == ("method=tdg",)
-    assert progress(cells(), ran(3600), 1, MORNING) == (
+    assert remaining_time(cells(), ran(3600), 1, MORNING) == (
         "5 of 6 cells to go, about 5:00 h left (until 14:30), from 1 cell, none of them method=tdg"
     )
 
@@ -57,13 +57,13 @@ def test_workers_share_the_cells_but_not_a_cell():
 
 
 def test_the_end_in_words():
-    assert progress(cells(), ran(3600, 600), 1, MORNING) == (
+    assert remaining_time(cells(), ran(3600, 600), 1, MORNING) == (
         "4 of 6 cells to go, about 2:20 h left (until 11:50), from 2 cells"
     )
-    assert "(until 2026-03-02 00:20)" in progress(cells(), ran(3600, 600), 1, EVENING)
-    assert progress(cells(), ran(*[60] * 6), 1, MORNING) == ""  # nothing is left
-    assert progress(cells(), {0: Outcome("failed", "")}, 1, MORNING) == ""  # and nothing is known
-    assert progress([], {-1: Outcome("ok", "", seconds=9.0)}, 1) == ""  # a single run
+    assert "(until 2026-03-02 00:20)" in remaining_time(cells(), ran(3600, 600), 1, EVENING)
+    assert remaining_time(cells(), ran(*[60] * 6), 1, MORNING) == ""  # nothing is left
+    assert remaining_time(cells(), {0: Outcome("failed", "")}, 1, MORNING) == ""  # and nothing is known
+    assert remaining_time([], {-1: Outcome("ok", "", seconds=9.0)}, 1) == ""  # a single run
 
 
 def test_results_count_as_finished_until_one_of_them_was_outdated():
@@ -77,7 +77,7 @@ def test_results_count_as_finished_until_one_of_them_was_outdated():
 
 def test_cells_without_data_take_no_time():
     some = [*cells()[:2], PlannedCell("method=tdg", "c", "without data")]
-    assert counted(some) == "3 cells: 2 to run, 0 with a result, 1 without data"
+    assert count_by_state(some) == "3 cells: 2 to run, 0 with a result, 1 without data"
     assert time_left(some, ran(60), workers=1).seconds == 60
 
 
@@ -92,4 +92,4 @@ def test_the_file(tmp_path):
 
 @pytest.mark.parametrize("state", ["to run", "with a result", "without data"])
 def test_counts_each_state(state):
-    assert f"6 {state}" in counted(cells(state))
+    assert f"6 {state}" in count_by_state(cells(state))
