@@ -1,6 +1,6 @@
 """What explains the values of points in different views: a response and a fixed pattern that held-out views support.
 
-How far a fitted response is evidence, a jackknife over clusters of points tells. Errors that the model does not describe
+How far a fitted response is evidence, a jackknife over clusters of points tells. Errors that no term of it describes
 (reflections, sunlit slopes, points that moved) are alike over large parts of a scene. In a direction that the values
 hardly determine they become large, and no standard error shows it. What changes as much as it is large when a part of
 the scene is left out is not known, and is held back.
@@ -34,6 +34,7 @@ FIT_ROUNDS = 10
 RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
 
 Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
+LEAST = 1e-9  # variance of a direction, in those of the prior
 
 
 @dataclass(frozen=True)
@@ -213,9 +214,6 @@ def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.n
     """Return pattern (S,) of columns and rows at values."""
     across = 0.0 if columns is None else columns[data.column]
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
-
-
-LEAST = 1e-9  # variance of a direction, in those of the prior
 
 
 def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:

@@ -17,6 +17,8 @@ from numpy.polynomial.legendre import legvander
 
 DEGREE = 4
 TERMS = [(i, total - i) for total in range(1, DEGREE + 1) for i in range(total + 1)]  # degrees in x and y
+SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
+FEWEST_LINES = 16  # with values
 
 
 def legendre_basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -42,10 +44,6 @@ def evaluate(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
 def along(share: np.ndarray) -> np.ndarray:
     """Return the polynomials (N, DEGREE + 1) in one direction, at shares (N,) of the image's side."""
     return np.asarray(legvander(2 * share - 1, DEGREE) * np.sqrt(2 * np.arange(DEGREE + 1) + 1))
-
-
-SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
-FEWEST_LINES = 16  # with values
 
 
 def line_map(
