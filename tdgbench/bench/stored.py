@@ -64,7 +64,7 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
     return True
 
 
-def kept(experiment: Path) -> str:
+def stored_in_words(experiment: Path) -> str:
     """Return what an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
     records = [readable_record(path.parent) for path in record_files(experiment)]
     finished = sum(record is not None and record.status == "ok" for record in records)

@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter1d
 from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.fit import HUBER, Data, Fit, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
+from tdgbench.thermal.observations import BLUR
 from tdgbench.thermal.priors import NORMAL, Drift, Widths, drift_of
-from tdgbench.thermal.sightings import BLUR
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
@@ -85,7 +85,7 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     are: without reading any of them, and after the gain and offset that fit its other half. Terms have to gain in one
     way, and in both together.
     """
-    some = data.kept(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
+    some = data.select(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
     best, least = LADDER[0], held_out_errors(some, LADDER[0], widths, places)
     for terms in LADDER[1:]:
         errors = held_out_errors(some, terms, widths, places)
@@ -165,7 +165,7 @@ def held_out_errors(
     unread, halves = [np.zeros(0)], [np.zeros(0)]
     for fold in range(FOLDS):
         held = np.isin(data.view, present[fold::FOLDS])
-        rest = data.kept(~held)
+        rest = data.select(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
         found = fit(rest, terms, prior(data, widths))
         drift = _drift(found, rest, terms, widths, places)
@@ -173,7 +173,7 @@ def held_out_errors(
         if drift is not None:
             known = np.unique(rest.view)
             expected = drift.expected(places, places[known], found.response.offsets[known])
-        test = data.kept(held & seen[data.point])
+        test = data.select(held & seen[data.point])
         shown = test.value - test.terms @ found.vignette
         for view in np.unique(test.view):
             of_view = test.view == view
@@ -223,14 +223,14 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
         return found
     theta = np.concatenate([*found.response, found.vignette])
     system = System(data, theta, found.temperatures, found.reference, found.weights)
-    told, axes = system.directions(precision, free)
+    information, axes = system.directions(precision, free)
     given = precision[np.ix_(free, free)]
     others = [_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
     moved = np.stack(others)[:, free] @ given @ axes
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    drawn = told / (told + 1)  # the share of a value that the prior leaves
-    known = np.minimum(told, drawn**2 / np.maximum(variance, LEAST))
+    drawn = information / (information + 1)  # the share of a value that the prior leaves
+    known = np.minimum(information, drawn**2 / np.maximum(variance, LEAST))
     place = (theta - data.ideal)[free] @ given @ axes
     kept = np.where(drawn > 0, place / np.maximum(drawn, LEAST), 0.0) * known / (known + 1)
     theta = data.ideal
@@ -249,7 +249,7 @@ def _without(
 ) -> np.ndarray:  # fmt: skip
     """Change (2 V + K,) of the parameters if a cluster of points is left out."""
     keep = data.cluster != cluster
-    rest, residuals = data.kept(keep), found.residuals[keep]
+    rest, residuals = data.select(keep), found.residuals[keep]
     system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])
     return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
 

@@ -55,7 +55,7 @@ class Data:
     points: int
     size: tuple[int, int]
 
-    def kept(self, keep: np.ndarray) -> Data:
+    def select(self, keep: np.ndarray) -> Data:
         """Return the values where `keep` (S,) is true; views and points keep their numbers."""
         arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
