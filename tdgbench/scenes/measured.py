@@ -127,7 +127,7 @@ def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
 
 def resample(
     image: np.ndarray, invalid: np.ndarray | None, source: ImageSource
-) -> tuple[np.ndarray, np.ndarray | None]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Undistort and resize an image (H, W, C) whose `invalid` pixels (H, W) bool count for nothing.
 
     Returns the image (height, width, C) and its valid pixels (height, width) bool, those that are made of valid pixels

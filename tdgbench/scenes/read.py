@@ -144,7 +144,7 @@ def _paired(
 
 def _split(
     folder: Path, names: list[str], how: str, shipped: Mapping[str, str]
-) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
+) -> tuple[list[str], list[str], list[str]]:
     """Return names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
     notes = []
     if how == "folder" and shipped:

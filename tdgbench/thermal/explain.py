@@ -96,9 +96,7 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     return best
 
 
-def prior(
-    data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None
-) -> np.ndarray:  # fmt: skip
+def prior(data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None) -> np.ndarray:
     """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width."""
     variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
     precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
@@ -153,9 +151,7 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
 
 
-def held_out_errors(
-    data: Data, terms: Terms, widths: Widths, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+def held_out_errors(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Predict the values of views, held out in turn, from the points' temperatures in other views; return the errors.
 
     The first are of values of which none is read: the view has the offset that its neighbours in the sequence let
@@ -246,7 +242,7 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
 
 def _without(
     data: Data, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Change (2 V + K,) of the parameters if a cluster of points is left out."""
     keep = data.cluster != cluster
     rest, residuals = data.select(keep), found.residuals[keep]

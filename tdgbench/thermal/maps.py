@@ -48,7 +48,7 @@ def along(share: np.ndarray) -> np.ndarray:
 
 def line_map(
     columns: Sequence[float] | np.ndarray | None, rows: Sequence[float] | np.ndarray | None, width: int, height: int
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return fixed pattern (height, width) of columns and rows; 0 where there are none.
 
     Raises ValueError for an image of another size than those that it was estimated from.
