@@ -26,7 +26,7 @@ from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalEr
 from tdgbench.scenes.synthetic.drifting import drifting, in_degC
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
-from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
+from tdgbench.thermal.accuracy import errors_of, normalized_truth
 
 BOUNDS = {"offset": 0.1, "gain": 0.02, "vignette": 0.2, "clean": 0.02}  # °C; of gains, a share of 1
 
@@ -114,7 +114,7 @@ def _drifting(
     start = time.perf_counter()
     camera = _estimated(scene)
     seconds = time.perf_counter() - start
-    true, found = truth_in_gauge(truth, camera.views, camera.reference), errors_of(camera, truth)
+    true, found = normalized_truth(truth, camera.views, camera.reference), errors_of(camera, truth)
     summary: dict[str, Any] = {"scene": scene.name, "seed": seed, "seconds": seconds}
     for name, error in (("offset", found.offsets), ("gain", found.gains), ("vignette", found.vignette)):
         summary |= {f"{name}_rms": float(np.sqrt(np.mean(error**2))), f"{name}_worst": float(np.abs(error).max())}
@@ -129,7 +129,7 @@ def _drifting(
             "scene": scene.name, "seed": seed, "view": camera.views,
             "true_offset": true.response.offsets, "offset": camera.offsets, "offset_error": camera.offset_errors,
             "true_gain": true.response.gains, "gain": camera.gains, "gain_error": camera.gain_errors,
-            "sightings": camera.sightings,
+            "observations": camera.observations,
         }
     )  # fmt: skip
     return summary, table

@@ -51,9 +51,9 @@ def _kept() -> str:
     callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""
-    from tdgbench.bench.stored import kept
+    from tdgbench.bench.stored import stored_in_words
 
-    return f"; {kept(callback.folder)}"
+    return f"; {stored_in_words(callback.folder)}"
 
 
 def run() -> NoReturn:

@@ -23,6 +23,9 @@ from tdgbench.splats.cpu.scratch import release
 LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # shared by all users and results folders of a machine
 FOR_ALL = 0o666  # permissions of a lock that other users take as well
 RETRY_SECONDS = 0.5
+STATUS = Path("/proc/self/status")
+SAMPLE_SECONDS = 0.02
+ROUNDING_MB = 16.0
 
 
 @contextlib.contextmanager
@@ -86,11 +89,6 @@ def _driver() -> str | None:
         output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
         return output.splitlines()[0].strip() if output.strip() else None
     return None
-
-
-STATUS = Path("/proc/self/status")
-SAMPLE_SECONDS = 0.02
-ROUNDING_MB = 16.0
 
 
 class PeakMemory:

@@ -33,7 +33,7 @@ def render_views(trainer: Trainer, views: list[View], response: ImageResponse = 
 @torch.no_grad()
 def render_images(
     trainer: Trainer, view: View, response: ImageResponse = IDEAL, others: Iterable[str] = OTHERS
-) -> RenderedImages:  # fmt: skip
+) -> RenderedImages:
     """Render the thermal image (H, W, C) and the expected depth (H, W, world units) of a view.
 
     others: modalities whose images are rendered as well, if the method has them.

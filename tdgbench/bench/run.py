@@ -124,9 +124,7 @@ class CellRun(SetupObserver):
         self.scorer.device = training_device(self.record.backend)
         self._describe_scene()
         priors = self._cache("priors", "depth priors were")
-        training = set_up(
-            self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self
-        )  # fmt: skip
+        training = set_up(self.cfg, self.scene, method=self.method, skips=self.skips, prior_cache=priors, observer=self)
         self.trainer, self.scene, self.response = training
         self._describe_images()
         with self.stage("train"):

@@ -26,6 +26,9 @@ from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.warmup import compile_kernels
 
+SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
+DIGITS = 6
+
 
 class Training(NamedTuple):
     """A method that is ready to train.
@@ -172,8 +175,6 @@ def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
     return DepthPrior(values, prior.kind)
 
 
-SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
-DIGITS = 6
 Facts = dict[str, Any]
 
 

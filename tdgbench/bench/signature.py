@@ -28,6 +28,7 @@ STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 UNKNOWN = "is no option"
+NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options of others
 
 
 class Problem(NamedTuple):
@@ -190,9 +191,6 @@ def _path(name: str, parts: tuple[int | str, ...]) -> str:
     for part in parts:
         name = f"{name}[{part}]" if isinstance(part, int) else f"{name}.{part}" if name else str(part)
     return name
-
-
-NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options of others
 
 
 def option_meant(option: str) -> str:

@@ -17,6 +17,8 @@ from tdgbench.bench.reading import check_regular
 from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 
+OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
+
 
 def readable_record(folder: Path) -> Record | None:
     """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
@@ -62,7 +64,7 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
     return True
 
 
-def kept(experiment: Path) -> str:
+def stored_in_words(experiment: Path) -> str:
     """Return what an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
     records = [readable_record(path.parent) for path in record_files(experiment)]
     finished = sum(record is not None and record.status == "ok" for record in records)
@@ -70,9 +72,6 @@ def kept(experiment: Path) -> str:
     written = [path.stat().st_mtime for path in (experiment / "checkpoints").glob("[!.]*.pt")]
     state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
     return f"{experiment} keeps {cells}{state}; the same command goes on from there"
-
-
-OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
 
 
 def cell_files(folder: Path) -> dict[str, Path]:

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.accuracy import Truth, truth_in_gauge
-from tdgbench.thermal.camera import ViewResponses, in_gauge
+from tdgbench.thermal.accuracy import Truth, normalized_truth
+from tdgbench.thermal.camera import ViewResponses, normalized
 from tdgbench.thermal.maps import TERMS, evaluate
 
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
@@ -23,7 +23,7 @@ TINY = 1e-9  # °C; a smaller truth has nothing to show
 
 @dataclass(frozen=True)
 class CameraComparison:
-    """An estimated response and the true one with the same means: offsets, gains (V,), found vignette (H, W), in °C.
+    """An estimated response and the true one, normalized alike: offsets, gains (V,), found vignette (H, W), in °C.
 
     labels: scene, capture, method, camera and seed of the cell.
     """
@@ -64,9 +64,9 @@ def compare_camera(
                  "gains": np.ones(len(train)), "vignette": np.zeros(len(TERMS))}  # fmt: skip
     offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
     views = list(facts["views"])
-    true = truth_in_gauge(truth, views, float(facts["reference"]))
+    true = normalized_truth(truth, views, float(facts["reference"]))
     height, width = true.vignette.shape
-    found = in_gauge(ViewResponses(offsets, gains))
+    found = normalized(ViewResponses(offsets, gains))
     return CameraComparison({**labels, "scene": record.scene}, views, found, evaluate(vignette, width, height), true)
 
 

@@ -174,7 +174,7 @@ def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     channels = int(shape[places[0]])
     return OnnxNetwork(
         session, inputs[0].name, output or outputs[0], channels, is_last, height, width, TYPES[inputs[0].type]
-    )  # fmt: skip
+    )
 
 
 def with_channels(image: np.ndarray, channels: int) -> np.ndarray:

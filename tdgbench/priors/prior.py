@@ -23,6 +23,7 @@ ALTERNATIVES = {  # for real scenes: what to add to the command line, and what T
     "files": "prior.estimator.folder=DIR (maps made elsewhere)",
     "sfm_points": "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)",
 }
+LONGEST_REASON = 300  # characters of a library's message
 
 
 class PriorError(Exception):
@@ -112,9 +113,6 @@ def prepare(estimator: DepthEstimator) -> None:
     """Get what an estimator needs besides the scene. Raises PriorUnavailableError."""
     if isinstance(estimator, NeedsPreparation):
         estimator.prepare()
-
-
-LONGEST_REASON = 300  # characters of a library's message
 
 
 @contextmanager

@@ -20,8 +20,8 @@ from tdgbench.scenes.images import read_pixels
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.measured import (
     UNMEASURED,
+    CachedImage,
     ImageSource,
-    Kept,
     Measured,
     ThermalImages,
     decide_channels,
@@ -133,13 +133,13 @@ def measured_images(
         filled.append(invalid.mean())
         measured[name] = _measure(view.values, invalid, source)
     span = given or _range_of({name: measured[name] for name in train}, sources, unit)
-    scaling, kept, clipped, count = _Scaling(read, fillers, span, unit.dtype), {}, 0, 0
+    scaling, cached, clipped, count = _Scaling(read, fillers, span, unit.dtype), {}, 0, 0
     for name, source in sources.items():
         image = measured.pop(name)
         values = _valid_values(image)
         clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
         count += values.size
-        kept[name] = Kept(_scaled(image, scaling), partial(_make, source, scaling))
+        cached[name] = CachedImage(_scaled(image, scaling), partial(_make, source, scaling))
     if clipped == count:
         folder = next(iter(sources.values())).path.parent
         raise SceneError(
@@ -149,8 +149,8 @@ def measured_images(
     notes = [*_about_fillers(fillers, filled, bool(known), unit), _about_range(span, given, clipped / count, unit)]
     channels = decide_channels(options.channels, are_gray=True)
     if unit is COUNTS:
-        return ThermalImages(kept, channels, None, notes, counts=(round(span.min), round(span.max)))
-    return ThermalImages(kept, channels, span, notes)
+        return ThermalImages(cached, channels, None, notes, counts=(round(span.min), round(span.max)))
+    return ThermalImages(cached, channels, span, notes)
 
 
 def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:

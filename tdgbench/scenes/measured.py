@@ -1,4 +1,4 @@
-"""Thermal images of a scene: decoded once, masked, undistorted, resized, and kept until the scene's views take them."""
+"""Thermal images of a scene: decoded once, masked, undistorted, resized, cached until views take them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Measured(NamedTuple):
     valid: np.ndarray | None  # (H, W) bool; None: everywhere
 
 
-class Kept:
-    """What a view's image and mask were made into, each kept until it is taken. Taken again, they are made again.
+class CachedImage:
+    """What a view's image and mask were made into, each cached until it is taken. Taken again, they are made again.
 
     So a scene reads each image once, although it must know all of them to tell its channels or its range of
     temperatures, and holds none beside those that its views hold.
@@ -69,7 +69,7 @@ class Kept:
 class ThermalImages:
     """Thermal images of a scene, by view name. counts: raw counts of the image values 0 and 1, of images without °C."""
 
-    kept: Mapping[str, Kept]
+    cached: Mapping[str, CachedImage]
     channels: int
     temperature: TemperatureRange | None
     notes: list[str] = field(default_factory=list)
@@ -77,7 +77,7 @@ class ThermalImages:
 
     def load(self, name: str) -> np.ndarray:
         """Return the image (H, W, channels) float32 in [0, 1] of a view."""
-        image = self.kept[name].image()
+        image = self.cached[name].image()
         if self.channels == 1 and image.shape[2] == 3:
             image = image[..., :1] if is_gray(image) else image.mean(axis=2, keepdims=True)
         if self.channels == 3 and image.shape[2] == 1:
@@ -87,12 +87,12 @@ class ThermalImages:
 
 def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
     """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
-    kept = {}
+    cached = {}
     for name, source in sources.items():
         make = partial(_read_shown, source, radiometry)
-        kept[name] = Kept(make(), make)
-    channels = decide_channels(wanted, all(view.channels == 1 for view in kept.values()))
-    return ThermalImages(kept, channels, None if radiometry is None else radiometry.range)
+        cached[name] = CachedImage(make(), make)
+    channels = decide_channels(wanted, all(view.channels == 1 for view in cached.values()))
+    return ThermalImages(cached, channels, None if radiometry is None else radiometry.range)
 
 
 def decide_channels(wanted: int | str, are_gray: bool) -> int:
@@ -127,7 +127,7 @@ def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
 
 def resample(
     image: np.ndarray, invalid: np.ndarray | None, source: ImageSource
-) -> tuple[np.ndarray, np.ndarray | None]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Undistort and resize an image (H, W, C) whose `invalid` pixels (H, W) bool count for nothing.
 
     Returns the image (height, width, C) and its valid pixels (height, width) bool, those that are made of valid pixels

@@ -88,8 +88,8 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     def whole(view: View) -> View:
-        kept = images.kept[view.name]
-        valid = kept.valid if kept.is_masked else None
+        cached = images.cached[view.name]
+        valid = cached.valid if cached.is_masked else None
         return replace(view, load_thermal=partial(images.load, view.name), load_valid=valid)
 
     return replace(
@@ -144,7 +144,7 @@ def _paired(
 
 def _split(
     folder: Path, names: list[str], how: str, shipped: Mapping[str, str]
-) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
+) -> tuple[list[str], list[str], list[str]]:
     """Return names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
     notes = []
     if how == "folder" and shipped:

@@ -55,7 +55,7 @@ def thermal_images(
 
 def _of_images(
     sources: Mapping[str, ImageSource], train: list[str], options: ReadOptions, radiometry: Radiometry | None
-) -> ThermalImages:  # fmt: skip
+) -> ThermalImages:
     """Read thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
     stored: dict[str, list[str]] = {}
     for name, source in sources.items():

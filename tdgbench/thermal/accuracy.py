@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.camera import ThermalCamera, ViewResponses, in_gauge
+from tdgbench.thermal.camera import ThermalCamera, ViewResponses, normalized
 
 
 class Truth(NamedTuple):
-    """The true camera in the gauge of an estimated one: offsets and gains (V,), what is shared (H, W), in °C."""
+    """The true camera, normalized as an estimated one is: offsets and gains (V,), what is shared (H, W), in °C."""
 
     response: ViewResponses
     vignette: np.ndarray
@@ -28,18 +28,18 @@ class ThermalCameraErrors(NamedTuple):
     pattern: np.ndarray
 
 
-def truth_in_gauge(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
+def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
     """Return the true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
     true, index = truth.camera, truth.index(list(views))
     gains = true.gains[index]
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
-    response = in_gauge(ViewResponses(offsets + true.pattern.mean(), gains))
+    response = normalized(ViewResponses(offsets + true.pattern.mean(), gains))
     return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
     """Return the errors of an estimate in °C."""
-    true = truth_in_gauge(truth, camera.views, camera.reference)
+    true = normalized_truth(truth, camera.views, camera.reference)
     height, width = true.vignette.shape
     return ThermalCameraErrors(
         camera.offsets - true.response.offsets,

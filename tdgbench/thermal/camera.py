@@ -31,7 +31,7 @@ class ThermalCamera:
     vignette: (K,) coefficients of `maps`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
     be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
     standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
-    sightings: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
+    observations: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
     sequence let expect; none of their pixels was read. terms: those that held-out views support, of vignette, offsets,
     gains and pattern; the others are those of an ideal camera. undetermined: directions of the estimated numbers,
     beside the mean offset and the mean gain, that the prior determines more than the images do.
@@ -50,7 +50,7 @@ class ThermalCamera:
     vignette_errors: np.ndarray
     residual_before: float
     residual_after: float
-    sightings: np.ndarray
+    observations: np.ndarray
     expected: Mapping[str, float] = field(default_factory=dict)
     terms: tuple[str, ...] = ()
     undetermined: int = 0
@@ -107,10 +107,10 @@ class Unknown:
     reason: str
 
 
-def in_gauge(response: ViewResponses) -> ViewResponses:
+def normalized(response: ViewResponses) -> ViewResponses:
     """Return the same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
 
-    >>> in_gauge(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
+    >>> normalized(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])
     """
     gains = response.gains / response.gains.mean()

@@ -9,14 +9,14 @@ import numpy as np
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
-from tdgbench.thermal.camera import ThermalCamera, Unknown, in_gauge
+from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
 from tdgbench.thermal.explain import explain
 from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
 from tdgbench.thermal.maps import legendre_basis
+from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
 from tdgbench.thermal.priors import Drift, Widths, places
-from tdgbench.thermal.sightings import FEWEST_VIEWS, Sightings, find_sightings
 
-FEWEST_SIGHTINGS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
+FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
 UNSURE = 0.5  # share of its prior; a gain whose standard error is larger is named in a note
 FEWEST_TRAINING_VIEWS = 3
 
@@ -40,11 +40,11 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
             f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
             "give gray images, or data.thermal=radiometric"
         )
-    seen = _well_seen(find_sightings(scene.train, scene.points.points), len(scene.train))
+    seen = _well_seen(find_observations(scene.train, scene.points.points), len(scene.train))
     counts = np.bincount(seen.view, minlength=len(scene.train))
     if np.count_nonzero(counts) < FEWEST_TRAINING_VIEWS:
         return Unknown(
-            f"{scene.name}: {np.count_nonzero(counts)} training views see {FEWEST_SIGHTINGS} or more points that "
+            f"{scene.name}: {np.count_nonzero(counts)} training views see {FEWEST_OBSERVATIONS} or more points that "
             f"{FEWEST_VIEWS} views share; a camera needs {FEWEST_TRAINING_VIEWS}: add points, or raise data.width"
         )
     return _estimate(scene, seen, (unit, scale, zero))
@@ -57,17 +57,17 @@ def units(scene: Scene) -> tuple[str, float, float]:
     return "°C", scene.temperature.max - scene.temperature.min, scene.temperature.min
 
 
-def _well_seen(seen: Sightings, views: int) -> Sightings:
-    """Return the sightings of views that have enough of them."""
+def _well_seen(seen: Observations, views: int) -> Observations:
+    """Return the observations of views that have enough of them."""
     while True:
         counts = np.bincount(seen.view, minlength=views)
-        keep = (counts >= FEWEST_SIGHTINGS)[seen.view]
+        keep = (counts >= FEWEST_OBSERVATIONS)[seen.view]
         if keep.all():
             return seen
-        seen = seen.kept(keep)
+        seen = seen.select(keep)
 
 
-def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> ThermalCamera:
+def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) -> ThermalCamera:
     (name, scale, zero), train = unit, scene.train
     data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
@@ -76,7 +76,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
     at = np.array([place[view.name] for view in train])
     found, terms, drift = explain(data, widths, at)
     offset_errors, gain_errors, vignette_errors = _errors(found.fit, len(train))
-    response = in_gauge(found.fit.response)
+    response = normalized(found.fit.response)
     undetermined = max(0, found.fit.undetermined - terms.offsets - terms.gains)
     expected = {}
     if drift is not None:
@@ -97,7 +97,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
         vignette_errors=vignette_errors,
         residual_before=found.fit.before,
         residual_after=found.fit.after,
-        sightings=counts,
+        observations=counts,
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
@@ -105,7 +105,7 @@ def _estimate(scene: Scene, seen: Sightings, unit: tuple[str, float, float]) -> 
     )
 
 
-def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> Data:
+def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> Data:
     """Return values in the scene's unit. Views of several sizes have no common columns and rows."""
     sizes = np.array([(view.camera.width, view.camera.height) for view in train])
     shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
@@ -128,10 +128,10 @@ def _data(train: Sequence[View], seen: Sightings, scale: float, zero: float) -> 
 
 
 def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the standard errors of offsets, gains and coefficients in the gauge."""
+    """Return the standard errors of offsets, gains and coefficients, normalized."""
     covariance, gains = found.covariance(), found.response.gains / found.response.gains.mean()
     change = np.eye(len(covariance))
-    for first in (0, views):  # the derivative of `in_gauge` where the mean offset is about 0
+    for first in (0, views):  # the derivative of `normalized` where the mean offset is about 0
         block = slice(first, first + views)
         change[block, block] -= np.outer(gains, np.ones(views)) / views
     errors = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0))
@@ -165,7 +165,7 @@ def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.n
     few = [view.name for view, count in zip(train, counts, strict=True) if count == 0]
     if few:
         notes.append(
-            f"{len(few)} views see fewer than {FEWEST_SIGHTINGS} points that others see; they keep gain 1 and "
+            f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
             f"the mean offset: {some(few)}"
         )
     doubtful = [view.name for view, count, share in zip(train, counts, unsure, strict=True) if count and share > UNSURE]

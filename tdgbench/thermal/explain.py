@@ -1,6 +1,6 @@
 """What explains the values of points in different views: a response and a fixed pattern that held-out views support.
 
-A jackknife over clusters of points tells how far a fitted response is evidence. Errors that the model does not describe
+A jackknife over clusters of points tells how far a fitted response is evidence. Errors that no term of it describes
 (reflections, sunlit slopes, points that moved) are alike over large parts of a scene. In a direction that the values
 hardly determine they become large, and no standard error shows it. What changes as much as it is large when a part of
 the scene is left out is not known, and is held back.
@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter1d
 from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.fit import HUBER, Data, Fit, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
+from tdgbench.thermal.observations import BLUR
 from tdgbench.thermal.priors import NORMAL, Drift, Widths, drift_of
-from tdgbench.thermal.sightings import BLUR
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
@@ -34,6 +34,7 @@ FIT_ROUNDS = 10
 RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
 
 Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
+LEAST = 1e-9  # variance of a direction, in those of the prior
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     are: without reading any of them, and after the gain and offset that fit its other half. Terms have to gain in one
     way, and in both together.
     """
-    some = data.kept(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
+    some = data.select(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
     best, least = LADDER[0], held_out_errors(some, LADDER[0], widths, places)
     for terms in LADDER[1:]:
         errors = held_out_errors(some, terms, widths, places)
@@ -95,9 +96,7 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     return best
 
 
-def prior(
-    data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None
-) -> np.ndarray:  # fmt: skip
+def prior(data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None) -> np.ndarray:
     """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width."""
     variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
     precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
@@ -152,9 +151,7 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
 
 
-def held_out_errors(
-    data: Data, terms: Terms, widths: Widths, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+def held_out_errors(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Predict the values of views, held out in turn, from the points' temperatures in other views; return the errors.
 
     The first are of values of which none is read: the view has the offset that its neighbours in the sequence let
@@ -164,7 +161,7 @@ def held_out_errors(
     unread, halves = [np.zeros(0)], [np.zeros(0)]
     for fold in range(FOLDS):
         held = np.isin(data.view, present[fold::FOLDS])
-        rest = data.kept(~held)
+        rest = data.select(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
         found = fit(rest, terms, prior(data, widths))
         drift = _drift(found, rest, terms, widths, places)
@@ -172,7 +169,7 @@ def held_out_errors(
         if drift is not None:
             known = np.unique(rest.view)
             expected = drift.expected(places, places[known], found.response.offsets[known])
-        test = data.kept(held & seen[data.point])
+        test = data.select(held & seen[data.point])
         shown = test.value - test.terms @ found.vignette
         for view in np.unique(test.view):
             of_view = test.view == view
@@ -215,9 +212,6 @@ def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.n
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
 
 
-LEAST = 1e-9  # variance of a direction, in those of the prior
-
-
 def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
     """Return the fit, each direction shrunk towards an ideal camera by what the jackknife leaves of its evidence."""
     free = terms.free(data)
@@ -225,14 +219,14 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
         return found
     theta = np.concatenate([*found.response, found.vignette])
     system = System(data, theta, found.temperatures, found.reference, found.weights)
-    told, axes = system.directions(precision, free)
+    information, axes = system.directions(precision, free)
     given = precision[np.ix_(free, free)]
     others = [_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
     moved = np.stack(others)[:, free] @ given @ axes
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    drawn = told / (told + 1)  # the share of a value that the prior leaves
-    known = np.minimum(told, drawn**2 / np.maximum(variance, LEAST))
+    drawn = information / (information + 1)  # the share of a value that the prior leaves
+    known = np.minimum(information, drawn**2 / np.maximum(variance, LEAST))
     place = (theta - data.ideal)[free] @ given @ axes
     kept = np.where(drawn > 0, place / np.maximum(drawn, LEAST), 0.0) * known / (known + 1)
     theta = data.ideal
@@ -248,10 +242,10 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
 
 def _without(
     data: Data, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Change (2 V + K,) of the parameters if a cluster of points is left out."""
     keep = data.cluster != cluster
-    rest, residuals = data.kept(keep), found.residuals[keep]
+    rest, residuals = data.select(keep), found.residuals[keep]
     system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])
     return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
 

@@ -55,7 +55,7 @@ class Data:
     points: int
     size: tuple[int, int]
 
-    def kept(self, keep: np.ndarray) -> Data:
+    def select(self, keep: np.ndarray) -> Data:
         """Return the values where `keep` (S,) is true; views and points keep their numbers."""
         arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
@@ -147,7 +147,7 @@ class System:
 
     def __init__(
         self, data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
-    ) -> None:  # fmt: skip
+    ) -> None:
         count, rows = len(data.value), np.arange(len(data.value))
         gains = theta[data.views : 2 * data.views][data.view]
         entries = np.stack([np.ones(count), temperatures[data.point] - reference], axis=1)
@@ -175,9 +175,7 @@ class System:
         matrix[views:, views:] -= self.from_terms.T @ (self.from_terms / self.curvature[:, None])
         return matrix
 
-    def solve(
-        self, residuals: np.ndarray, pull: np.ndarray, precision: np.ndarray, free: np.ndarray
-    ) -> np.ndarray:  # fmt: skip
+    def solve(self, residuals: np.ndarray, pull: np.ndarray, precision: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return the step of offsets, gains and coefficients, 0 where not `free`. pull, precision: of the prior."""
         weighted, pulled = self.weights * residuals, (self.by_point @ residuals) / self.curvature
         right = np.r_[

@@ -17,6 +17,8 @@ from numpy.polynomial.legendre import legvander
 
 DEGREE = 4
 TERMS = [(i, total - i) for total in range(1, DEGREE + 1) for i in range(total + 1)]  # degrees in x and y
+SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
+FEWEST_LINES = 16  # with values
 
 
 def legendre_basis(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -44,13 +46,9 @@ def along(share: np.ndarray) -> np.ndarray:
     return np.asarray(legvander(2 * share - 1, DEGREE) * np.sqrt(2 * np.arange(DEGREE + 1) + 1))
 
 
-SIGNIFICANT = 4.0  # standard errors by which the variance of lines must exceed what noise gives them
-FEWEST_LINES = 16  # with values
-
-
 def line_map(
     columns: Sequence[float] | np.ndarray | None, rows: Sequence[float] | np.ndarray | None, width: int, height: int
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return fixed pattern (height, width) of columns and rows; 0 where there are none.
 
     Raises ValueError for an image of another size than those that it was estimated from.

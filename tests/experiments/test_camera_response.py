@@ -5,7 +5,7 @@ from tdgbench.bench.record import Record
 from tdgbench.experiments.camera_response import compare_camera
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.accuracy import truth_in_gauge
+from tdgbench.thermal.accuracy import normalized_truth
 from tdgbench.thermal.maps import TERMS, legendre_basis
 
 NAMES = [f"view{index}" for index in range(12)]
@@ -35,15 +35,15 @@ def test_a_camera_that_is_found_has_no_errors():
 
 def test_a_vignette_that_is_found_has_no_errors():
     true = truth(vignette_degC=2.0)
-    in_gauge = truth_in_gauge(true, NAMES, true.camera.reference)
+    normalized = normalized_truth(true, NAMES, true.camera.reference)
     grid = [(np.arange(size) + 0.5) / size for size in (40, 30)]
     terms = legendre_basis(*(axis.ravel() for axis in np.meshgrid(*grid)))
-    shape = np.linalg.lstsq(terms - terms.mean(axis=0), in_gauge.vignette.ravel(), rcond=None)[0]
-    found = facts(in_gauge.response.offsets, in_gauge.response.gains, true.camera.reference)
+    shape = np.linalg.lstsq(terms - terms.mean(axis=0), normalized.vignette.ravel(), rcond=None)[0]
+    found = facts(normalized.response.offsets, normalized.response.gains, true.camera.reference)
     none = compare_camera(record(estimated=found), {}, true, NAMES)
     one = compare_camera(record(estimated=found | {"vignette": shape.tolist()}), {}, true, NAMES)
     assert max(one.errors.values()) < 1e-6 < 0.5 < none.errors["vignette_degC_worst"]
-    assert one.found_vignette == pytest.approx(in_gauge.vignette, abs=1e-6)
+    assert one.found_vignette == pytest.approx(normalized.vignette, abs=1e-6)
 
 
 @pytest.mark.parametrize("camera", [{}, {"estimated": {"unknown": "no points"}}])

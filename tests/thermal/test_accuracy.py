@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes.synthetic.truth import read_truth
-from tdgbench.thermal.accuracy import errors_of, truth_in_gauge
+from tdgbench.thermal.accuracy import errors_of, normalized_truth
 
 
 def test_the_truth_itself_has_no_error(drifting_scene, drifting_camera):
     truth = read_truth(drifting_scene.folder)
-    true = truth_in_gauge(truth, drifting_camera.views, drifting_camera.reference).response
+    true = normalized_truth(truth, drifting_camera.views, drifting_camera.reference).response
     errors = errors_of(replace(drifting_camera, offsets=true.offsets, gains=true.gains), truth)
     assert np.abs(errors.offsets).max() == 0 and np.abs(errors.gains).max() == 0
 

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.thermal.camera import ViewResponses, in_gauge
+from tdgbench.thermal.camera import ViewResponses, normalized
 
 
-def test_the_gauge_changes_no_value():
-    """Temperatures T' = T scaled and shifted with the gauge give the same values at the reference r."""
+def test_normalization_changes_no_value():
+    """Temperatures T' = T scaled and shifted with the normalization give the same values at the reference r."""
     before, r = ViewResponses(np.array([1.0, -2.0, 4.0]), np.array([1.1, 0.9, 1.3])), 20.0
-    after, degC = in_gauge(before), np.linspace(10, 30, 5)[:, None]
+    after, degC = normalized(before), np.linspace(10, 30, 5)[:, None]
     moved = r + before.gains.mean() * (degC - r) + before.offsets.mean()
     assert r + after.gains * (moved - r) + after.offsets == pytest.approx(
         r + before.gains * (degC - r) + before.offsets

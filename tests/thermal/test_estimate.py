@@ -82,7 +82,9 @@ def test_a_view_with_few_points_keeps_an_ideal_response(drifting_scene):
     in_front = points[away.camera.project(points)[1] > 0]
     cloud = PointCloud(in_front, np.zeros((len(in_front), 3), np.float32))
     camera = estimate_camera(replace(drifting_scene, train=train, points=cloud))
-    assert camera.sightings[0] == 0 and "keep gain 1" in " ".join(camera.notes) and away.name in " ".join(camera.notes)
+    assert (
+        camera.observations[0] == 0 and "keep gain 1" in " ".join(camera.notes) and away.name in " ".join(camera.notes)
+    )
     assert abs(camera.offsets[0]) < 2 and abs(camera.gains[0] - 1) < 0.05
 
 

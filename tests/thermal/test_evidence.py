@@ -5,7 +5,7 @@ from tdgbench.thermal.explain import held_back
 from tdgbench.thermal.fit import Terms, fit
 from tdgbench.thermal.maps import TERMS as POLYNOMIALS
 from tdgbench.thermal.maps import evaluate
-from tests.helpers.sightings import along_a_line, loose, sightings
+from tests.helpers.observations import along_a_line, loose, observations
 
 TERMS = Terms(vignette=True, offsets=True)
 BOWL = np.array([0.5 if term in ((2, 0), (0, 2)) else 0.0 for term in POLYNOMIALS])
@@ -38,7 +38,7 @@ def test_without_contradictions_nothing_more_is_held_back():
 
 
 def test_what_all_parts_of_the_scene_agree_about_stays():
-    data, _ = sightings(np.linspace(-2, 2, 12), np.tile([0.95, 1.0, 1.05], 4), coefficients=BOWL)
+    data, _ = observations(np.linspace(-2, 2, 12), np.tile([0.95, 1.0, 1.05], 4), coefficients=BOWL)
     found, held = both(data, Terms(vignette=True, offsets=True, gains=True))
     assert np.abs(held.response.offsets - found.response.offsets).max() < 1e-3
     assert np.abs(held.response.gains - found.response.gains).max() < 1e-3
@@ -48,7 +48,7 @@ def test_what_all_parts_of_the_scene_agree_about_stays():
 
 def test_undetermined_directions_are_counted():
     """Mean offset and mean gain; along a line also what is linear in x, and the four terms of y alone."""
-    data, _ = sightings(np.zeros(12), np.ones(12))
+    data, _ = observations(np.zeros(12), np.ones(12))
     counted = [both(data, Terms(offsets=True, gains=gains))[1].undetermined for gains in (False, True)]
     assert counted == [1, 2] and both(data, Terms(vignette=True))[1].undetermined == 0
     assert both(along_a_line(1.0, 0.0))[1].undetermined == 6
@@ -62,7 +62,7 @@ def test_a_direction_that_no_value_tells_about_stays_ideal():
 
 
 def test_an_ideal_camera_is_returned_as_it_is():
-    data, _ = sightings(np.zeros(12), np.ones(12))
+    data, _ = observations(np.zeros(12), np.ones(12))
     found, held = both(data, Terms())
     assert held is found and held.undetermined == 0
 

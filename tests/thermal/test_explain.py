@@ -7,7 +7,7 @@ from tdgbench.thermal.explain import choose_terms, explain, held_out_errors, pri
 from tdgbench.thermal.fit import Terms
 from tdgbench.thermal.maps import TERMS
 from tdgbench.thermal.priors import Drift
-from tests.helpers.sightings import DEGC, NOWHERE, along_a_line, loose, sightings
+from tests.helpers.observations import DEGC, NOWHERE, along_a_line, loose, observations
 
 STILL, EVEN, ORDER = np.zeros(12), np.ones(12), np.arange(12.0)
 DRIFT, GAINS = np.linspace(-4, 4, 12), np.tile([0.9, 1.0, 1.1], 4)
@@ -30,24 +30,24 @@ def rms(values):
     ids=["ideal", "vignette", "offsets", "both", "gains"],
 )
 def test_terms_are_those_of_the_camera(camera, terms):
-    assert choose_terms(sightings(**camera)[0], DEGC, ORDER) == terms
+    assert choose_terms(observations(**camera)[0], DEGC, ORDER) == terms
 
 
 def test_offsets_without_an_order_are_accepted_for_truer_temperatures():
     """The view's own offset cannot be expected then, but the other half of its image tells it."""
     offsets = np.random.default_rng(2).normal(0, 2, 12)
-    assert choose_terms(sightings(offsets, EVEN)[0], DEGC, NOWHERE) == Terms(offsets=True)
+    assert choose_terms(observations(offsets, EVEN)[0], DEGC, NOWHERE) == Terms(offsets=True)
 
 
 def test_gains_need_clear_evidence():
     """1 % of gain changes values by the noise, but predicts held-out views by less than a tenth better."""
     for share, accepted in ((0.004, False), (0.1, True)):
         gains = 1 + share * np.tile([-1, 0, 1], 4)
-        assert choose_terms(sightings(DRIFT, gains)[0], DEGC, ORDER).gains is accepted
+        assert choose_terms(observations(DRIFT, gains)[0], DEGC, ORDER).gains is accepted
 
 
 def test_the_neighbours_in_the_sequence_predict_a_view_that_is_not_read():
-    data, _ = sightings(DRIFT, EVEN)
+    data, _ = observations(DRIFT, EVEN)
     offsets = Terms(offsets=True)
     (unread, halves), (alone, same) = (held_out_errors(data, offsets, DEGC, at) for at in (ORDER, NOWHERE))
     ideal, _ = held_out_errors(data, Terms(), DEGC, ORDER)
@@ -57,7 +57,7 @@ def test_the_neighbours_in_the_sequence_predict_a_view_that_is_not_read():
 
 def test_no_value_of_a_held_out_view_is_read():
     """The errors of the first view, which is in the first group, change by what its values change by."""
-    data, terms = sightings(DRIFT, EVEN)[0], Terms(vignette=True, offsets=True)
+    data, terms = observations(DRIFT, EVEN)[0], Terms(vignette=True, offsets=True)
     moved = replace(data, value=data.value + 100.0 * (data.view == 0))
     before, after = (held_out_errors(one, terms, DEGC, ORDER)[0] for one in (data, moved))
     first = np.count_nonzero(data.view == 0) // 2  # a few points are seen by too few other views
@@ -72,15 +72,15 @@ def test_what_parts_of_a_scene_contradict_each_other_about_does_not_wander(seed)
 
 
 def test_a_drift_is_found_in_the_order_of_the_views():
-    data, _ = sightings(DRIFT, EVEN)
+    data, _ = observations(DRIFT, EVEN)
     found, terms, drift = explain(data, DEGC, ORDER)
     assert terms.offsets and drift.jitter < 0.1 and drift.variance <= DEGC.offsets**2
     assert np.abs(found.fit.response.offsets - found.fit.response.offsets.mean() - DRIFT).max() < 0.05
-    assert explain(data, DEGC, NOWHERE)[2] is None and explain(sightings(STILL, EVEN)[0], DEGC, ORDER)[2] is None
+    assert explain(data, DEGC, NOWHERE)[2] is None and explain(observations(STILL, EVEN)[0], DEGC, ORDER)[2] is None
 
 
 def test_the_prior_of_a_drift_joins_neighbours():
-    data, _ = sightings(STILL, EVEN)
+    data, _ = observations(STILL, EVEN)
     joined = np.linalg.inv(prior(data, DEGC, Drift(4.0, 0.02, 8.0), ORDER))
     alone = np.linalg.inv(loose(data))
     assert joined[0, 1] > joined[0, 5] > 0 == alone[0, 1] and np.array_equal(joined[12:, 12:], alone[12:, 12:])
@@ -89,7 +89,7 @@ def test_the_prior_of_a_drift_joins_neighbours():
 
 def test_a_pattern_of_columns_is_found_and_noise_is_none():
     columns = np.random.default_rng(3).normal(0, 0.3, 64)
-    found, terms, _ = explain(sightings(STILL, EVEN, columns=columns, points=2000)[0], DEGC, ORDER)
+    found, terms, _ = explain(observations(STILL, EVEN, columns=columns, points=2000)[0], DEGC, ORDER)
     assert terms.pattern and np.corrcoef(found.columns, columns)[0, 1] > 0.95
-    plain, terms, _ = explain(sightings(STILL, EVEN, points=2000)[0], DEGC, ORDER)
+    plain, terms, _ = explain(observations(STILL, EVEN, points=2000)[0], DEGC, ORDER)
     assert not terms.pattern and plain.columns is None and plain.rows is None

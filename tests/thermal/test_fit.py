@@ -1,24 +1,24 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.camera import ViewResponses, in_gauge
+from tdgbench.thermal.camera import ViewResponses, normalized
 from tdgbench.thermal.fit import Terms, fit
-from tests.helpers.sightings import loose, sightings
+from tests.helpers.observations import loose, observations
 
 OFFSETS, GAINS = np.linspace(-4, 4, 12), np.tile([0.95, 1.0, 1.05], 4)
 ALL = Terms(vignette=True, offsets=True, gains=True)
 
 
 def true_response(reference):
-    return in_gauge(ViewResponses(OFFSETS + (GAINS - 1) * (reference - 20), GAINS))
+    return normalized(ViewResponses(OFFSETS + (GAINS - 1) * (reference - 20), GAINS))
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.05])
 def test_response_is_recovered(outliers):
     coefficients = np.array([0.3, -0.2, 0.4, 0.1, 0.5, *[0.0] * 9])
-    data, _ = sightings(OFFSETS, GAINS, coefficients=coefficients, outliers=outliers)
+    data, _ = observations(OFFSETS, GAINS, coefficients=coefficients, outliers=outliers)
     found = fit(data, ALL, loose(data))
-    response, true = in_gauge(found.response), true_response(found.reference)
+    response, true = normalized(found.response), true_response(found.reference)
     assert np.abs(response.offsets - true.offsets).max() < 0.03
     assert np.abs(response.gains - true.gains).max() < 0.003
     assert np.abs(found.vignette - coefficients).max() < 0.02
@@ -27,17 +27,17 @@ def test_response_is_recovered(outliers):
 
 def test_noise_does_not_bias_gains():
     """Regression on means of the values would draw gains towards 0."""
-    data, _ = sightings(np.zeros(4), np.array([0.9, 1.1, 0.9, 1.1]), noise=1.5, points=6000)
-    gains = in_gauge(fit(data, ALL, loose(data)).response).gains
+    data, _ = observations(np.zeros(4), np.array([0.9, 1.1, 0.9, 1.1]), noise=1.5, points=6000)
+    gains = normalized(fit(data, ALL, loose(data)).response).gains
     assert gains == pytest.approx([0.9, 1.1, 0.9, 1.1], abs=0.015)
 
 
 def test_standard_errors_are_those_of_repeated_captures():
     errors, stated = [], []
     for seed in range(9):
-        data, _ = sightings(OFFSETS, GAINS, seed=seed, noise=0.3)
+        data, _ = observations(OFFSETS, GAINS, seed=seed, noise=0.3)
         found = fit(data, ALL, loose(data))
-        response, true = in_gauge(found.response), true_response(found.reference)
+        response, true = normalized(found.response), true_response(found.reference)
         errors.append(response.gains - true.gains)
         change = np.eye(12) - 1 / 12
         stated.append(np.diag(change @ found.covariance()[12:24, 12:24] @ change))
@@ -45,7 +45,7 @@ def test_standard_errors_are_those_of_repeated_captures():
 
 
 def test_terms_that_are_not_estimated_are_ideal():
-    data, _ = sightings(OFFSETS, GAINS)
+    data, _ = observations(OFFSETS, GAINS)
     found = fit(data, Terms(offsets=True), loose(data))
     assert (found.response.gains == 1).all() and (found.vignette == 0).all() and np.ptp(found.response.offsets) > 7
     assert (np.diag(found.covariance())[12:] == 0).all()
@@ -54,21 +54,21 @@ def test_terms_that_are_not_estimated_are_ideal():
 
 
 def test_priors_hold_what_is_unknown():
-    data, _ = sightings(OFFSETS, GAINS)
-    found = fit(data.kept(data.view != 5), ALL, loose(data))
+    data, _ = observations(OFFSETS, GAINS)
+    found = fit(data.select(data.view != 5), ALL, loose(data))
     assert found.response.gains[5] == pytest.approx(1) and found.response.offsets[5] == pytest.approx(0)
 
 
 def test_what_few_values_tell_little_about_is_drawn_to_the_prior():
-    data, _ = sightings(OFFSETS, np.ones(12), noise=3.0)
-    few = data.kept((data.view != 11) | (np.arange(len(data.value)) % 40 == 0))
+    data, _ = observations(OFFSETS, np.ones(12), noise=3.0)
+    few = data.select((data.view != 11) | (np.arange(len(data.value)) % 40 == 0))
     whole, drawn = (fit(one, Terms(offsets=True), loose(one)).response.offsets[11] for one in (data, few))
     assert whole == pytest.approx(4, abs=0.6) and drawn < whole - 0.3
 
 
 def test_directions_without_a_value_are_undetermined():
-    data, _ = sightings(OFFSETS, GAINS)
+    data, _ = observations(OFFSETS, GAINS)
     counts = [fit(data, terms, loose(data)).undetermined for terms in (Terms(vignette=True), Terms(offsets=True), ALL)]
     assert counts == [0, 1, 2]
-    unseen = data.kept(data.view != 5)
+    unseen = data.select(data.view != 5)
     assert fit(unseen, ALL, loose(unseen)).undetermined == 4

@@ -125,7 +125,7 @@ def read_images(path: Path) -> list[ImageEntry]:
         compared = to_compare(point_ids)
         found.append(
             ImageEntry(image_id, PoseEntry.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
-        )  # fmt: skip
+        )
     return found
 
 

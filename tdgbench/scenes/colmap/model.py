@@ -19,6 +19,9 @@ from tdgbench.scenes.inputs import check_view_name, is_there
 from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.validate import check_camera
 
+FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
+NEEDED = ("cameras", "images", "points3D")
+
 
 @dataclass(frozen=True)
 class RegisteredImage:
@@ -74,10 +77,6 @@ def _cloud(points: Points) -> PointCloud | None:
         return None
     order = np.argsort(points.ids)
     return PointCloud(points.xyz[order], points.colors[order].astype(np.float32) / np.float32(255))
-
-
-FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
-NEEDED = ("cameras", "images", "points3D")
 
 
 def read_tables(folder: Path) -> ModelTables:

@@ -87,7 +87,7 @@ def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, pycolmap.Camera,
     check_size(entry.width, entry.height, where)
     source = pycolmap.Camera(
         model=entry.model, width=entry.width, height=entry.height, params=list(entry.params), camera_id=entry.id
-    )  # fmt: skip
+    )
     if not source.focal_length_idxs():  # pycolmap crashes where such a camera is asked for its focal length
         raise SceneError(f"{where} is {entry.model}, which no pinhole can show; render the scene with pinholes")
     _check_intrinsics(source, where)

@@ -76,7 +76,7 @@ def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
 
 def find_files(
     folder: Path, suffixes: tuple[str, ...] = SUFFIXES, but: Container[str] = ()
-) -> tuple[dict[str, Path], dict[str, str]]:  # fmt: skip
+) -> tuple[dict[str, Path], dict[str, str]]:
     """Find files by view name; and by view name `train` or `test`, where these subfolders exist.
 
     suffixes: in lower case; those of files may be in upper case. but: views that are passed over. Raises SceneError for

@@ -28,9 +28,7 @@ class DriftingDataset:
     `encoding=agc` stretches each image on its own. noise_degC: standard deviation of what every pixel adds.
     """
 
-    def __init__(
-        self, inner: Dataset, errors: ThermalErrors, noise_degC: DegC = 0.0, seed: NonNegativeInt = 0
-    ) -> None:  # fmt: skip
+    def __init__(self, inner: Dataset, errors: ThermalErrors, noise_degC: DegC = 0.0, seed: NonNegativeInt = 0) -> None:
         self.inner, self.errors, self.noise_degC, self.seed = inner, errors, noise_degC, seed
 
     def names(self) -> list[str]:
@@ -110,7 +108,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
     scene = replace(
         clean, train=[seen(view) for view in clean.train], test=[seen(view) for view in clean.test], temperature=span
-    )  # fmt: skip
+    )
     return scene, CameraTruth([view.name for view in views], camera)
 
 

@@ -82,7 +82,7 @@ class Patches:
 
     def _each(
         self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], found: np.ndarray
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Fill `found` (N, ...) with the value of each point's material."""
         owner = cKDTree(self.sites).query(points[:, :2])[1]
         for index in np.unique(owner):

@@ -75,7 +75,7 @@ def _orbit(seed: int) -> World:
         ),
         (Sphere((0.45, 0.25, 0.78), 0.28), Material(CERAMIC, GLAZE, wave(5, 2.0), 40.0, 2.0, -6.0)),
         (Cylinder((0.1, -0.55, 0.5), 0.2, 0.55), Material(GLAZE, CERAMIC, wave(6, 2.5), 8.0, 2.0, 6.0)),
-    ]  # fmt: skip
+    ]
     return World("day", True, objects, _ring(3.2, 1.7, (0, 0, 0.6), 2 * np.pi), (5.0, 42.0), 0.95)
 
 
@@ -98,7 +98,7 @@ def _night(seed: int) -> World:
         ),
         (Cylinder((0.9, 0.6, 0.0), 0.35, 1.3), Material(STEEL, STAIN, wave(5, 1.6), 24.0, 2.0, 5.0)),
         (Sphere((0.1, -0.3, 0.3), 0.3), Material(CERAMIC, STAIN, wave(6, 1.8), 33.0, 2.0, -5.0)),
-    ]  # fmt: skip
+    ]
     cameras = _ring(4.2, 1.5, (0, 0.9, 0.8), np.radians(110), np.radians(-90))
     return World("dark", True, objects, cameras, (0.0, 36.0), 0.9, (0.2, -0.6, 0.75), exposure=0.05, point_share=0.6)
 
@@ -118,7 +118,7 @@ def _turntable(seed: int) -> World:
         (Sphere((0.0, 0.0, 0.95), 0.38), Material(CERAMIC, GLAZE, wave(4, 1.6), 33.0, 4.0)),
         (Cuboid((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
         (Cuboid((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
-    ]  # fmt: skip
+    ]
     return World("360", False, objects, _ring(2.8, 1.4, (0, 0, 0.5), 2 * np.pi), (14.0, 50.0), 0.95)
 
 

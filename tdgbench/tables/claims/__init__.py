@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -18,6 +17,7 @@ from tdgbench.tables.claims.evidence import (
     FAILS,
     HOLDS,
     UNDECIDED,
+    Claim,
     ClaimEvidence,
     Finding,
     MissingError,
@@ -27,11 +27,11 @@ from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER
 
 __all__ = [
-    "CHECKS", "FAILS", "HOLDS", "UNDECIDED", "Evidence", "Finding", "MissingError", "check_all", "check_claim",
-    "evidence_of", "load_claims",
+    "CHECKS", "FAILS", "HOLDS", "UNDECIDED", "Claim", "ClaimEvidence", "Finding", "MissingError", "check_all",
+    "check_claim", "evidence_of", "load_claims",
 ]  # fmt: skip
 
-Check = Callable[[dict[str, Any], ClaimEvidence], Finding]
+Check = Callable[[Claim, ClaimEvidence], Finding]
 OF_TABLES: tuple[Check, ...] = (
     main_table.relative_gain,
     main_table.averages,
@@ -55,9 +55,9 @@ OF_CELLS: tuple[Check, ...] = (
 CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_CELLS)}  # type: ignore[attr-defined]
 
 
-def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
+def load_claims(path: Path = FOLDER / "claims.yaml") -> list[Claim]:
     """Load the claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
-    claims: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    claims: list[Claim] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for claim in claims:
         name = claim.get("id", "?")
         missing = {"id", "said", "where", "check"} - set(claim)
@@ -73,7 +73,7 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[dict[str, Any]]:
     return claims
 
 
-def check_claim(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
@@ -89,7 +89,7 @@ def check_claim(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(found.verdict, "; ".join(part for part in parts if part))
 
 
-def check_all(claims: list[dict[str, Any]], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
+def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
     """Return one row per claim: id, said, where, and for the published table and for ours verdict and grounds."""
     rows = []
     for claim in claims:

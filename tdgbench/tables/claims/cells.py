@@ -7,7 +7,7 @@ Gains at different numbers of iterations are judged apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims import main_table
 from tdgbench.tables.claims.evidence import (
     UNDECIDED,
+    Claim,
     ClaimEvidence,
     Finding,
     MissingError,
@@ -34,8 +35,7 @@ from tdgbench.tables.claims.pairs import (
 )
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 
-COLMAP = "colmap"
-Claim = dict[str, Any]
+COLMAP: Final = "colmap"
 
 
 def better(claim: Claim, evidence: ClaimEvidence) -> Finding:

@@ -5,13 +5,13 @@ A printed number is known to half a unit of its last digit.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 import pandas as pd
 
 from tdgbench.tables import measures, methods
 from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, ClaimEvidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import printed_half_unit
 from tdgbench.tables.results import with_bold
@@ -55,7 +55,7 @@ def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) ->
     return min(gains), max(gains)
 
 
-def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
@@ -69,25 +69,24 @@ def relative_gain(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def averages(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
     values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
-    fits = all(
-        abs(value - float(claim[method])) <= printed_half_unit(claim[method]) for method, value in values.items()
-    )
+    printed = cast(dict[str, str], claim)  # with one number by method
+    fits = all(abs(v - float(printed[m])) <= printed_half_unit(printed[m]) for m, v in values.items())
     grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
-def average_gains(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
     return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
 
 
-def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that training takes `minutes` less on average."""
     _of_paper(evidence)
     new, old = _pair(evidence, evidence.overall, HOURS.name)
@@ -96,7 +95,7 @@ def minutes_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
 
 
-def percent_saved(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def percent_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that training takes `percent` less time on average."""
     new, old = _pair(evidence, evidence.overall, HOURS.name)
     low, high = _gain_range(evidence, HOURS.name, new, old)
@@ -115,7 +114,7 @@ def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
     return scenes
 
 
-def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
     exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
@@ -128,7 +127,7 @@ def better_scenes(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
 
-def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
     better, equal, total = _wins(claim, evidence)
     grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
@@ -136,7 +135,7 @@ def better_mostly(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
-def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that each method is better somewhere among the data set's scenes × metrics."""
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
@@ -144,7 +143,7 @@ def mixed(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_labels()[0]} is {counts}")
 
 
-def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that at every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
     for scene in _scenes(evidence, claim["dataset"]):
@@ -157,7 +156,7 @@ def within(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(FAILS if over else HOLDS, grounds)
 
 
-def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that every method of the ablation loses at least `drop` dB of PSNR from random points."""
     drops = {}
     for method in claim["methods"]:
@@ -169,7 +168,7 @@ def ablation_drop(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, grounds)
 
 
-def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the ablation's numbers from COLMAP points are the main table's averages over all scenes."""
     if not evidence.printed:
         raise MissingError("our tables are made of the same cells")
@@ -182,7 +181,7 @@ def ablation_agrees(claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else "the same in both tables")
 
 
-def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the averages are those of the rows."""
     table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
     rounding = [
@@ -200,7 +199,7 @@ def averages_follow(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
     return Finding(FAILS if off else HOLDS, "; ".join(off) if off else f"all {len(found)} follow, within rounding")
 
 
-def bold_follows(_claim: dict[str, Any], evidence: ClaimEvidence) -> Finding:
+def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the better value of each row is bold."""
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
@@ -216,7 +215,7 @@ def _of_paper(evidence: ClaimEvidence) -> None:
         raise MissingError("a number for the paper's scenes, which these are not")
 
 
-def _wins(claim: dict[str, Any], evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
+def _wins(claim: Claim, evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
     """Return scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
     better, equal, total = [], [], 0
     for scene in _scenes(evidence, claim["dataset"]):

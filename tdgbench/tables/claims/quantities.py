@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell
+from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.measures import measure
 
-Claim = dict[str, Any]
 OneOf = Callable[[Cell, Claim], float | None]
 PairOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
 
@@ -99,7 +98,7 @@ def _metric(metric: str) -> Quantity:
     return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
 
-def time_to_level(mine: Cell, other: Cell, claim: dict[str, Any], column: str) -> tuple[float, float] | None:
+def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[float, float] | None:
     """Return iterations (or seconds) until each run first has one level of training PSNR.
 
     The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
@@ -133,13 +132,13 @@ def first_at(log: pd.DataFrame, level: float, column: str) -> float:
     return float(np.interp(level, psnr[i - 1 : i + 1], along[i - 1 : i + 1]))
 
 
-def psnr_drop(cell: Cell, claim: dict[str, Any]) -> float | None:
+def psnr_drop(cell: Cell, claim: Claim) -> float | None:
     """Return the fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
     windows = _around_switch(cell, claim["window"], "train_psnr")
     return None if windows is None else float(windows[0].mean() - windows[1].min())
 
 
-def loss_rise(cell: Cell, claim: dict[str, Any]) -> float | None:
+def loss_rise(cell: Cell, claim: Claim) -> float | None:
     """Return the rise of the thermal loss at the switch: its highest value after, over its mean before."""
     windows = _around_switch(cell, claim["window"], "loss_thermal")
     return None if windows is None else float(windows[1].max() / windows[0].mean())

@@ -15,7 +15,7 @@ def load(root, name, **camera):
     return SyntheticDataset(str(root), ReadOptions(), **FULL, errors=errors).load(name)
 
 
-def sightings(scene):
+def observations(scene):
     """Places in the image (N, 2), cameras (N, 3) and points (N, 3) of what the views see of the sparse points."""
     found = []
     for view in scene.views:
@@ -30,7 +30,7 @@ def sightings(scene):
 
 def left_of_a_linear_vignette(scene, axis):
     """Share of a vignette linear in x or y that offsets linear in the camera's place and a gradient do not explain."""
-    pixels, cameras, points = sightings(scene)
+    pixels, cameras, points = observations(scene)
     vignette = pixels[:, axis] - pixels[:, axis].mean()
     terms = np.concatenate([cameras, points, np.ones((len(points), 1))], axis=1)
     left = vignette - terms @ np.linalg.lstsq(terms, vignette, rcond=None)[0]

@@ -20,7 +20,7 @@ def loose(data: Data) -> np.ndarray:
     return prior(data, DEGC, None, np.full(data.views, np.nan))
 
 
-def sightings(
+def observations(
     offsets: np.ndarray, gains: np.ndarray, *, coefficients: np.ndarray | None = None,
     columns: np.ndarray | None = None, points: int = 400, noise: float = 0.05, outliers: float = 0.0, seed: int = 0,
 ) -> tuple[Data, np.ndarray]:  # fmt: skip

@@ -1,4 +1,4 @@
-"""Sightings: values of training views at the scene's sparse points."""
+"""Observations: values of training views at the scene's sparse points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEWEST_VIEWS = 3  # that must see a point
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Observations:
     """S pairs of a point and a training view that sees it.
 
     point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
@@ -42,16 +42,16 @@ class Sightings:
     cluster: np.ndarray
     points: int
 
-    def kept(self, keep: np.ndarray) -> Sightings:
-        """Return the sightings where `keep` (S,) is true, of points that enough views see; points are counted anew."""
+    def select(self, keep: np.ndarray) -> Observations:
+        """Return those where `keep` (S,) is true, of points that enough views see; points are counted anew."""
         keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
         left, point = np.unique(self.point[keep], return_inverse=True)
         arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y", "cluster")}
         return replace(self, point=point, points=len(left), **arrays)
 
 
-def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
-    """Find sightings of at most MOST_POINTS of the points (N, 3), in views with thermal images of one channel."""
+def find_observations(views: Sequence[View], points: np.ndarray) -> Observations:
+    """Find observations of at most MOST_POINTS of the points (N, 3), in views with thermal images of one channel."""
     used = np.zeros(len(points), bool)
     used[:: max(1, -(-len(points) // MOST_POINTS))] = True
     parts: list[tuple[np.ndarray, ...]] = []
@@ -61,8 +61,8 @@ def find_sightings(views: Sequence[View], points: np.ndarray) -> Sightings:
         whole = (number, np.full(len(number), index), value, detail, slope, x, y)
         parts.append(tuple(array[usable] for array in whole))
     point, of_view, value, detail, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    found = Sightings(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
-    return found.kept(np.ones(len(point), bool))
+    found = Observations(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
+    return found.select(np.ones(len(point), bool))
 
 
 def _clusters(points: np.ndarray) -> np.ndarray:
