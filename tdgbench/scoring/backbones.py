@@ -63,7 +63,7 @@ class Fire(nn.Module):
 
 
 def make_trunk(net: str) -> nn.Sequential:
-    """The `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
+    """Return the `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
     if net == "vgg":
         layers: list[nn.Module] = []
         inputs = 3
@@ -90,7 +90,7 @@ def make_trunk(net: str) -> nn.Sequential:
 
 
 def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tensor]:
-    """The trunk's state dict (`features.*` of torchvision's names, prefix removed).
+    """Return the trunk's state dict (`features.*` of torchvision's names, prefix removed).
 
     From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
     reason. A failed download is not tried again in the same process.

@@ -7,12 +7,13 @@ import torch
 
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.context import frames_of
 from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.part import NonFiniteError
 from tdgbench.training.stopping import Plateau
-from tdgbench.training.trainer import Trainer, frames_of
+from tdgbench.training.trainer import Trainer
 from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 

@@ -16,7 +16,7 @@ ZERO, ONE = F(0), F(1)
 
 
 def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
-    """Weights float32 (H, W · channels), 1 where the mask (H, W) is true and 0 elsewhere.
+    """Return weights float32 (H, W · channels), 1 where the mask (H, W) is true and 0 elsewhere.
 
     Raises ValueError if it is true nowhere.
 
@@ -34,7 +34,7 @@ def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
 
 
 def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The image (rows, columns · channels) with 0 where the weights, shaped as it, are 0, whatever it holds there.
+    """Return the image (rows, columns · channels) with 0 where the weights, shaped as it, are 0.
 
     >>> without_masked(np.array([[np.nan, 2.0]], F), np.array([[0.0, 1.0]], F)).tolist()
     [[0.0, 2.0]]

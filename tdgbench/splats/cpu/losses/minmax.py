@@ -64,7 +64,8 @@ def normalise_gradient_rows(start, stop, grad, normalised, inverse_range, at_low
 
 
 def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] | None:
-    """Normalised map (H, W) of float32 values (H, W), and 1 / range; None where the range is below `min_range`.
+    """Return the normalised map (H, W) of float32 values (H, W), and 1 / range; None where the range is below
+    `min_range`.
 
     >>> out, inverse_range = normalise(np.array([[1.0, 2.0], [3.0, 5.0]], np.float32), 1e-8)
     >>> out.tolist(), inverse_range
@@ -83,7 +84,7 @@ def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] 
 
 
 def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: float) -> np.ndarray:
-    """Gradient (H, W) by the map, from the one by the normalised map (H, W)."""
+    """Return the gradient (H, W) by the map, from the one by the normalised map (H, W)."""
     bands = pool.chunks(len(grad), min(len(grad), pool.get_threads()))
     sums = np.empty((len(grad), 4), np.float64)
     pool.run(sum_rows, [(*band, grad, normalised, sums) for band in bands])
@@ -117,7 +118,7 @@ def inverse_gradient_rows(start, stop, grad, depth, transmittance, min_alpha, gr
 
 
 def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float) -> np.ndarray:
-    """Inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
+    """Return the inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
     out = np.empty_like(depth)
     bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
     pool.run(inverse_rows, [(*band, depth, transmittance, F(min_alpha), out) for band in bands])
@@ -125,7 +126,7 @@ def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float
 
 
 def inverse_depth_gradient(grad, depth, transmittance, min_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
+    """Return gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
     out = np.empty_like(depth), np.empty_like(depth)
     bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
     pool.run(inverse_gradient_rows, [(*band, grad, depth, transmittance, F(min_alpha), *out) for band in bands])

@@ -251,7 +251,7 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
 
 
 def prepare_target(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
-    """An image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false where it is masked.
+    """Prepare an image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false if masked.
 
     Raises ValueError if all of it is masked.
     """
@@ -275,7 +275,7 @@ def photometric_and_gradient(
     wrap: bool = False,
     valid: np.ndarray | None = None,
 ) -> tuple[float, float, float, np.ndarray]:
-    """L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their weighted gradient by a.
+    """Return L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their gradient by a.
 
     The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
     are float32 (H, W, C), contiguous, in [0, 1]; b may be prepared. See `tdgbench.splats.cpu.losses.smoothness` for

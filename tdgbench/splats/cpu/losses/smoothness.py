@@ -95,7 +95,7 @@ def difference_rows(start, stop, image, weights, channels, wrap, sums, gradient)
 def differences_and_gradient(
     image: np.ndarray, wrap: bool, valid: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
-    """Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
+    """Return Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
 
     valid: bool (H, W), where it is false pixels are masked. Raises ValueError if all are.
 
