@@ -67,14 +67,10 @@ class Scorer:
         with torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
             return self._collected(scene.test, map_views(score, scene.test, _most_pixels(scene.test)))
 
-    def score_train(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
-        """Return the cheap metrics of a training view, which suffice to show overfitting."""
-        return self.score_all_train([view], {view.name: rendered})[view.name]
-
-    def score_all_train(
+    def score_train(
         self, views: Sequence[View], renders: Mapping[str, RenderedImages]
     ) -> dict[str, dict[str, float | None]]:
-        """Return `score_train` of several views at once, by name."""
+        """Return the cheap metrics of training views, which suffice to show overfitting, by the views' names."""
 
         def score(view: View) -> _Scored:
             return _scored(ScoredView(view, renders[view.name], self.settings), TRAIN_METRICS.values())

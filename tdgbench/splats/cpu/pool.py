@@ -69,6 +69,11 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
     return [first, *(call.result for call in calls)]
 
 
+def run_bands(function: Callable[..., Any], rows: int, *arguments: Any) -> None:
+    """Call `function(start, stop, *arguments)` concurrently on bands of rows, one for each thread."""
+    run(function, [(*band, *arguments) for band in chunks(rows, min(rows, get_threads()))])
+
+
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:
     """Cut range(count) into `threads` contiguous pieces (start, stop) of nearly equal length.
 

@@ -28,8 +28,7 @@ def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
     if channels == 1:
         return valid.astype(F)
     weights = np.empty((len(valid), valid.shape[1] * channels), np.float32)
-    bands = pool.chunks(len(valid), min(len(valid), pool.get_threads()))
-    pool.run(weight_rows, [(*band, valid, channels, weights) for band in bands])
+    pool.run_bands(weight_rows, len(valid), valid, channels, weights)
     return weights
 
 
@@ -40,8 +39,7 @@ def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     [[0.0, 2.0]]
     """
     out = np.empty_like(image)
-    bands = pool.chunks(len(image), min(len(image), pool.get_threads()))
-    pool.run(keep_rows, [(*band, image, weights, out) for band in bands])
+    pool.run_bands(keep_rows, len(image), image, weights, out)
     return out
 
 
