@@ -95,7 +95,7 @@ class TDg(Method):
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
     def _decide_skip(self, context: Context) -> bool:
-        """Whether iterations in which the depth loss moves nothing leave it out."""
+        """Decide whether iterations in which the depth loss moves nothing leave it out."""
         iterations = context.budget.iterations
         without, reason = min(iterations, max(0, iterations - self.last_depth_iteration + 1)), ""
         if self.lambda_depth == 0 or self.depth == "released":
@@ -134,7 +134,7 @@ class DepthTargets:
         return len(self._priors)
 
     def of(self, view: View) -> DepthTarget:
-        """The target of a view, in the size of its image."""
+        """Return the target of a view, in the size of its image."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self._targets or self._targets[view.name].normalised.shape != size:
             prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
@@ -143,7 +143,7 @@ class DepthTargets:
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:
-    """Rendered depth (H, W) of the prior's kind: accumulated z (TDg, eq. 3), or the inverse z for a disparity."""
+    """Return the rendered depth (H, W): accumulated z (TDg, eq. 3), or the inverse z if the prior is a disparity."""
     depth = render.requested_depth
     if kind != "disparity":
         return depth
@@ -151,7 +151,7 @@ def comparable_depth(render: Render, kind: str) -> Tensor:
 
 
 def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Depth loss (TDg, eq. 4): L1 + (1 − SSIM) of the min-max normalised maps (H, W), where the prior is known.
+    """Return the depth loss (TDg, eq. 4): L1 + (1 − SSIM) of min-max normalised maps (H, W) where the prior is known.
 
     >>> depth = torch.rand(16, 16)
     >>> target = DepthTarget.of(DepthPrior((3 * depth + 2).numpy(), "depth"), torch.device("cpu"))
@@ -167,12 +167,12 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
 
 
 def _fill_unknown(values: Tensor, valid: Tensor) -> Tensor:
-    """The map (H, W) with a known value in all unknown pixels, so that these are no extremes."""
+    """Return the map (H, W) with a known value in all unknown pixels, so that these are no extremes."""
     return torch.where(valid, values, values[valid][0].detach())
 
 
 def decay_weight(iteration: int, start: int, end: int) -> float:
-    """Progressive weight w_decay(t) (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`.
+    """Return the progressive weight w_decay(t) (TDg, eq. 7): falls linearly from 1 at `start` to 0 at `end`.
 
     >>> [decay_weight(t, 1, 501) for t in (1, 251, 501, 900)]
     [1.0, 0.5, 0.0, 0.0]
@@ -181,13 +181,13 @@ def decay_weight(iteration: int, start: int, end: int) -> float:
 
 
 def switch_weight(iteration: int, end: int) -> float:
-    """The hard supervision switch that eq. 7 avoids: 1 before `end`, then 0."""
+    """Return the weight of the hard supervision switch that eq. 7 avoids: 1 before `end`, then 0."""
     return float(iteration < end)
 
 
 @torch.no_grad()
 def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor:
-    """Rendered depth (H, W) in [0, 1] as released (gaussian_renderer/__init__.py, from line 404).
+    """Return the rendered depth (H, W) in [0, 1] as released (gaussian_renderer/__init__.py, from line 404).
 
     Each Gaussian's z is min-max normalised over all Gaussians with z > 0 (others get 0), blended, and divided by alpha.
     z comes from the transposed view matrix: the rotation is inverted, and the translation is dropped.
@@ -210,5 +210,5 @@ def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor
 
 
 def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) of the maps (H, W); unknown depth is 0."""
+    """Return the depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) of maps (H, W), 0 if unknown."""
     return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)

@@ -47,7 +47,7 @@ def _in_words(error: BaseException) -> str:
 
 
 def _kept() -> str:
-    """What is kept of an interrupted run, if it has begun."""
+    """Return what is kept of an interrupted run, if it has begun."""
     callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""

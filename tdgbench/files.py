@@ -104,7 +104,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _hidden(folder: Path, what: str) -> Path:
-    """What `whole_folder` keeps beside a folder: `new` is complete, `old` is what it replaces, a number is partial."""
+    """Name what `whole_folder` keeps beside a folder: `new` is complete, `old` is replaced, a number is partial."""
     return folder.with_name(f".{folder.name}.part-{what}")
 
 

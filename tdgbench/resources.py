@@ -8,7 +8,7 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 def conf_folder() -> Path:
-    """Hydra's configuration groups.
+    """Return the folder of Hydra's configuration groups.
 
     >>> (conf_folder() / "config.yaml").is_file()
     True
@@ -17,7 +17,7 @@ def conf_folder() -> Path:
 
 
 def paper_tables_folder() -> Path:
-    """Published numbers and claims.
+    """Return the folder of published numbers and claims.
 
     >>> (paper_tables_folder() / "table1.csv").is_file()
     True

@@ -73,7 +73,7 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Context in which the first SIGINT or SIGTERM ends the work, and a second one the process at once."""
+    """Return a context in which the first SIGINT or SIGTERM ends the work, and a second one the process at once."""
     interruption = Interruption()
     interruption.handle()
     try:

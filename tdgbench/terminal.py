@@ -16,7 +16,7 @@ UNLIMITED = 1_000_000  # width, in characters, where there is no terminal: table
 
 
 def console(stderr: bool = False) -> Console:
-    """A console on standard output, or on standard error. Its prints never raise, and are flushed.
+    """Return a console on standard output, or on standard error. Its prints never raise, and are flushed.
 
     On a terminal it has the terminal's width. Elsewhere nothing is cut or wrapped, and it is not interactive, whatever
     the environment says (COLUMNS, FORCE_COLOR).
@@ -28,7 +28,7 @@ def console(stderr: bool = False) -> Console:
 
 
 def as_printed(write: Callable[[Console], None]) -> str:
-    """What `write` prints on a console, as where there is no terminal.
+    """Return what `write` prints on a console, as where there is no terminal.
 
     >>> as_printed(lambda console: console.print("[bold]a[/bold] b"))
     'a b\\n'
@@ -45,7 +45,7 @@ def say(text: str, label: str = "", style: str = "red", stderr: bool = False) ->
 
 
 def printable(text: str) -> str:
-    r"""The text with control characters, which a terminal would obey, as escapes; line feeds and tabs stay.
+    r"""Return the text with control characters, which a terminal would obey, as escapes; line feeds and tabs stay.
 
     >>> printable("a scene\x1b[2J")
     'a scene\\x1b[2J'
@@ -100,7 +100,7 @@ class GuardedStream:
                 self._give_up(error)
 
     def is_terminal(self) -> bool:
-        """Whether a person reads the stream; never raises."""
+        """Return whether a person reads the stream; never raises."""
         try:
             return self._stream.isatty()
         except (OSError, ValueError):  # ValueError: the stream was closed

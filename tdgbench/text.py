@@ -9,7 +9,7 @@ FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run
 
 
 def one_line(text: str) -> str:
-    r"""The text with line ends, control characters and changes of direction as escapes.
+    r"""Return the text with line ends, control characters and changes of direction as escapes.
 
     >>> print(one_line("a\nb\x1b[2J\u202e"), one_line("a/€"))
     a\nb\x1b[2J\u202e a/€
@@ -18,7 +18,7 @@ def one_line(text: str) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """One line of at most `most` characters.
+    """Return one line of at most `most` characters.
 
     >>> shortened("a very long name", 8)
     'a very …'
@@ -28,7 +28,7 @@ def shortened(text: str, most: int) -> str:
 
 
 def some(names: Iterable[str]) -> str:
-    """The first few names in alphabetical order, for a message that has said how many there are.
+    """Return the first few names in alphabetical order, for a message that has said how many there are.
 
     >>> some("gfedcba")
     'a, b, c, d, e'
@@ -37,7 +37,7 @@ def some(names: Iterable[str]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as h:mm:ss.
+    """Return a time as h:mm:ss.
 
     >>> duration(4000), duration(59.6), duration(100 * 3600)
     ('1:06:40', '0:01:00', '100:00:00')
@@ -47,7 +47,7 @@ def duration(seconds: float) -> str:
 
 
 def csv_text(text: str) -> str:
-    """Text as a CSV field that no spreadsheet takes for a formula: an apostrophe stands before `=`, `+`, `-`, `@`.
+    """Return text as a CSV field that is no formula: an apostrophe stands before `=`, `+`, `-` and `@`.
 
     So it does before an apostrophe, a tab and a line end, so that `from_csv` undoes it. Numbers are not text.
 
@@ -58,7 +58,7 @@ def csv_text(text: str) -> str:
 
 
 def from_csv(field: str) -> str:
-    """The text of a field that `csv_text` wrote.
+    """Return the text of a field that `csv_text` wrote.
 
     >>> [from_csv(csv_text(text)) for text in ("=1+1", "'a'", "Truck")]
     ['=1+1', "'a'", 'Truck']

@@ -29,7 +29,7 @@ OPTIONS = (
 
 
 def usage() -> str:
-    """Help that fits on one screen."""
+    """Return the help, which fits on one screen."""
     conf = conf_folder()
     tools = [(f"{name} {form}", does) for name, tool in TOOLS.items() for form, does in tool.usage]
     sections = {
@@ -52,7 +52,7 @@ def _groups(conf: Path) -> Iterator[tuple[str, str]]:
 
 
 def _summary(path: Path) -> str:
-    """First sentence of the first comment of a YAML file, shortened to one line."""
+    """Return the first sentence of the first comment of a YAML file, shortened to one line."""
     comments = [line.lstrip("# ").rstrip() for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
     text = " ".join(comment for comment in comments if not comment.startswith("@package"))
     return textwrap.shorten(text.split(". ")[0].rstrip("."), WIDTH - COLUMN - 2, placeholder=" ...")

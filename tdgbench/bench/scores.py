@@ -34,7 +34,7 @@ def score_training_views(
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
         renders = {view.name: render_images(trainer, view, response, others=()) for view in views}
-        scores |= scorer.score_all_train(views, renders)
+        scores |= scorer.score_train(views, renders)
     return mean_scores(scores, TRAIN_METRICS)
 
 

@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 
 def views_at_once(pixels: int, threads: int) -> int:
-    """Number of views of so many pixels that threads work on at once: bounded by memory as well.
+    """Return the number of views of so many pixels that threads work on at once: bounded by memory as well.
 
     >>> views_at_once(640 * 480, threads=2), views_at_once(640 * 480, threads=64), views_at_once(4096 * 4096, threads=2)
     (2, 8, 1)
@@ -26,7 +26,7 @@ def views_at_once(pixels: int, threads: int) -> int:
 
 
 def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
-    """Results of a function of a view, in the order of the views; an idle thread takes the next one.
+    """Return the results of a function of a view, in the order of the views; an idle thread takes the next one.
 
     pixels: of the largest view. torch has one thread for each view meanwhile. Raises what a call raises.
     """
@@ -47,7 +47,7 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Context in which torch computes on the calling thread alone."""
+    """Return a context in which torch computes on the calling thread alone."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

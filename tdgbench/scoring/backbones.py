@@ -24,27 +24,16 @@ class BackboneUnavailableError(NotApplicableError):
 class TrunkSpec:
     """A trunk's weights, and the layers whose features LPIPS compares."""
 
-    file: str
-    url: str
+    file: str  # in torch's cache and hub
     ends: tuple[int, ...]  # numbers of layers before each set of features
     channels: tuple[int, ...]
 
 
-_HUB = "https://download.pytorch.org/models/"
+HUB = "https://download.pytorch.org/models/"
 SPECS = {
-    "vgg": TrunkSpec("vgg16-397923af.pth", _HUB + "vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)),
-    "alex": TrunkSpec(
-        "alexnet-owt-7be5be79.pth",
-        _HUB + "alexnet-owt-7be5be79.pth",
-        (2, 5, 8, 10, 12),
-        (64, 192, 384, 256, 256),
-    ),
-    "squeeze": TrunkSpec(
-        "squeezenet1_1-b8a52dc0.pth",
-        _HUB + "squeezenet1_1-b8a52dc0.pth",
-        (2, 5, 8, 10, 11, 12, 13),
-        (64, 128, 256, 384, 384, 512, 512),
-    ),
+    "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)),
+    "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12), (64, 192, 384, 256, 256)),
+    "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13), (64, 128, 256, 384, 384, 512, 512)),
 }
 
 
@@ -63,7 +52,7 @@ class Fire(nn.Module):
 
 
 def make_trunk(net: str) -> nn.Sequential:
-    """The `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
+    """Return the `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
     if net == "vgg":
         layers: list[nn.Module] = []
         inputs = 3
@@ -90,7 +79,7 @@ def make_trunk(net: str) -> nn.Sequential:
 
 
 def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tensor]:
-    """The trunk's state dict (`features.*` of torchvision's names, prefix removed).
+    """Return the trunk's state dict (`features.*` of torchvision's names, prefix removed).
 
     From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
     reason. A failed download is not tried again in the same process.
@@ -132,7 +121,7 @@ def _download(net: str, spec: TrunkSpec) -> dict[str, Tensor]:
     socket.setdefaulttimeout(DOWNLOAD_TIMEOUT_SECONDS)
     try:
         return torch.hub.load_state_dict_from_url(
-            spec.url, map_location="cpu", progress=False, check_hash=True, weights_only=True
+            HUB + spec.file, map_location="cpu", progress=False, check_hash=True, weights_only=True
         )
     except Exception as error:
         _failed_downloads[net] = (

@@ -46,7 +46,7 @@ class LPIPS:
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
-        """Distance of images (H, W, 1 or 3) in [0, 1]; gray images become three equal channels."""
+        """Return the distance of images (H, W, 1 or 3) in [0, 1]; gray images become three equal channels."""
         return float(self.model(self._prepare(image), self._prepare(target)))
 
     def _prepare(self, image: np.ndarray) -> Tensor:
@@ -71,7 +71,7 @@ class _PlainLPIPS(nn.Module):
         self.register_buffer("scale", torch.tensor(SCALE).view(1, 3, 1, 1))
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        """Distances (N,) of images (N, 3, H, W).
+        """Return the distances (N,) of images (N, 3, H, W).
 
         Both images pass a layer before either passes the next one, so that no features but the layer's are in memory.
         """
@@ -88,7 +88,7 @@ class _PlainLPIPS(nn.Module):
 
 
 def _weighted(x: Tensor, y: Tensor, head: Tensor) -> Tensor:
-    """Squared differences (N, H, W) of unit-length features (N, C, H, W), weighted by a head (1, C, 1, 1).
+    """Return the squared differences (N, H, W) of unit-length features (N, C, H, W), weighted by a head (1, C, 1, 1).
 
     Rows are taken some at a time: the result is the same, the memory is that of a few rows.
     """
@@ -101,7 +101,7 @@ def _unit(x: Tensor) -> Tensor:
 
 
 def _heads(net: Net) -> list[Tensor]:
-    """The linear heads (1, C, 1, 1) from the files of the lpips package, without importing it."""
+    """Return the linear heads (1, C, 1, 1) from the files of the lpips package, without importing it."""
     found = importlib.util.find_spec("lpips")
     if found is None or not found.submodule_search_locations:
         raise BackboneUnavailableError("the lpips package, which holds the linear heads, is not installed")
@@ -111,7 +111,7 @@ def _heads(net: Net) -> list[Tensor]:
 
 
 def _package_model(net: Net, state: dict[str, Tensor]) -> nn.Module | None:
-    """lpips.LPIPS with our trunk weights, or None if the package cannot be imported."""
+    """Return lpips.LPIPS with our trunk weights, or None if the package cannot be imported."""
     try:
         import lpips
     except Exception:  # torchvision beside a CPU torch raises RuntimeError, not ImportError

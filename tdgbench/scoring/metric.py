@@ -24,7 +24,7 @@ class Metric(Measure, ABC):
 
     @abstractmethod
     def score(self, shown: ScoredView) -> float:
-        """The value. Raises NotApplicableError, with the reason, where there is none."""
+        """Return the value. Raises NotApplicableError, with the reason, where there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class ImageMetric(Metric):
         return self.of_images(shown.pair(self.modality))
 
     def of_modality(self, modality: str) -> ImageMetric:
-        """The same metric of the method's model of another modality."""
+        """Return the same metric of the method's model of another modality."""
         label = LABELS[modality]
         return replace(
             self, name=metric_name(self.name, modality), part=f"{label} model", modality=modality,
@@ -50,7 +50,7 @@ class ImageMetric(Metric):
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:
-        """Description of the mean over the training views, which records keep apart."""
+        """Return the description of the mean over the training views, which records keep apart."""
         return Measure(
             name=f"train_{self.name}", label=self.label, meaning=self.meaning, digits=self.digits,
             overall_digits=self.overall_digits, unit=self.unit, higher_is_better=self.higher_is_better,

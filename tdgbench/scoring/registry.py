@@ -11,7 +11,7 @@ from tdgbench.scoring.metric import ImageMetric, Metric
 
 
 def find_metrics() -> dict[str, Metric]:
-    """The `METRIC` of each module of `metrics/` by name, by `order`. Raises TypeError for a module without one.
+    """Return the `METRIC` of each module of `metrics/` by name, by `order`. Raises TypeError for a module without one.
 
     One `of_every_modality` is there once more for each modality but thermal.
 

@@ -82,7 +82,7 @@ class ScoredView:
     common: dict[str, Any] = field(default_factory=dict)
 
     def pair(self, modality: str) -> ImagePair:
-        """The pictures that a metric compares. Raises NotApplicableError without a model or image of it."""
+        """Return the pictures that a metric compares. Raises NotApplicableError without a model or image of it."""
         if modality not in self._pairs:
             self._pairs[modality] = self._thermal() if modality == THERMAL else self._other(modality)
         return self._pairs[modality]
@@ -114,7 +114,7 @@ class ScoredView:
         return ImagePair(as_saved(self.rendered.others[modality]), as_saved(target), self.convention)
 
     def true_depth(self) -> np.ndarray:
-        """True z (H, W) float64. Raises NotApplicableError where it is unknown or of another size than the render."""
+        """Return the true z (H, W) float64. Raises NotApplicableError if it is unknown or not of the render's size."""
         truth = self.view.true_depth
         if truth is None:
             raise NotApplicableError("the scene has no true depth")
@@ -123,12 +123,12 @@ class ScoredView:
         return truth.astype(np.float64)
 
     def depths(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rendered and true z of the valid pixels. Raises NotApplicableError where either is unknown."""
+        """Return the rendered and true z of the valid pixels. Raises NotApplicableError where either is unknown."""
         truth = self.true_depth()
         return at_valid(self.valid, self.rendered.depth), at_valid(self.valid, truth)
 
     def nearest(self) -> View:
-        """The test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""
+        """Return the test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""
         others = [] if self.scene is None else [view for view in self.scene.test if view.name != self.view.name]
         if not others:
             raise NotApplicableError("the scene has one test view")
@@ -137,7 +137,7 @@ class ScoredView:
 
 
 def at_valid(valid: np.ndarray | None, values: np.ndarray) -> np.ndarray:
-    """Those of the values (H, W, …) where the mask (H, W) is true, (N, …); without a mask, the values themselves.
+    """Return the values (N, …) of (H, W, …) where the mask (H, W) is true; without a mask, the values themselves.
 
     >>> at_valid(np.array([[True, False]]), np.array([[[1, 2], [3, 4]]])).tolist()
     [[1, 2]]
@@ -146,7 +146,7 @@ def at_valid(valid: np.ndarray | None, values: np.ndarray) -> np.ndarray:
 
 
 def to_8bit(image: np.ndarray) -> np.ndarray:
-    """Values in [0, 1] as an 8-bit image stores them: uint8, rounded half up.
+    """Return values in [0, 1] as an 8-bit image stores them: uint8, rounded half up.
 
     >>> to_8bit(np.array([-0.1, 0.5 / 255, 1.0])).tolist()
     [0, 1, 255]
@@ -155,5 +155,5 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 
 
 def as_saved(image: np.ndarray) -> np.ndarray:
-    """An image (H, W, C) as its 8-bit file gives it back, float32 in [0, 1]."""
+    """Return an image (H, W, C) as its 8-bit file gives it back, float32 in [0, 1]."""
     return to_8bit(image).astype(np.float32) / np.float32(255)

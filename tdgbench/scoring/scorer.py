@@ -54,7 +54,7 @@ class Scorer:
         self.missing: dict[str, str] = {}  # metric → why it is n/a
 
     def score(self, scene: Scene, renders: Mapping[str, RenderedImages]) -> dict[str, dict[str, float | None]]:
-        """All metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
+        """Return all metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
 
         common: dict[str, Any] = {}
 
@@ -67,14 +67,10 @@ class Scorer:
         with torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
             return self._collected(scene.test, map_views(score, scene.test, _most_pixels(scene.test)))
 
-    def score_train(self, view: View, rendered: RenderedImages) -> dict[str, float | None]:
-        """The cheap metrics of a training view, which suffice to show overfitting."""
-        return self.score_all_train([view], {view.name: rendered})[view.name]
-
-    def score_all_train(
+    def score_train(
         self, views: Sequence[View], renders: Mapping[str, RenderedImages]
     ) -> dict[str, dict[str, float | None]]:
-        """`score_train` of several views at once, by name."""
+        """Return the cheap metrics of training views, which suffice to show overfitting, by the views' names."""
 
         def score(view: View) -> _Scored:
             return _scored(ScoredView(view, renders[view.name], self.settings), TRAIN_METRICS.values())
@@ -82,13 +78,13 @@ class Scorer:
         return self._collected(views, map_views(score, views, _most_pixels(views)))
 
     def _collected(self, views: Sequence[View], scored: list[_Scored]) -> dict[str, dict[str, float | None]]:
-        """Scores by view; the reasons for missing ones go to `missing`."""
+        """Return scores by view, and put the reasons for missing ones into `missing`."""
         for scores in scored:
             self.missing |= scores.missing
         return {view.name: of_view.scores for view, of_view in zip(views, scored, strict=True)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
-        """LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""
+        """Return the LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""
         if isinstance(self._lpips, BackboneUnavailableError):
             raise BackboneUnavailableError(str(self._lpips))
         return self._lpips(image, target)
@@ -126,7 +122,7 @@ def _most_pixels(views: Sequence[View]) -> int:
 def mean_scores(
     views: Mapping[str, Mapping[str, float | None]], metrics: Iterable[str] = METRICS
 ) -> dict[str, float | None]:
-    """Mean over the views of each metric; None where any view lacks it.
+    """Return the mean over the views of each metric; None where any view lacks it.
 
     >>> mean_scores({"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}}, ["psnr", "lpips"])
     {'psnr': 25.0, 'lpips': None}

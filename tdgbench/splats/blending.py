@@ -37,7 +37,7 @@ class Blending:
             raise ValueError(f"min_transmittance is {self.min_transmittance}; it must be in [0, 1)")
 
     def moved(self, factor: float) -> Blending:
-        """Both thresholds moved by a factor: pixels that then differ are those that a rounding error could flip.
+        """Return both thresholds moved by a factor: pixels that then differ are those that a rounding error could flip.
 
         >>> AS_3DGS.moved(2.0).min_transmittance
         5e-05

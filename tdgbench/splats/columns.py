@@ -7,7 +7,7 @@ ALIGNMENT = 16  # floats: rows begin and end on cache lines
 
 
 def padded(columns: int) -> int:
-    """Number of columns rounded up to whole cache lines.
+    """Return the number of columns rounded up to whole cache lines.
 
     >>> padded(COLORS_AT + 4), padded(COLORS_AT + 48)
     (16, 64)

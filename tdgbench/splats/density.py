@@ -46,7 +46,7 @@ class DensityRules:
     max_gaussians: PositiveInt | None = None  # no growth beyond this
 
     def is_round(self, iteration: int, iterations: int) -> bool:
-        """Whether a training of so many iterations clones, splits and prunes at an iteration.
+        """Return whether a training of so many iterations clones, splits and prunes at an iteration.
 
         >>> rules = DensityRules(
         ...     start=500, stop=15_000, every=100, grad_threshold=2e-4, clone_max_scale=0.01, split_into=2,
@@ -61,12 +61,12 @@ class DensityRules:
         return is_due and iterations - iteration >= self.round_recovery * self.every
 
     def is_reset(self, iteration: int, iterations: int) -> bool:
-        """Whether a training of so many iterations resets opacities at an iteration."""
+        """Return whether a training of so many iterations resets opacities at an iteration."""
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
 
     def has_recovered(self, iteration: int, iterations: int) -> bool:
-        """Whether the model at an iteration, before its density control, has recovered from all rounds and resets.
+        """Return whether the model at an iteration, before density control, has recovered from all rounds and resets.
 
         Only such a model is worth saving: a reset costs more than 10 dB, a round some tenths.
         """
@@ -131,7 +131,7 @@ class DensityControl:
         self.grad_sum.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
     def statistics(self, width: int, height: int) -> GradientStatistics:
-        """Where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
+        """Return where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
         return GradientStatistics(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True)
 
     @property
@@ -139,7 +139,7 @@ class DensityControl:
         return self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32
 
     def state_dict(self) -> dict[str, Tensor]:
-        """What was accumulated since the last change, as `torch.save` takes it."""
+        """Return what was accumulated since the last change, as `torch.save` takes it."""
         return {name: getattr(self, name).cpu() for name in ("grad_sum", "view_counts", "max_radii")}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
@@ -149,16 +149,16 @@ class DensityControl:
             getattr(self, name).copy_(tensor)
 
     def is_active(self, iteration: int) -> bool:
-        """Whether density control still observes views at an iteration."""
+        """Return whether density control still observes views at an iteration."""
         return iteration < self.rules.stop
 
     def is_due(self, iteration: int) -> bool:
-        """Whether `update` changes Gaussians at an iteration."""
+        """Return whether `update` changes Gaussians at an iteration."""
         is_reset = self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
         return self.is_round(iteration) or is_reset
 
     def is_round(self, iteration: int) -> bool:
-        """Whether `update` clones, splits and prunes at an iteration."""
+        """Return whether `update` clones, splits and prunes at an iteration."""
         return self.is_active(iteration) and self.rules.is_round(iteration, self.iterations)
 
     @torch.no_grad()
@@ -190,7 +190,7 @@ class DensityControl:
     def _removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: Verdict | None
     ) -> tuple[Tensor, Tensor]:
-        """Rows to remove (n,), ascending, and rows to add (m, columns) in a round of cloning, splitting and pruning."""
+        """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
         by_gradients = self._by_gradients()
@@ -220,12 +220,12 @@ class DensityControl:
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
     def _by_gradients(self) -> Verdict:
-        """The verdict of 3DGS: Gaussians whose centre has a large gradient in the image grow."""
+        """Return the verdict of 3DGS: Gaussians whose centre has a large gradient in the image grow."""
         grads = torch.nan_to_num(self.grad_sum / self.view_counts)
         return Verdict(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
-        """Children (split_into · n, columns) of parents (n, columns): smaller, at points drawn from their parent."""
+        """Return smaller children (split_into · n, columns) of parents (n, columns), at points drawn from these."""
         n = self.rules.split_into
         children = parents.repeat(n, 1)
         many = self.state.split(children)
@@ -239,7 +239,7 @@ class DensityControl:
 
 
 def _strongest(grow: Tensor, strength: Tensor, quota: int) -> Tensor:
-    """At most `quota` of the marked Gaussians (N,), the strongest ones."""
+    """Return at most `quota` of the marked Gaussians (N,), the strongest ones."""
     if int(grow.sum()) <= quota:
         return grow
     chosen = torch.zeros_like(grow)

@@ -61,7 +61,7 @@ class Gaussians:
         return round(self.sh.shape[1] ** 0.5) - 1
 
     def activated(self, sh_degree: int) -> GaussianTensors:
-        """The Gaussians after their activations, with the harmonics up to a degree."""
+        """Return the Gaussians after their activations, with the harmonics up to a degree."""
         return GaussianTensors(self.means, self.quats, self.scales, self.opacities, self.sh, sh_degree)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Gaussians:
@@ -70,9 +70,9 @@ class Gaussians:
         return Gaussians(**parameters, more={name: function(tensor) for name, tensor in self.more.items()})
 
     def select(self, index: Tensor | slice) -> Gaussians:
-        """The Gaussians at an index, in a slice or under a mask."""
+        """Return the Gaussians at an index, in a slice or under a mask."""
         return self.map(lambda tensor: tensor[index])
 
     def detach(self) -> Gaussians:
-        """Detached tensors."""
+        """Return the Gaussians with detached tensors."""
         return self.map(torch.Tensor.detach)

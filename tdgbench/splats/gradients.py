@@ -64,7 +64,7 @@ class Gradients:
 
     @classmethod
     def dense(cls, values: Tensor, image: Tensor, radii: Tensor) -> Gradients:
-        """Gradients of every Gaussian: values (N, columns), image means (N, 2) per px; radii (N,) px."""
+        """Return gradients of every Gaussian: values (N, columns), image means (N, 2) per px; radii (N,) px."""
         everything = torch.arange(len(values), dtype=torch.int32, device=values.device)
         whole = [(0, len(values))]
         image = torch.cat([image, radii[:, None].to(image)], dim=1)
@@ -88,12 +88,12 @@ class Gradients:
         return cls.dense(values, image, radii)
 
     def rows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """index (n,), values (n, columns) and image (n, 3) of the rows in use."""
+        """Return the index (n,), values (n, columns) and image (n, 3) of the rows in use."""
         parts = [slice(first, first + count) for first, count in self.spans]
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 
     def visible(self) -> tuple[Tensor, Tensor]:
-        """Visible Gaussians (n,) and their radii (n,) in px."""
+        """Return visible Gaussians (n,) and their radii (n,) in px."""
         parts = [slice(first, first + count) for first, count in self.projected_spans]
         projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
         return projected[radii > 0], radii[radii > 0]
@@ -135,14 +135,14 @@ class PendingGradients:
 
 
 def flags_of(spans: int, step: AdamStep) -> np.ndarray:
-    """(spans, columns of the state) float32 zeros for what a step finds in each column."""
+    """Return (spans, columns of the state) float32 zeros for what a step finds in each column."""
     flags = empty_aligned((spans, step.rows.stride), np.float32)
     flags[:] = 0
     return flags
 
 
 def split_spans(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans (first, count) for the threads: a single one is split into one per thread."""
+    """Return spans (first, count) for the threads: a single one is split into one per thread."""
     if len(spans) > 1:
         return spans
     return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

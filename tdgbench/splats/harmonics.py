@@ -21,7 +21,7 @@ C3 = (
 
 
 def num_bases(degree: int) -> int:
-    """Coefficients per channel at a degree: (degree + 1)².
+    """Return the number of coefficients per channel at a degree: (degree + 1)².
 
     >>> [num_bases(degree) for degree in range(4)]
     [1, 4, 9, 16]
@@ -32,7 +32,7 @@ def num_bases(degree: int) -> int:
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """Basis functions (…, (degree + 1)²) at unit directions (…, 3).
+    """Return basis functions (…, (degree + 1)²) at unit directions (…, 3).
 
     >>> sh_basis(torch.tensor([0.0, 0.0, 1.0]), 1)
     tensor([0.2821, -0.0000, 0.4886, -0.0000])
@@ -64,13 +64,13 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def colors_from_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """View-dependent colours (N, C) of coefficients (N, K, C): max(0, 1/2 + Σ_k basis_k · sh_k), as in 3DGS."""
+    """Return view-dependent colours (N, C) of coefficients (N, K, C): max(0, 1/2 + Σ_k basis_k · sh_k), as in 3DGS."""
     weights = sh_basis(directions, degree)
     return ((weights.unsqueeze(-1) * sh[:, : num_bases(degree)]).sum(dim=1) + 0.5).clamp_min(0.0)
 
 
 def sh_from_color(color: Tensor) -> Tensor:
-    """Degree-0 coefficient of a colour in [0, 1], any shape.
+    """Return the degree-0 coefficient of a colour in [0, 1], any shape.
 
     >>> sh_from_color(torch.tensor([0.0, 0.5, 1.0]))
     tensor([-1.7725,  0.0000,  1.7725])

@@ -14,7 +14,7 @@ MIN_SQUARED_DISTANCE = 1e-7  # 3DGS, for duplicate points
 
 
 def neighbour_distances(points: np.ndarray) -> np.ndarray:
-    """Root mean square distance (N,) of points (N, 3) to their 3 nearest neighbours (3DGS, `distCUDA2`).
+    """Return the root mean square distance (N,) of points (N, 3) to their 3 nearest neighbours (3DGS, `distCUDA2`).
 
     With fewer than 4 points it uses the existing neighbours; a single point gets the floor.
 
@@ -29,7 +29,7 @@ def neighbour_distances(points: np.ndarray) -> np.ndarray:
 
 
 def gaussians_from_points(points: np.ndarray, colors: np.ndarray, channels: int, sh_degree: int) -> Gaussians:
-    """Gaussians (float32) at points (N, 3), world units, with colours (N, 3) in [0, 1]; gray ones get their mean.
+    """Return Gaussians (float32) at points (N, 3), world units; colours (N, 3) in [0, 1], of which gray ones are means.
 
     Raises ValueError without points, or if they are not finite.
 

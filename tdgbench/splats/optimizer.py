@@ -49,7 +49,7 @@ class LearningRates:
     quaternion: NonNegativeFloat
 
     def position(self, iteration: int) -> float:
-        """Rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant.
+        """Return the rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant.
 
         >>> rates = LearningRates(1e-2, 1e-4, 50, sh_dc=0.0, sh_rest=0.0, opacity=0.0, log_scale=0.0, quaternion=0.0)
         >>> [round(rates.position(iteration), 6) for iteration in (0, 25, 50, 500)]
@@ -135,15 +135,15 @@ class Adam:
         return self._first_in(bad) if bad.any() else None
 
     def _not_finite(self, rows: torch.Tensor) -> str | None:
-        """Name of the first parameter with a gradient that is not finite; rows (n, columns)."""
+        """Return the name of the first parameter with a gradient that is not finite; rows (n, columns)."""
         return self._first_in((~torch.isfinite(rows)).any(dim=0).numpy(force=True))
 
     def _first_in(self, bad: np.ndarray) -> str | None:
-        """Name of the first parameter with a marked column; bad (columns,)."""
+        """Return the name of the first parameter with a marked column; bad (columns,)."""
         return next((name for name in self.steps if bad[self.state.column_of(name)].any()), None)
 
     def stale(self) -> Stale:
-        """All rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
+        """Return all rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
         return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)
 
     def flush(self) -> None:
@@ -157,7 +157,7 @@ class Adam:
         self._flushed = state.now
 
     def tolerance(self, iteration: int) -> Tolerance:
-        """How far rows can be from their bounds at an iteration."""
+        """Return how far rows can be from their bounds at an iteration."""
         means, log_scales = (self._rate_of(name, max(iteration - FLUSH_EVERY, 0)) for name in ("means", "log_scales"))
         return Tolerance(MAX_DEFERRED * float(means), MAX_DEFERRED * float(log_scales))
 
@@ -168,7 +168,7 @@ class Adam:
         self.state.second[:, columns] = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """What a step depends on beside the rows, as `torch.save` takes it."""
+        """Return what a step depends on beside the rows, as `torch.save` takes it."""
         return {
             "steps": dict(self.steps),
             "flushed": self._flushed,
@@ -185,19 +185,19 @@ class Adam:
         self._displacements[:] = saved["displacements"].numpy()
 
     def _rows(self, columns: int) -> Rows:
-        """The state's memory, as the kernels take it."""
+        """Return the state's memory, as the kernels take it."""
         state = self.state
         values, first, second = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
         bounds, clocks = state.bounds.numpy(), state.clocks.numpy()
         return Rows(values, first, second, bounds, clocks, state.values.shape[1], columns)
 
     def _deferred(self, last: int) -> Deferred:
-        """Constants of the deferred steps up to step `last`."""
+        """Return constants of the deferred steps up to step `last`."""
         eps = np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
         return Deferred(last, self._displacements, self._rho_powers, eps)
 
     def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
+        """Return learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
         width = self.state.values.shape[1]
         rates, steps = np.zeros(width), np.ones(width)
         for name, count in self.steps.items():

@@ -58,7 +58,7 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
 
 
 def _rows(g: Gaussians) -> torch.Tensor:
-    """Rows (N, columns) of the file."""
+    """Return rows (N, columns) of the file."""
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
     harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as in 3DGS
     parts = [g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats]
@@ -126,7 +126,7 @@ def load_ply(path: Path) -> Gaussians:
 
 
 def count_rows(path: Path) -> int:
-    """Number of Gaussians that a PLY file's header states; nothing else of the file is read.
+    """Return the number of Gaussians that a PLY file's header states; nothing else of the file is read.
 
     Raises ValueError where `path` is not a regular file, its header is no PLY header of numbers only, or the file is
     too short or too long for the rows that the header states (so that no memory is taken for rows that are not there).
@@ -158,7 +158,7 @@ def count_rows(path: Path) -> int:
 
 
 def _finite(vertex: PlyElement, name: str) -> np.ndarray:
-    """A column (N,) float32. Raises ValueError if it has infinite numbers or NaN."""
+    """Return a column (N,) float32. Raises ValueError if it has infinite numbers or NaN."""
     with np.errstate(over="ignore"):
         values = np.array(vertex[name], np.float32)
     if not np.isfinite(values).all():

@@ -75,7 +75,7 @@ def rasterization(
 
 
 def _stack(views: list[Render], render_mode: str) -> tuple[Tensor, Tensor]:
-    """Renders (C, H, W, D [+ 1]) and alphas (C, H, W, 1) of the views."""
+    """Return renders (C, H, W, D [+ 1]) and alphas (C, H, W, 1) of the views."""
     alphas = torch.stack([view.alpha for view in views])[..., None]
     renders = torch.stack([view.image for view in views])
     if "D" in render_mode:
@@ -87,7 +87,7 @@ def _stack(views: list[Render], render_mode: str) -> tuple[Tensor, Tensor]:
 
 
 def _stack_projections(views: list[Render]) -> dict[str, Any]:
-    """`means2d`, `radii` and `depths` of the views, see `rasterization`."""
+    """Return `means2d`, `radii` and `depths` of the views, see `rasterization`."""
     projections: list[Projection] = [view.projection for view in views if view.projection is not None]
     return {
         "means2d": [projection.means2d for projection in projections],

@@ -73,7 +73,7 @@ class TrainingState:
         return self._clocks[: self.count]
 
     def split(self, rows: Tensor) -> Gaussians:
-        """Rows (n, columns) as Gaussians; they share memory and gradients."""
+        """Return rows (n, columns) as Gaussians; they share memory and gradients."""
         return Gaussians(
             means=rows[:, MEANS],
             log_scales=rows[:, SCALES],
@@ -84,14 +84,14 @@ class TrainingState:
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
-        """Gaussians as new rows (n, columns) of this layout."""
+        """Return Gaussians as new rows (n, columns) of this layout."""
         rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
         for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
             part[1].copy_(given[1].detach().reshape(part[1].shape))
         return rows
 
     def column_of(self, name: str) -> slice:
-        """Columns of a parameter."""
+        """Return the columns of a parameter."""
         return {
             "means": MEANS,
             "log_scales": SCALES,
@@ -146,7 +146,7 @@ class TrainingState:
         self._ordered_at = self.count
 
     def state_dict(self) -> dict[str, Any]:
-        """All rows, with their deferred steps still due; tensors on the CPU, which share memory where they can."""
+        """Return all rows, with their deferred steps still due; the tensors share memory where they can."""
         return {
             **{name: compact(getattr(self, name)[: self.count]) for name in ROWS},
             "now": self.now,
@@ -187,19 +187,19 @@ def _columns_after(first: int, more: dict[str, Tensor]) -> dict[str, tuple[slice
 
 
 def compact(tensor: Tensor) -> Tensor:
-    """The tensor on the CPU in a storage of its size: `torch.save` writes whole storages."""
+    """Return the tensor on the CPU in a storage of its size: `torch.save` writes whole storages."""
     return torch.from_numpy(tensor.detach().cpu().numpy())
 
 
 def _allocate(like: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Uninitialised tensor of the type and device of `like`; float32 on the CPU is aligned to cache lines."""
+    """Return an uninitialised tensor of the type and device of `like`; float32 on the CPU is aligned to cache lines."""
     if like.device.type == "cpu" and like.dtype == torch.float32:
         return torch.from_numpy(empty_aligned(shape, np.float32))
     return like.new_empty(shape)
 
 
 def _z_order(means: Tensor) -> Tensor:
-    """Order (N,) of points (N, 3) along a Z-order (Morton) curve through their bounding box."""
+    """Return the order (N,) of points (N, 3) along a Z-order (Morton) curve through their bounding box."""
     points = means.detach().cpu().numpy()
     if not len(points):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
@@ -219,7 +219,7 @@ def _z_order(means: Tensor) -> Tensor:
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) as float64, with NaN as 0 and infinities as the largest numbers."""
+    """Return points (n, 3) as float64, with NaN as 0 and infinities as the largest numbers."""
     return np.nan_to_num(points.astype(np.float64))
 
 
@@ -234,5 +234,5 @@ _SPREAD = (
 
 
 def _bounds_of(rows: Tensor) -> Tensor:
-    """Bounds (n, 4) of rows (n, columns), see `TrainingState.bounds`."""
+    """Return bounds (n, 4) of rows (n, columns), see `TrainingState.bounds`."""
     return torch.cat([rows[:, MEANS], rows[:, SCALES].amax(dim=1, keepdim=True)], dim=1)

@@ -54,13 +54,13 @@ class Pinhole(NamedTuple):
 
     @classmethod
     def of(cls, camera: CameraLike) -> Pinhole:
-        """The camera of a scene's view, in the precision of its arrays."""
+        """Return the camera of a scene's view, in the precision of its arrays."""
         return cls(
             torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height
         )  # fmt: skip
 
     def to(self, like: Tensor) -> Pinhole:
-        """The same camera with tensors of the type and device of `like`."""
+        """Return the same camera with tensors of the type and device of `like`."""
         return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
 
 
@@ -102,6 +102,6 @@ class Render:
         return self.depth
 
     def cpu(self) -> Render:
-        """The image, depth and transmittance on the CPU."""
+        """Return the image, depth and transmittance on the CPU."""
         depth = None if self.depth is None else self.depth.cpu()
         return Render(self.image.cpu(), depth, self.transmittance.cpu())

@@ -86,7 +86,7 @@ class Checkpoint:
             file.write(hashing.digest.digest())
 
     def _read(self) -> dict[str, Any]:
-        """The stored content. Raises ValueError if it is not whole or not of this training."""
+        """Return the stored content. Raises ValueError if it is not whole or not of this training."""
         if not self.path.is_file():
             raise ValueError(f"{self.path} is not a file")
         _check_digest(self.path)
@@ -138,7 +138,7 @@ def _check_digest(path: Path) -> None:
 
 
 def _progress(log: TrainingLog) -> dict[str, Any]:
-    """The log of a training as plain data."""
+    """Return the log of a training as plain data."""
     return {
         "iterations": log.iterations,
         "seconds": log.seconds,
@@ -150,7 +150,7 @@ def _progress(log: TrainingLog) -> dict[str, Any]:
 
 
 def _mismatch(saved: Any, wanted: Any, place: str, *, is_exact: bool) -> str | None:
-    """First place where a stored state has other names, types, shapes or infinite numbers; None if it fits.
+    """Return the first place where a stored state has other names, types, shapes or infinite numbers; None if it fits.
 
     is_exact: tensors must have the same number of rows; else the parts of a model must have equal numbers.
     """

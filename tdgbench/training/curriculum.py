@@ -75,11 +75,11 @@ class Curriculum(Part):
         return dict(zip((*(scale for _, scale in self.steps), 1), self._trained, strict=True))
 
     def shows(self, view: View) -> bool:
-        """Whether a view is trained on."""
+        """Return whether a view is trained on."""
         return not (self.is_holding and view.name in self._names)
 
     def at_resolution(self, view: View) -> View:
-        """The view at the current resolution."""
+        """Return the view at the current resolution."""
         if self.is_at_full_resolution:
             return view
         if view.name not in self._shrunk:
@@ -103,7 +103,7 @@ class Curriculum(Part):
 
 
 def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:
-    """Steps (last iteration, scale) of `Curriculum`, for the thermal images of the views.
+    """Return the steps (last iteration, scale) of `Curriculum`, for the thermal images of the views.
 
     gaussians: at the start. Smaller images than one pixel for each of them save little, as they are projected anyway.
     """
@@ -119,13 +119,13 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
 
 
 def _shares(view: View, scales: tuple[int, ...]) -> np.ndarray:
-    """Shares (scales,) of the amplitudes of a view's thermal image. The border of a mask is no detail."""
+    """Return the shares (scales,) of the amplitudes of a view's thermal image. The border of a mask is no detail."""
     filled = nearest_valid(view.thermal, view.valid)
     return significant_amplitudes(filled, noise_of(view.thermal, view.valid), scales)
 
 
 def shrunk(view: View, scale: int) -> View:
-    """A view with 1/scale of the width and height, rounded; each pixel is the mean of the valid pixels in its area.
+    """Return a view with 1/scale of the width and height; each pixel is the mean of the valid pixels in its area.
 
     A pixel is valid if half of its area is; if there is no such pixel, the most valid ones are.
     """

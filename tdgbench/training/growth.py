@@ -77,17 +77,17 @@ class Significance:
         return Verdict(strength, strength > self.rule.z, self.useless(views, weight))
 
     def useless(self, views: Tensor, weight: Tensor) -> Tensor:
-        """(N,) bool: what is pruned, by the number of views that show it (N,) and its weight in them (N,), px."""
+        """Return what is pruned (N,) bool, by the number of views that show it (N,) and its weight there (N,), px."""
         return (views >= FEWEST_VIEWS) & (self.curriculum.scale**2 * weight < self.rule.min_weight * views)
 
     def chosen(self, turn: int) -> list[View]:
-        """The views of a round: evenly spread, one further in every round."""
+        """Return the views of a round: evenly spread, one further in every round."""
         views = [view for view in self.views if self.curriculum.shows(view)]
         looks = min(self.rule.views, len(views))
         return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
 
     def look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
-        """Footprints in what a view shows and the Gaussians do not."""
+        """Return the footprints in what a view shows and the Gaussians do not."""
         taken_by = self.camera_of(view.camera)
         camera = Pinhole.of(taken_by).to(gaussians.means)
         active = gaussians.activated(degree)
@@ -109,7 +109,7 @@ class Footprints(NamedTuple):
 def footprints(
     gaussians: Gaussians, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str
 ) -> Footprints:
-    """Footprints of the Gaussians in a residual (H, W, C); masked pixels (`valid` (H, W) is false) count nothing.
+    """Return the footprints of Gaussians in a residual (H, W, C); pixels where `valid` (H, W) is false do not count.
 
     Each Gaussian is rendered as its two halves, without colour: the gradient of a half's colour is the sum over its
     footprint of what the image's gradient is set to.
@@ -134,7 +134,7 @@ def footprints(
 
 
 def split_in_halves(gaussians: Gaussians) -> GaussianTensors:
-    """2N Gaussians without colour: the first halves of N Gaussians along their longest axes, then the second ones."""
+    """Return the halves of N Gaussians along their longest axes, without colour: N first ones, then N second ones."""
     scales = gaussians.scales
     longest = scales.argmax(dim=1, keepdim=True)
     axes = rotation_matrices(gaussians.quats).gather(2, longest[:, None, :].expand(-1, 3, 1)).squeeze(2)

@@ -20,7 +20,7 @@ class ViewTensors:
         self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
 
     def of(self, view: View, name: str, device: torch.device) -> Tensor:
-        """The array `name` of a view; nobody writes to it."""
+        """Return the array `name` of a view; nobody writes to it."""
         if id(view) not in self._tensors:
             self._tensors[id(view)] = {}
             weakref.finalize(view, self._tensors.pop, id(view), None)

@@ -153,7 +153,7 @@ def _psnr(step: Step) -> float:
 
 
 def _first_bad(step: Step) -> str:
-    """Name of the first image, render or loss term that is not finite."""
+    """Return the name of the first image, render or loss term that is not finite."""
     if not torch.isfinite(step.target).all():
         return "target image"
     for name, tensor in (("render", step.render.image), ("depth render", step.render.depth)):

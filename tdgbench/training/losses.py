@@ -39,7 +39,7 @@ NO_SMOOTHNESS = Smoothness()
 
 
 def l1(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
-    """Mean absolute error of images (H, W, C).
+    """Return the mean absolute error of images (H, W, C).
 
     >>> l1(torch.full((4, 4, 1), 0.75), torch.full((4, 4, 1), 0.5)).item()
     0.25
@@ -48,7 +48,7 @@ def l1(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
 
 
 def ssim(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
-    """Mean SSIM of images (H, W, C) with zero padding, as in 3DGS.
+    """Return the mean SSIM of images (H, W, C) with zero padding, as in 3DGS.
 
     >>> image = torch.rand(16, 16, 3)
     >>> round(ssim(image, image).item(), 4)
@@ -58,7 +58,7 @@ def ssim(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
 
 
 def photometric(image: Tensor, target: Tensor, lambda_ssim: float, valid: Tensor | None = None) -> Tensor:
-    """(1 − λ) L1 + λ (1 − SSIM) of images (H, W, C): 3DGS, eq. 7."""
+    """Return (1 − λ) L1 + λ (1 − SSIM) of images (H, W, C): 3DGS, eq. 7."""
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim, valid)
 
 
@@ -70,7 +70,7 @@ def thermal(
     reading: str,
     valid: Tensor | None = None,
 ) -> Tensor:
-    """Thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
+    """Return the thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
 
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
 
@@ -89,7 +89,7 @@ def thermal(
 def l1_and_dssim(
     image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None = None
 ) -> Tensor:
-    """l1_weight · L1 + dssim_weight · (1 − SSIM) of images (H, W, C). Raises ValueError if their shapes differ."""
+    """Return l1_weight · L1 + dssim_weight · (1 − SSIM) of images (H, W, C); raise ValueError if the shapes differ."""
     if _is_fused(image):
         return _fused(image, target, l1_weight, dssim_weight, valid=valid)
     _check_shapes(image, target, valid)
@@ -105,7 +105,7 @@ def _fused(
     smooth: Smoothness = NO_SMOOTHNESS,
     valid: Tensor | None = None,
 ) -> Tensor:
-    """L1, SSIM and smoothness in one pass. Raises ValueError if the shapes differ."""
+    """Return L1, SSIM and smoothness in one pass. Raises ValueError if the shapes differ."""
     _check_shapes(image, target, valid)
     prepared = _PREPARED.of(target, valid)
 
@@ -126,7 +126,7 @@ def _check_shapes(image: Tensor, target: Tensor, valid: Tensor | None) -> None:
 
 
 def _valid_values(image: Tensor, valid: Tensor | None) -> int:
-    """Number of values of an image (H, W, C) that count."""
+    """Return the number of values of an image (H, W, C) that count."""
     if valid is None:
         return image.numel()
     count = int(valid.sum()) * image.shape[2]
@@ -159,7 +159,7 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tens
 
 
 def _smoothness_scales(image: Tensor, reading: str, valid: Tensor | None) -> Smoothness:
-    """Factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
+    """Return the factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
     if reading not in ("paper", "reference"):
         raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
     count = _valid_values(image, valid)
@@ -169,7 +169,7 @@ def _smoothness_scales(image: Tensor, reading: str, valid: Tensor | None) -> Smo
 
 
 def min_max(values: Tensor) -> Tensor:
-    """Min-max normalisation of a map (H, W) to [0, 1] (TDg, before eq. 4), with the gradients of both extremes.
+    """Normalise a map (H, W) to [0, 1] by its extremes (TDg, before eq. 4), which get gradients, too.
 
     A map without range becomes zero, with zero gradient.
 
@@ -185,7 +185,7 @@ def min_max(values: Tensor) -> Tensor:
 
 
 def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
-    """1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha ≤ min_alpha.
+    """Return 1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha ≤ min_alpha.
 
     >>> inverse_expected_depth(torch.tensor([[1.0, 0.0]]), torch.tensor([[0.5, 1.0]]), 1e-3).tolist()
     [[0.5, 0.0]]
@@ -266,7 +266,7 @@ class PreparedTargets:
         self._prepared: dict[int, _Prepared] = {}
 
     def of(self, image: Tensor, valid: Tensor | None) -> Target:
-        """An image (H, W, C), prepared with a mask (H, W)."""
+        """Return the image (H, W, C), prepared with a mask (H, W)."""
         found = self._prepared.get(id(image))
         version = (image._version, None if valid is None else valid._version)
         if found is not None and found.valid is valid and found.version == version:

@@ -165,7 +165,7 @@ class SplatModel(Part):
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
     def _judge(self, iteration: int) -> Verdict | None:
-        """Verdict of the budget's growth rule, where it has one and a round of density control is due."""
+        """Return the verdict of the budget's growth rule, where it has one and a round of density control is due."""
         if self.significance is None or not self.density.is_round(iteration):
             return None
         return self.significance.judge(self.gaussians, self.degree, iteration // self.density.rules.every)

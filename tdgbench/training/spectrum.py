@@ -14,7 +14,7 @@ MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
 
 def noise_of(image: np.ndarray, valid: np.ndarray | None = None) -> float:
-    """Standard deviation of white noise in an image (H, W, C), in units of its values; at least that of 8 bits.
+    """Return the standard deviation of white noise in an image (H, W, C), in its units; at least that of 8 bits.
 
     The mask of Immerkær (1996, Fast Noise Variance Estimation) does not see planes and straight steps; the median of
     its absolute response does not see the rest of the edges. valid: bool (H, W); windows with a masked pixel do not
@@ -33,12 +33,12 @@ def noise_of(image: np.ndarray, valid: np.ndarray | None = None) -> float:
 
 
 def typical_noise(images: Iterable[tuple[np.ndarray, np.ndarray | None]]) -> float:
-    """Median of `noise_of` over images (H, W, C) with their masks (H, W) or None."""
+    """Return the median of `noise_of` over images (H, W, C) with their masks (H, W) or None."""
     return float(np.median([noise_of(image, valid) for image, valid in images]))
 
 
 def significant_amplitudes(image: np.ndarray, noise: float, scales: tuple[int, ...]) -> np.ndarray:
-    """Share (scales,) of an image's amplitudes that its versions 1/scale as large still have; 1 for scale 1.
+    """Return the share (scales,) of an image's amplitudes that its versions 1/scale as large still have; 1 for scale 1.
 
     The sum of amplitudes below a version's highest frequency, over that of all, is DashGaussian's measure (Chen et al.
     2025). Here only frequencies that stand out of white noise count, and the mean of the image does not.

@@ -88,7 +88,7 @@ class Settling(Stopping):
             part.stop_growth(self.curriculum.settled_at)
 
     def _settles(self, iteration: int) -> int | None:
-        """The scale at which the training settles now; None if it does not."""
+        """Return the scale at which the training settles now; None if it does not."""
         rule, curriculum = self.rule, self.curriculum
         if iteration >= rule.latest(self.iterations):
             return 1
@@ -110,7 +110,7 @@ class Settling(Stopping):
         return None
 
     def _is_best(self, psnrs: np.ndarray) -> bool:
-        """Whether held-out views (V,) are better than with the best resolution so far."""
+        """Return whether held-out views (V,) are better than with the best resolution so far."""
         return not self._best_scale or float(np.median(psnrs - self._best_psnrs)) >= self.rule.gain
 
     def _leave_resolution(self) -> None:
@@ -125,7 +125,7 @@ class Settling(Stopping):
 
     @torch.no_grad()
     def _held_out_psnrs(self) -> list[float]:
-        """PSNR of the held-out views over valid pixels, at full resolution, dB."""
+        """Return the PSNR of the held-out views over valid pixels, at full resolution, dB."""
         values = []
         for view in self.curriculum.held_out:
             squares = np.square(self.render(view) - view.thermal)

@@ -12,7 +12,7 @@ from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
 
 
 def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None) -> Tensor:
-    """l1_weight · L1 + dssim_weight · (1 − SSIM), means over the valid pixels."""
+    """Return l1_weight · L1 + dssim_weight · (1 − SSIM), means over the valid pixels."""
     target = target.detach()
     if valid is None:
         return l1_weight * (image - target).abs().mean() + dssim_weight * (1 - ssim_map(image, target).mean())
@@ -23,7 +23,7 @@ def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: 
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """SSIM per pixel and channel (H, W, C) of images (H, W, C)."""
+    """Return the SSIM per pixel and channel (H, W, C) of images (H, W, C)."""
     a, b = (t.permute(2, 0, 1).unsqueeze(1) for t in (image, target))
     mu_a, mu_b = _blur(a), _blur(b)
     var_a = _blur(a * a) - mu_a * mu_a
@@ -47,14 +47,14 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) ->
 
 
 def _neighbours(image: Tensor, reading: str) -> list[tuple[Tensor, Tensor]]:
-    """Pairs of images of neighbouring pixels: down and right, or on a torus all four, which are constants."""
+    """Return pairs of images of neighbouring pixels: down and right, or on a torus all four, which are constants."""
     if reading == "reference":
         return [(image, image.detach().roll(shift, dim)) for dim in (0, 1) for shift in (1, -1)]
     return [(image[1:], image[:-1]), (image[:, 1:], image[:, :-1])]
 
 
 def without_masked(image: Tensor, valid: Tensor) -> Tensor:
-    """The image with 0 at masked pixels, whatever it holds there.
+    """Return the image with 0 at masked pixels, whatever it holds there.
 
     >>> without_masked(torch.tensor([[[torch.nan], [1.0]]]), torch.tensor([[False, True]])).flatten().tolist()
     [0.0, 1.0]

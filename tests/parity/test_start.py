@@ -8,7 +8,7 @@ import torch
 from hydra.utils import instantiate
 
 from tdgbench.scenes import Camera, Scene, View
-from tdgbench.splats.harmonics import basis, colors_from_sh, num_bases, sh_from_color
+from tdgbench.splats.harmonics import colors_from_sh, num_bases, sh_basis, sh_from_color
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.optimizer import BETA1, BETA2, EPS
 from tests.helpers.configs import config
@@ -85,7 +85,7 @@ def test_camera_extent(rig):
 def test_harmonics(degree):
     theirs = original("harmonics")
     directions, sh = torch.from_numpy(theirs["directions"]), torch.from_numpy(theirs["sh"])
-    values = (basis(directions, degree)[..., None] * sh[:, : num_bases(degree)]).sum(dim=1)
+    values = (sh_basis(directions, degree)[..., None] * sh[:, : num_bases(degree)]).sum(dim=1)
     assert relative(values, theirs[f"values_{degree}"]) < 1e-6
     assert (theirs[f"colors_{degree}"] == 0).any()  # the clamp is met
     assert relative(colors_from_sh(sh, directions, degree), theirs[f"colors_{degree}"]) < 1e-6

@@ -93,7 +93,7 @@ def test_scores_by_hand(scene_of, request):
             around = np.abs(a - b - np.median(a - b)).mean()
             assert found["mae_degC_without_offset"] == pytest.approx(20 * around, rel=1e-5)
         assert found["depth_abs_rel"] == pytest.approx(0.2, rel=1e-5) and found["floaters"] == 0
-        assert scorer.score_train(view, renders[view.name]) == {m: found[m] for m in ("psnr", "ssim")}
+        assert scorer.score_train([view], renders)[view.name] == {m: found[m] for m in ("psnr", "ssim")}
 
 
 def test_depths_at_masked_pixels_are_not_compared(small_gray_scene):

@@ -49,7 +49,7 @@ def test_training_views_get_the_cheap_scores(small_gray_scene):
     scoring = scorer()
     full = score(scoring, small_gray_scene, wrong, view.true_depth)
     shown = RenderedImages(wrong.astype(np.float32) / np.float32(255), view.true_depth)
-    assert scoring.score_train(view, shown) == {m: full[m] for m in ("psnr", "ssim")}
+    assert scoring.score_train([view], {view.name: shown})[view.name] == {m: full[m] for m in ("psnr", "ssim")}
 
 
 def test_pseudo_color_has_no_temperature(small_scene):
@@ -104,11 +104,11 @@ def test_scores_do_not_depend_on_the_number_of_threads(small_scene, squeeze_weig
         pool.set_threads(threads)
         scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
         scores = scoring.score(small_scene, renders)
-        found.append((scores, scoring.score_all_train(small_scene.train, renders), scoring.missing))
+        found.append((scores, scoring.score_train(small_scene.train, renders), scoring.missing))
     pool.set_threads(None)
     assert found[0] == found[1] == found[2]
     assert list(found[0][0]) == [view.name for view in small_scene.test] and len(found[0][0]) > 1
-    assert found[0][1] == {v.name: scoring.score_train(v, renders[v.name]) for v in small_scene.train}
+    assert found[0][1] == {v.name: scoring.score_train([v], renders)[v.name] for v in small_scene.train}
 
 
 def test_the_network_is_loaded_once_and_where_the_cell_trains(small_scene, monkeypatch):

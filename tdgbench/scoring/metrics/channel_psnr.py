@@ -10,7 +10,7 @@ from tdgbench.scoring.scored_view import ScoredView, at_valid
 
 
 def channel_psnr(image: np.ndarray, target: np.ndarray) -> float:
-    """Mean over channels of each channel's PSNR (dB) of images (…, C), clipped to [0, 1].
+    """Return the mean over channels of each channel's PSNR (dB) of images (…, C), clipped to [0, 1].
 
     ThermalGaussian's and 3DGS's `training_report` gives this for float renders; their `metrics.py` pools channels. The
     two agree for gray images and are some tenths to 1 dB apart for pseudo-colour.

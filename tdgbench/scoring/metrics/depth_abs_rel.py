@@ -8,7 +8,7 @@ from tdgbench.scoring.metric import ViewMetric
 
 
 def depth_abs_rel(depth: np.ndarray, truth: np.ndarray) -> float:
-    """Mean of |z − z_true| / z_true over equally shaped depths.
+    """Return the mean of |z − z_true| / z_true over equally shaped depths.
 
     >>> round(depth_abs_rel(np.array([[1.1, 2.0]]), np.array([[1.0, 2.0]])), 6)
     0.05

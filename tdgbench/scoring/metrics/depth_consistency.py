@@ -12,7 +12,7 @@ MIN_OVERLAP = 0.05  # share of a view's pixels that must fall into the other vie
 
 
 def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray, other_camera: Camera) -> float | None:
-    """Median relative difference of a view's depth (H, W), projected into another view, and that view's depth (H, W).
+    """Return the median relative difference of a view's depth (H, W), projected into another view, and the depth there.
 
     0: both views show one surface. The median ignores what only one of them shows. None where too few pixels of the
     view fall into the other one.
@@ -33,7 +33,7 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
 
 
 def _against_nearest(shown: ScoredView) -> float:
-    """Depth consistency with the nearest other test view."""
+    """Return the depth consistency with the nearest other test view."""
     nearest = shown.nearest()
     depth, other = _known(shown.rendered.depth, shown.view), _known(shown.renders[nearest.name].depth, nearest)
     found = depth_consistency(depth, shown.view.camera, other, nearest.camera)
@@ -43,7 +43,7 @@ def _against_nearest(shown: ScoredView) -> float:
 
 
 def _known(depth: np.ndarray, view: View) -> np.ndarray:
-    """A rendered depth (H, W), 0 at masked pixels as where nothing was rendered."""
+    """Return a rendered depth (H, W), 0 at masked pixels as where nothing was rendered."""
     return depth if view.valid is None else np.where(view.valid, depth, np.float32(0))
 
 

@@ -10,7 +10,7 @@ FLOATER = 0.1  # rendered nearer than the true surface by more than this share o
 
 
 def floater_share(depth: np.ndarray, truth: np.ndarray) -> float:
-    """Share of the pixels whose rendered depth lies clearly in front of the true surface.
+    """Return the share of the pixels whose rendered depth lies clearly in front of the true surface.
 
     >>> floater_share(np.array([[0.8, 0.95]]), np.array([[1.0, 1.0]]))
     0.5

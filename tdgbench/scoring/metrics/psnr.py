@@ -10,7 +10,7 @@ MAX_PSNR = 100.0  # dB; of equal images, so that means stay finite
 
 
 def psnr(image: np.ndarray, target: np.ndarray) -> float:
-    """−10 log10 of the mean squared error over all pixels and channels (dB), images (…, C) in [0, 1].
+    """Return −10 log10 of the mean squared error over all pixels and channels (dB), images (…, C) in [0, 1].
 
     >>> round(psnr(np.full((4, 4, 1), 0.6), np.full((4, 4, 1), 0.5)), 6)
     20.0

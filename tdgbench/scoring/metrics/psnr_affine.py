@@ -18,12 +18,12 @@ class GainAndOffset(NamedTuple):
     offset: float
 
     def of(self, image: np.ndarray) -> np.ndarray:
-        """An image with this response, clipped to [0, 1]."""
+        """Return the image with this gain and offset, clipped to [0, 1]."""
         return np.clip(self.gain * image.astype(np.float64) + self.offset, 0, 1)
 
 
 def best_gain_and_offset(image: np.ndarray, target: np.ndarray) -> GainAndOffset:
-    """The gain ≥ 0 and offset that bring an image nearest to its target, by least squares over all pixels and channels.
+    """Return the gain ≥ 0 and offset that bring an image nearest to its target, by least squares over all values.
 
     A gain below 0 would turn hot into cold. An image of one value gets an offset only.
 
@@ -39,7 +39,7 @@ def best_gain_and_offset(image: np.ndarray, target: np.ndarray) -> GainAndOffset
 
 
 def psnr_affine(image: np.ndarray, target: np.ndarray) -> float:
-    """PSNR (dB) of images (…, C) in [0, 1] after the render's best gain and offset.
+    """Return the PSNR (dB) of images (…, C) in [0, 1] after the render's best gain and offset.
 
     nerfbaselines and gsplat call PSNR after a fitted affine map of colours colour-corrected; theirs has a 3×3 matrix,
     which has no meaning for temperatures.

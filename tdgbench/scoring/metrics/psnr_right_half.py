@@ -11,7 +11,7 @@ from tdgbench.scoring.scored_view import ImagePair, NotApplicableError, at_valid
 
 
 def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | None = None) -> float:
-    """PSNR (dB) of the right half of images (H, W, C) in [0, 1], whose columns from W // 2 on it is.
+    """Return the PSNR (dB) of the right half of images (H, W, C) in [0, 1], whose columns from W // 2 on it is.
 
     The two parameters of a test view are not known before; they are fitted where the view is not scored, as NeRF in the
     Wild (Martin-Brualla et al. 2021) fits its embeddings. valid: bool (H, W), the pixels that count; None: all. Raises

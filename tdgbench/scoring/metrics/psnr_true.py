@@ -18,7 +18,7 @@ SMALLEST = 1e-6  # °C
 
 
 def psnr_true(shown: ScoredView) -> float:
-    """PSNR (dB) of a view's render in °C over its valid pixels; the span of all test views' truth there is the peak.
+    """Return the PSNR (dB) of a view's render in °C over valid pixels; the peak is the span of all test views' truth.
 
     Zero and scale of the scene's temperatures cannot be known from a camera that drifts. So the one gain and the one
     offset that fit the renders of all test views best are applied first.
@@ -46,7 +46,7 @@ class Scale(NamedTuple):
 
 
 def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scale:
-    """The scale of a scene's renders, and the span of its test views, of which one has a valid pixel."""
+    """Return the scale of a scene's renders, and the span of its test views, of which one has a valid pixel."""
     if in_pseudo_colour(views):
         raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
     sums, low, high = np.zeros(5), np.inf, -np.inf
@@ -59,7 +59,7 @@ def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scal
 
 
 def _pair(view: View, rendered: RenderedImages, valid: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Rendered values, not clipped, and true temperatures (N,) of a view's valid pixels."""
+    """Return the rendered values, not clipped, and true temperatures (N,) of a view's valid pixels."""
     image, truth = rendered.ideal.mean(axis=2, dtype=np.float64), view.true_temperature
     if truth is None or truth.shape != image.shape:
         raise NotApplicableError("the true temperatures have another size than the images")
@@ -67,7 +67,7 @@ def _pair(view: View, rendered: RenderedImages, valid: np.ndarray | None) -> tup
 
 
 def _line(sums: np.ndarray) -> tuple[float, float]:
-    """Gain ≥ 0 and offset of the best line, from count, Σx, Σy, Σxx and Σxy."""
+    """Return the gain ≥ 0 and offset of the best line, from count, Σx, Σy, Σxx and Σxy."""
     count, of_x, of_y, of_xx, of_xy = sums.tolist()
     spread = of_xx - of_x * of_x / count
     gain = max((of_xy - of_x * of_y / count) / spread, 0.0) if spread > 0 else 1.0

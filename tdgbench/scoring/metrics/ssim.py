@@ -11,7 +11,7 @@ from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
 
 
 def ssim(image: np.ndarray, target: np.ndarray, border: Border, valid: np.ndarray | None = None) -> float:
-    """Mean SSIM over pixels and channels of images (H, W, C) in [0, 1].
+    """Return the mean SSIM over pixels and channels of images (H, W, C) in [0, 1].
 
     border `zero`: zeros outside the image, mean over all of it (3DGS). `valid`: only where the window fits
     (scikit-image with gaussian_weights, sigma 1.5, use_sample_covariance=False).
@@ -44,7 +44,7 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border, valid: np.ndarra
 
 
 def _fits(valid: np.ndarray) -> np.ndarray:
-    """Where the window around a pixel holds only pixels of the image at which the mask (H, W) is true."""
+    """Return where the window around a pixel holds only pixels of the image at which the mask (H, W) is true."""
     fits = minimum_filter(valid.astype(np.uint8), size=WINDOW, mode="constant", cval=0) > 0
     if not fits.any():
         raise NotApplicableError(f"no window of {WINDOW}×{WINDOW} px holds only pixels with a thermal value")

@@ -9,7 +9,7 @@ from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 
 def differences(shown: ScoredView) -> np.ndarray:
-    """Differences (N, 1) or (H, W, 1) of the 8-bit pictures in °C, where gray values are linear in temperature."""
+    """Return differences (N, 1) or (H, W, 1) of 8-bit pictures in °C, where gray values are linear in temperature."""
     if shown.scene is not None and shown.scene.counts is not None:
         raise NotApplicableError("raw counts have no °C")
     if shown.scene is None or shown.scene.temperature is None:
@@ -22,7 +22,7 @@ def differences(shown: ScoredView) -> np.ndarray:
 
 
 def mae_degC(shown: ScoredView) -> float:
-    """Mean absolute difference in °C."""
+    """Return the mean absolute difference in °C."""
     return float(np.abs(differences(shown)).mean())
 
 

@@ -10,7 +10,7 @@ from tdgbench.scoring.scored_view import ScoredView
 
 
 def mae_degC_without_offset(shown: ScoredView) -> float:
-    """Mean absolute difference in °C from the median difference, the offset that makes it least."""
+    """Return the mean absolute difference in °C from the median difference, the offset that makes it least."""
     found = differences(shown)
     return float(np.abs(found - np.median(found)).mean())
 

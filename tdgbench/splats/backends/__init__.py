@@ -13,7 +13,7 @@ AUTO = {"cpu": "cpu", "cuda": "cuda"}  # fast backend for float32, by type of de
 
 
 def backend_names() -> list[str]:
-    """Names of all backends.
+    """Return the names of all backends.
 
     >>> set(backend_names()) >= {"cpu", "cuda", "reference"}
     True
@@ -22,12 +22,12 @@ def backend_names() -> list[str]:
 
 
 def fast_backends() -> list[str]:
-    """Names of the backends that can run on this machine, but for `reference`."""
+    """Return the names of the backends that can run on this machine, but for `reference`."""
     return [name for name in backend_names() if name != "reference" and load_backend(name).why_not() is None]
 
 
 def load_backend(name: str) -> Backend:
-    """Backend of a name. Raises ValueError if there is none."""
+    """Return the backend of a name. Raises ValueError if there is none."""
     module = f"{__name__}.{name}"
     try:
         return importlib.import_module(module).BACKEND
@@ -38,7 +38,7 @@ def load_backend(name: str) -> Backend:
 
 
 def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
-    """Name of the backend for tensors of a device and type.
+    """Return the name of the backend for tensors of a device and type.
 
     `auto` is `cpu` or `cuda` for float32 tensors there, and `reference` for all others. Raises ValueError if the
     backend does not take such tensors, RuntimeError if it cannot run on this machine.

@@ -49,22 +49,22 @@ class Backend(Protocol):
     inputs: str = "any float tensors"  # what it takes, for messages
 
     def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
-        """Whether it renders tensors of a device and type."""
+        """Return whether it renders tensors of a device and type."""
         return True
 
     def why_not(self) -> str | None:
-        """Why it cannot run on this machine, or None."""
+        """Return why it cannot run on this machine, or None."""
         return None
 
     def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
-        """Constants that it always blends with, given AS_3DGS; None: it blends with those that it is given.
+        """Return the constants that it always blends with, given AS_3DGS; None: it blends with those that it is given.
 
         packages: versions of the packages that it ran with, by default those that are installed.
         """
         return None
 
     def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
-        """Context of the first steps of a training with these channel counts, to compile for it meanwhile."""
+        """Return a context for the first steps of a training with these channel counts, to compile for it meanwhile."""
         return nullcontext()
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
@@ -105,7 +105,7 @@ def _deliver_once(rows: torch.Tensor, deliver: Callable[[torch.Tensor], None]) -
 
 
 def _dense(grad: torch.Tensor, projection: Projection | None) -> Gradients:
-    """Gradients by rows (N, columns) and by image means, after the backward pass of a view."""
+    """Return the gradients by rows (N, columns) and by image means, after the backward pass of a view."""
     if projection is None or projection.means2d.grad is None:
         raise RuntimeError("a backend must set `projection`, and `means2d.grad` in its backward pass")
     return Gradients.dense(grad, projection.means2d.grad, projection.radii)

@@ -131,7 +131,7 @@ def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, Rend
 
 
 def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOptions) -> Settings:
-    """Kernel settings of a view. Raises ValueError if this backend cannot render it."""
+    """Return the kernel settings of a view. Raises ValueError if this backend cannot render it."""
     if max(camera.width, camera.height) > MAX_SIDE:
         asked = f"{camera.width}×{camera.height}"
         raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {asked} was requested")

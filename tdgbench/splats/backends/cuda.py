@@ -78,7 +78,7 @@ class CudaBackend(Backend):
 
 @cache
 def _import_problem() -> str | None:
-    """Why gsplat cannot be imported; None if it can."""
+    """Return why gsplat cannot be imported; None if it can."""
     try:
         importlib.import_module("gsplat")
     except Exception as error:  # of a build for another torch, too
@@ -88,7 +88,7 @@ def _import_problem() -> str | None:
 
 
 def installed_version() -> str | None:
-    """Version of gsplat; None if its files name none."""
+    """Return the version of gsplat; None if its files name none."""
     try:
         return importlib.metadata.version("gsplat")
     except importlib.metadata.PackageNotFoundError:
@@ -96,7 +96,7 @@ def installed_version() -> str | None:
 
 
 def _release(version: str | None) -> tuple[int, ...]:
-    """First two numbers of a version; of 1.5.3 where it is not known.
+    """Return the first two numbers of a version; of 1.5.3 where it is not known.
 
     >>> _release("1.6.0+pt29cu128"), _release(None)
     ((1, 6), (1, 5))

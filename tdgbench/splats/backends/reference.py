@@ -18,7 +18,7 @@ PAIRS_AT_ONCE = 4_000_000  # pixel-Gaussian pairs in memory
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotations (N, 3, 3) of quaternions (N, 4) wxyz of any length."""
+    """Return rotations (N, 3, 3) of quaternions (N, 4) wxyz of any length."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -29,7 +29,7 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def project(means, quats, scales, viewmat, K, width, height, eps2d) -> tuple[Tensor, ...]:
-    """Image means (N, 2) px, conics (N, 3) px⁻², image covariances (N, 2, 2) px² and depths (N,) of Gaussians (EWA).
+    """Project Gaussians (EWA) to image means (N, 2) px, conics (N, 3) px⁻², covariances (N, 2, 2) px² and depths (N,).
 
     means (N, 3), quats (N, 4), scales (N, 3), viewmat (4, 4), K (3, 3) px.
     """
@@ -55,7 +55,7 @@ def project(means, quats, scales, viewmat, K, width, height, eps2d) -> tuple[Ten
 
 
 def _screen_radii(means2d, covariance, width, height) -> Tensor:
-    """3DGS's radii (N,) px: 3 σ, rounded up; 0 if the square misses the grid of 16×16 tiles."""
+    """Return 3DGS's radii (N,) px: 3 σ, rounded up; 0 if the square misses the grid of 16×16 tiles."""
     mid = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
     spread = (mid * mid - torch.linalg.det(covariance)).clamp_min(0.1).sqrt()
     radii = (3.0 * (mid + spread).sqrt()).ceil()
@@ -66,7 +66,7 @@ def _screen_radii(means2d, covariance, width, height) -> Tensor:
 
 
 def blend(pixels, means2d, conics, opacities, channels, blending) -> tuple[Tensor, Tensor]:
-    """Light (P, D) and transmittance (P,) at pixel centres (P, 2) px, of Gaussians sorted from near to far.
+    """Return light (P, D) and transmittance (P,) at pixel centres (P, 2) px, of Gaussians sorted from near to far.
 
     means2d (N, 2) px, conics (N, 3) px⁻², opacities (N,), channels (N, D).
     """
@@ -116,7 +116,7 @@ class ReferenceBackend(Backend):
 
 
 def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> Tensor:
-    """Colours (n, D) of the Gaussians at an index (n,), as the camera sees them."""
+    """Return colours (n, D) of the Gaussians at an index (n,), as the camera sees them."""
     if gaussians.sh_degree is None:
         return gaussians.colors[index]
     centre = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
@@ -127,7 +127,7 @@ def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> T
 def _blend_image(
     splats: tuple[Tensor, Tensor, Tensor, Tensor], camera: Pinhole, blending: Blending
 ) -> tuple[Tensor, Tensor]:
-    """Light (H, W, D) and transmittance (H, W) of means2d, conics, opacities and channels; see `blend`."""
+    """Return light (H, W, D) and transmittance (H, W) of means2d, conics, opacities and channels; see `blend`."""
     means2d, _, _, channels = splats
     ys, xs = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d.device, means2d.dtype) + 0.5

@@ -32,7 +32,7 @@ _DAY = 86_400.0  # seconds
 
 
 def fingerprinted_files() -> list[Path]:
-    """Source files that machine code may depend on."""
+    """Return the source files that machine code may depend on."""
     return sorted(PACKAGE.rglob("*.py"))
 
 
@@ -44,7 +44,7 @@ def _fingerprint() -> str:
 
 
 def cache_home() -> Path:
-    """Folder of all of tdgbench's caches for this user.
+    """Return the folder of all of tdgbench's caches for this user.
 
     Raises RuntimeError if the environment names no folder for caches and the user has no home folder.
     """
@@ -53,7 +53,7 @@ def cache_home() -> Path:
 
 
 def cache_dir(lanes: int) -> Path:
-    """Folder of the machine code of these sources for registers of `lanes` floats; raises as `cache_home`."""
+    """Return the folder of these sources' machine code for registers of `lanes` floats; raises as `cache_home`."""
     return cache_home() / "numba" / f"{_fingerprint()}-{lanes}"
 
 
@@ -90,7 +90,7 @@ def _prepare(folder: Path) -> None:
 
 
 def _temporary_home() -> Path:
-    """A folder for caches that only this user can write: machine code in it is run."""
+    """Return a folder for caches that only this user can write: machine code in it is run."""
     home = Path(tempfile.gettempdir()) / f"tdgbench-{os.getuid()}"
     with suppress(OSError):
         home.mkdir(mode=0o700, exist_ok=True)
@@ -123,7 +123,7 @@ class KernelCache(FunctionCache):
 
 
 def kernel_cache(function: Callable[..., Any], folder: Path) -> KernelCache | None:
-    """Cache of a kernel in a folder; None if the folder cannot be used."""
+    """Return the cache of a kernel in a folder; None if the folder cannot be used."""
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder)
     try:

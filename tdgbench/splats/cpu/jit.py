@@ -17,7 +17,7 @@ FASTMATH = {"nsz", "arcp", "contract", "afn", "nnan"}
 
 
 def lanes() -> int:
-    """Float lanes of one SIMD register: 16 with AVX-512, else 8 (LLVM splits it on SSE and NEON).
+    """Return the number of float lanes of one SIMD register: 16 with AVX-512, else 8 (LLVM splits it on SSE and NEON).
 
     The environment variable TDGBENCH_LANES (8 or 16) forces a width, for tests.
     """

@@ -23,19 +23,19 @@ _workers = 0
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, by its affinity where the platform reports it."""
+    """Return the number of cores that this process may run on, by its affinity where the platform reports it."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def get_threads() -> int:
-    """Threads of the CPU kernels: the number given to `set_threads`, else every available core."""
+    """Return the number of threads of the CPU kernels: that given to `set_threads`, else every available core."""
     return _threads if _threads is not None else available_cores()
 
 
 def chosen_threads() -> int | None:
-    """Number given to `set_threads`; None means every available core."""
+    """Return the number given to `set_threads`; None means every available core."""
     return _threads
 
 
@@ -67,6 +67,11 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
         if call.error is not None:
             raise call.error
     return [first, *(call.result for call in calls)]
+
+
+def run_bands(function: Callable[..., Any], rows: int, *arguments: Any) -> None:
+    """Call `function(start, stop, *arguments)` concurrently on bands of rows, one for each thread."""
+    run(function, [(*band, *arguments) for band in chunks(rows, min(rows, get_threads()))])
 
 
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:

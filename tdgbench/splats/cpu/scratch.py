@@ -20,7 +20,7 @@ _free: dict[str, list[np.ndarray]] = defaultdict(list)
 
 
 def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
-    """Uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them.
+    """Return an uninitialised array that begins on a cache line; NumPy asks for huge pages where the system has them.
 
     >>> empty_aligned((3, 5), np.float32).ctypes.data % ALIGNMENT
     0
@@ -49,7 +49,7 @@ class Workspace:
         self._taken: list[tuple[str, np.ndarray]] = []
 
     def take(self, role: str, shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
-        """Array of a shape, with arbitrary contents."""
+        """Return an array of a shape, with arbitrary contents."""
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         waiting = _free[role]
         buffer = waiting.pop() if waiting else None

@@ -16,7 +16,7 @@ ZERO, ONE = F(0), F(1)
 
 
 def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
-    """Weights float32 (H, W · channels), 1 where the mask (H, W) is true and 0 elsewhere.
+    """Return weights float32 (H, W · channels), 1 where the mask (H, W) is true and 0 elsewhere.
 
     Raises ValueError if it is true nowhere.
 
@@ -28,20 +28,18 @@ def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
     if channels == 1:
         return valid.astype(F)
     weights = np.empty((len(valid), valid.shape[1] * channels), np.float32)
-    bands = pool.chunks(len(valid), min(len(valid), pool.get_threads()))
-    pool.run(weight_rows, [(*band, valid, channels, weights) for band in bands])
+    pool.run_bands(weight_rows, len(valid), valid, channels, weights)
     return weights
 
 
 def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The image (rows, columns · channels) with 0 where the weights, shaped as it, are 0, whatever it holds there.
+    """Return the image (rows, columns · channels) with 0 where the weights, shaped as it, are 0.
 
     >>> without_masked(np.array([[np.nan, 2.0]], F), np.array([[0.0, 1.0]], F)).tolist()
     [[0.0, 2.0]]
     """
     out = np.empty_like(image)
-    bands = pool.chunks(len(image), min(len(image), pool.get_threads()))
-    pool.run(keep_rows, [(*band, image, weights, out) for band in bands])
+    pool.run_bands(keep_rows, len(image), image, weights, out)
     return out
 
 

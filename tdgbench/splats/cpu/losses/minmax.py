@@ -64,33 +64,31 @@ def normalise_gradient_rows(start, stop, grad, normalised, inverse_range, at_low
 
 
 def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] | None:
-    """Normalised map (H, W) of float32 values (H, W), and 1 / range; None where the range is below `min_range`.
+    """Return the normalised map (H, W) of float32 values (H, W), and 1 / range; None for one below `min_range`.
 
     >>> out, inverse_range = normalise(np.array([[1.0, 2.0], [3.0, 5.0]], np.float32), 1e-8)
     >>> out.tolist(), inverse_range
     ([[0.0, 0.25], [0.5, 1.0]], 0.25)
     """
-    bands = pool.chunks(len(values), min(len(values), pool.get_threads()))
     extremes = np.empty((len(values), 2), np.float32)
-    pool.run(extreme_rows, [(*band, values, extremes) for band in bands])
+    pool.run_bands(extreme_rows, len(values), values, extremes)
     low, high = extremes[:, 0].min(), extremes[:, 1].max()
     if not high - low >= min_range:
         return None
     out, inverse_range = np.empty_like(values), F(1) / (high - low)
-    pool.run(normalise_rows, [(*band, values, low, inverse_range, out) for band in bands])
+    pool.run_bands(normalise_rows, len(values), values, low, inverse_range, out)
     out[values == high] = 1.0  # exactly: the gradient finds the maxima by it
     return out, float(inverse_range)
 
 
 def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: float) -> np.ndarray:
-    """Gradient (H, W) by the map, from the one by the normalised map (H, W)."""
-    bands = pool.chunks(len(grad), min(len(grad), pool.get_threads()))
+    """Return the gradient (H, W) by the map, from the one by the normalised map (H, W)."""
     sums = np.empty((len(grad), 4), np.float64)
-    pool.run(sum_rows, [(*band, grad, normalised, sums) for band in bands])
+    pool.run_bands(sum_rows, len(grad), grad, normalised, sums)
     low_sum, high_sum, n_low, n_high = sums.sum(axis=0)
     shares = F(inverse_range), F(low_sum / n_low), F(high_sum / n_high)
     out = np.empty_like(grad)
-    pool.run(normalise_gradient_rows, [(*band, grad, normalised, *shares, out) for band in bands])
+    pool.run_bands(normalise_gradient_rows, len(grad), grad, normalised, *shares, out)
     return out
 
 
@@ -117,16 +115,14 @@ def inverse_gradient_rows(start, stop, grad, depth, transmittance, min_alpha, gr
 
 
 def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float) -> np.ndarray:
-    """Inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
+    """Return the inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
     out = np.empty_like(depth)
-    bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
-    pool.run(inverse_rows, [(*band, depth, transmittance, F(min_alpha), out) for band in bands])
+    pool.run_bands(inverse_rows, len(depth), depth, transmittance, F(min_alpha), out)
     return out
 
 
 def inverse_depth_gradient(grad, depth, transmittance, min_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
+    """Return gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
     out = np.empty_like(depth), np.empty_like(depth)
-    bands = pool.chunks(len(depth), min(len(depth), pool.get_threads()))
-    pool.run(inverse_gradient_rows, [(*band, grad, depth, transmittance, F(min_alpha), *out) for band in bands])
+    pool.run_bands(inverse_gradient_rows, len(depth), grad, depth, transmittance, F(min_alpha), *out)
     return out

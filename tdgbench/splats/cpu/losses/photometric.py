@@ -251,7 +251,7 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
 
 
 def prepare_target(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
-    """An image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false where it is masked.
+    """Prepare an image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false if masked.
 
     Raises ValueError if all of it is masked.
     """
@@ -261,8 +261,7 @@ def prepare_target(image: np.ndarray, valid: np.ndarray | None = None) -> Target
         weights = pixel_weights(valid, channels)
         flat = without_masked(flat, weights)
     filtered = np.empty((2, *flat.shape), np.float32)
-    bands = pool.chunks(height, min(height, pool.get_threads()))
-    pool.run(filter_band, [(*band, flat, channels, filtered) for band in bands])
+    pool.run_bands(filter_band, height, flat, channels, filtered)
     return Target(flat, filtered, weights, channels)
 
 
@@ -275,7 +274,7 @@ def photometric_and_gradient(
     wrap: bool = False,
     valid: np.ndarray | None = None,
 ) -> tuple[float, float, float, np.ndarray]:
-    """L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their weighted gradient by a.
+    """Return L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their gradient by a.
 
     The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
     are float32 (H, W, C), contiguous, in [0, 1]; b may be prepared. See `tdgbench.splats.cpu.losses.smoothness` for
@@ -294,8 +293,7 @@ def photometric_and_gradient(
         flat_a = without_masked(flat_a, weights)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
     scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
-    bands = pool.chunks(height, min(height, pool.get_threads()))
     common = (ComparedImages(flat_a, target.image, target.filtered, channels), weights, scales, gradient, sums)
-    pool.run(photometric_band, [(*band, *common) for band in bands])
+    pool.run_bands(photometric_band, height, *common)
     error, similarity, differences = sums.sum(axis=0).tolist()
     return error / count, similarity / count, differences, gradient.reshape(a.shape)

@@ -95,7 +95,7 @@ def difference_rows(start, stop, image, weights, channels, wrap, sums, gradient)
 def differences_and_gradient(
     image: np.ndarray, wrap: bool, valid: np.ndarray | None = None
 ) -> tuple[float, np.ndarray]:
-    """Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
+    """Return Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
 
     valid: bool (H, W), where it is false pixels are masked. Raises ValueError if all are.
 
@@ -110,6 +110,5 @@ def differences_and_gradient(
         weights = pixel_weights(valid, channels)
         flat = without_masked(flat, weights)
     sums, gradient = np.empty(height, np.float64), np.zeros_like(flat)
-    bands = pool.chunks(height, min(height, pool.get_threads()))
-    pool.run(difference_rows, [(*band, flat, weights, channels, wrap, sums, gradient) for band in bands])
+    pool.run_bands(difference_rows, height, flat, weights, channels, wrap, sums, gradient)
     return float(sums.sum()), gradient.reshape(image.shape)

@@ -9,7 +9,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 
 def window() -> np.ndarray:
-    """Weights float64 (11,) of the separable window.
+    """Return weights float64 (11,) of the separable window.
 
     >>> window().round(3)[:6]
     array([0.001, 0.008, 0.036, 0.109, 0.213, 0.266])

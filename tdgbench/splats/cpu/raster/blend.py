@@ -71,7 +71,7 @@ def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blo
 
 @functools.cache
 def make_blend(colors: int, depth: bool):
-    """Forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
+    """Return the forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
     variant = f"{colors}_depth" if depth else f"{colors}"
     channels, colors = np.int64(colors + depth), np.int64(colors)  # not literals: one helper serves all variants
     size = (3 + channels) * LANES  # floats of a block: x, y, T, then the channels

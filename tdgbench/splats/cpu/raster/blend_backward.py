@@ -69,7 +69,7 @@ MOMENTS = 6
 
 
 def slot_size(channels: int) -> int:
-    """Floats of a gradient slot: six moments and the channels.
+    """Return the number of floats of a gradient slot: six moments and the channels.
 
     >>> slot_size(4)
     10
@@ -89,7 +89,7 @@ def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, sl
 
 @functools.cache
 def make_blend_backward(colors: int, depth: bool):
-    """Backward kernel of `tdgbench.splats.cpu.raster.blend.make_blend`."""
+    """Return the backward kernel of `tdgbench.splats.cpu.raster.blend.make_blend`."""
     variant = f"{colors}_depth" if depth else f"{colors}"
     channels = colors + depth
     # Floats of a block: x, y, T, light behind, then the gradients of the channels. No literal, so that helpers without

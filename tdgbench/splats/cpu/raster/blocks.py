@@ -61,7 +61,7 @@ class BlockTables(NamedTuple):
 
 
 def _centres() -> np.ndarray:
-    """Centres of blocks and pixels, counted from the corner of a tile."""
+    """Return centres of blocks and pixels, counted from the corner of a tile."""
     row, column = np.divmod(np.arange(BLOCKS), ACROSS)
     blocks = np.stack([column * WIDTH + WIDTH / 2, row * HEIGHT + HEIGHT / 2])
     down, along = np.divmod(np.arange(LANES), WIDTH)

@@ -92,14 +92,14 @@ def spread_projected(first, count, start, stop, projected, radii, means2d):
 
 
 def _ranges(spans: list[Span], gaussian_ids: np.ndarray, count: int) -> list[tuple[int, int, int, int]]:
-    """(first row, rows, first Gaussian, end) of every span that has rows; together they cover all Gaussians."""
+    """Return (first row, rows, first Gaussian, end) of every span that has rows; together they cover all Gaussians."""
     spans = [span for span in spans if span[1] > 0] or [(0, 0)]
     starts = [0, *(int(gaussian_ids[first]) for first, _ in spans[1:]), count]
     return [(*span, starts[t], starts[t + 1]) for t, span in enumerate(spans)]
 
 
 def dense_gradients(rows: GradientRows, count: int, colors: int) -> DenseGradients:
-    """Gradients of all `count` Gaussians, `colors` numbers each for their colours."""
+    """Return gradients of all `count` Gaussians, `colors` numbers each for their colours."""
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, colors), (count, 2))
     out = DenseGradients(*(empty_aligned(shape, np.float32) for shape in shapes))
     ranges = _ranges(rows.spans, rows.arrays.gaussian_ids, count)
@@ -108,7 +108,7 @@ def dense_gradients(rows: GradientRows, count: int, colors: int) -> DenseGradien
 
 
 def dense_projected(projected: Projected, spans: list[Span], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Radii (N,) int32 and image means (N, 2), px, of all Gaussians; 0 for those that were not projected."""
+    """Return radii (N,) int32 and image means (N, 2), px, of all Gaussians; 0 for those that were not projected."""
     out = empty_aligned((count,), np.int32), empty_aligned((count, 2), np.float32)
     pool.run(spread_projected, [(*r, projected, *out) for r in _ranges(spans, projected.gaussian_ids, count)])
     return out

@@ -63,7 +63,7 @@ class Blended:
         return padded(COLORS_AT + self.settings.channels.count_bases() * len(self.settings.background))
 
     def rows(self) -> GradientRows:
-        """Gradients of the Gaussians that some pixel depends on."""
+        """Return gradients of the Gaussians that some pixel depends on."""
         workspace = Workspace()
         capacity = -(-len(self.done.splats.values) // LANES) * LANES
         rows = GradientArrays(

@@ -56,7 +56,7 @@ class GaussianSource:
 
 
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
-    """Source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …): C-contiguous float32."""
+    """Return means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …) as a source: C-contiguous."""
     columns = [Columns(a.reshape(-1), int(np.prod(a.shape[1:])), 0) for a in arrays]
     means, scales = columns[0], columns[2]
     return GaussianSource(len(arrays[0]), Parameters(*columns, False), Bounds(means, scales, 3, False, _ZERO, _ZERO))
@@ -65,7 +65,7 @@ def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
 def source_of_rows(
     values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE
 ) -> GaussianSource:
-    """Source of rows (N, columns) as in `tdgbench.splats.columns`, before activation.
+    """Return the source of rows (N, columns) as in `tdgbench.splats.columns`, before activation.
 
     bounds (N, 4): mean and largest log scale, each as of the last update of the bounds.
     """

@@ -136,7 +136,7 @@ def fill_lists(first, count, splats, pair_tiles, cursor, lists):
 
 
 def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) -> TileLists:
-    """Every tile's pairs from near to far, of what projection `found`; of equal depth, in the order of the splats."""
+    """List every tile's pairs from near to far, of what projection `found`; equal depths keep the splats' order."""
     counts = np.empty((len(found.pair_spans), n_tiles), np.int64)
     pool.run(count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)])
     first, cursors = cursors_of(counts)

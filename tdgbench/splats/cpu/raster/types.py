@@ -67,7 +67,7 @@ class Channels(NamedTuple):
     depth: bool
 
     def count_bases(self) -> int:
-        """Coefficients per colour."""
+        """Return the number of coefficients per colour."""
         return (self.degree + 1) ** 2 if self.degree >= 0 else 1
 
 
@@ -158,7 +158,7 @@ class ForwardPass:
     workspace: Workspace  # holds the arrays above
 
     def count_pairs(self) -> int:
-        """Listed (tile, Gaussian) pairs."""
+        """Return the number of listed (tile, Gaussian) pairs."""
         return len(self.tiles.splat_ids)
 
 
@@ -172,7 +172,7 @@ class GradientRows:
 
 
 def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:
-    """Camera of viewmat (4, 4), world to camera, and K (3, 3), px; arrays or tensors on the CPU."""
+    """Return the camera of viewmat (4, 4), world to camera, and K (3, 3), px; arrays or tensors on the CPU."""
     view = np.asarray(viewmat, np.float64)
     K = np.asarray(K, np.float64)
     axes = (_triple(row) for row in view[:3, :3])
@@ -189,7 +189,7 @@ def _triple(values: np.ndarray) -> Triple:
 
 
 def pack_limits(blending: Blending) -> Limits:
-    """Limits of a blending. Raises ValueError where no cutoff exists.
+    """Return the limits of a blending. Raises ValueError where no cutoff exists.
 
     >>> limits = pack_limits(Blending())
     >>> float(limits.max_alpha), round(float(limits.cutoff), 3), limits.loose
