@@ -103,10 +103,10 @@ def test_what_has_no_weight_is_pruned():
     assert not judge(views(edge, count=1), hidden, rule).useless.any()
 
 
-def numbered(turn: int, held: list[int]) -> list[int]:
+def numbered(turn: int, held_out: list[int]) -> list[int]:
     """Numbers of the views that a round looks at, 4 of 12, while some are held out."""
     given = views(edge, count=12)
-    curriculum = Curriculum(held_out=[given[number] for number in held])
+    curriculum = Curriculum(held_out=[given[number] for number in held_out])
     significance = Significance(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
     return [int(view.name) for view in significance.chosen(turn)]
 
