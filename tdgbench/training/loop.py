@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import torch
 
 from tdgbench.training.method import Step
-from tdgbench.training.part import NonFiniteError, Part
+from tdgbench.training.part import NonFiniteError, Part, TrainingError
 from tdgbench.training.trainer import Trainer
 
 LOG_LINES = 200
@@ -60,6 +60,22 @@ def train(
     has no Gaussian.
     """
     log = log or TrainingLog()
+    try:
+        _train_stages(trainer, log, on_line, on_step, on_model)
+    except TrainingError as error:
+        error.iteration += trainer.before  # of the whole training, as in the log
+        raise
+    return log
+
+
+def _train_stages(
+    trainer: Trainer,
+    log: TrainingLog,
+    on_line: Callable[[LogLine], None] | None,
+    on_step: Callable[[TrainingLog], None] | None,
+    on_model: Callable[[TrainingLog], None] | None,
+) -> None:
+    """Train all stages that are left, and note their course in the log."""
     clock = Clock(log)
     while not log.ended:
         iteration = log.iterations - trainer.before + 1  # within the stage
@@ -90,7 +106,6 @@ def train(
         if on_step is not None:
             on_step(log)
             clock = Clock(log)
-    return log
 
 
 def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:

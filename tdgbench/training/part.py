@@ -116,8 +116,11 @@ class TrainingError(Exception):
     """A tensor ended training at an iteration."""
 
     def __init__(self, iteration: int, tensor: str, message: str) -> None:
-        super().__init__(f"{message} at iteration {iteration}")
+        super().__init__(message)
         self.iteration, self.tensor = iteration, tensor
+
+    def __str__(self) -> str:
+        return f"{self.args[0]} at iteration {self.iteration}"
 
 
 class NonFiniteError(TrainingError):
