@@ -125,7 +125,7 @@ def measure_step(cfg: DictConfig, steps: int) -> StepCost:
 def _steps_and_renders(trainer: Trainer, steps: int) -> tuple[float, float]:
     """Milliseconds of a training step, and of rendering every model forward and backward, in turns."""
     seconds = {"step": 0.0, "render": 0.0}
-    views, with_depth = trainer.whole.scene.train, trainer.method.step(1).render.depth is not None
+    views, with_depth = trainer.whole_context.scene.train, trainer.method.step(1).render.depth is not None
     for turn in range(max(1, steps // len(views))):
         for view in views:  # a round of steps uses every view once, as do the renders
             start = time.perf_counter()

@@ -1,1 +1,1 @@
-"""One method per file: its losses and its step, readable beside the paper. Constants are in `conf/method/`."""
+"""One method per file: its parts, losses and renders, readable beside the paper. Constants are in `conf/method/`."""

@@ -1,4 +1,4 @@
-"""The work of a cell, stage by stage: load, images, prior, init, compile, train, render, score, write."""
+"""The work of a cell, stage by stage, from loading its scene to writing its folder."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
 from tdgbench.training.loop import LogLine, TrainingLog, train
 from tdgbench.training.method import Method
+from tdgbench.training.model import SplatModel
 from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
 from tdgbench.training.trainer import Trainer
@@ -231,10 +232,10 @@ class CellRun(SetupObserver):
         record.notes += self.checkpoint.notes
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
-        work = [model.work for model in trainer.gaussians.values()]
-        budget, curriculum = trainer.whole.budget, trainer.context.curriculum
-        on_rgb = "rgb" in self.method.modalities
-        finished = Finished(self.scene, self.method.name, on_rgb, budget, log.iterations, curriculum, work)
+        work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
+        curricula = [(context.curriculum, context.budget.iterations) for context in trainer.contexts]
+        budget, on_rgb = trainer.whole_context.budget, "rgb" in self.method.modalities
+        finished = Finished(self.scene, self.method.name, on_rgb, budget, log.iterations, curricula, work)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(self.skips, finished)]
         record.parts = cast(dict[str, PartReport], trainer.reports())
 

@@ -28,7 +28,7 @@ FILE = "parts.pt"
 
 def write_parts(trainer: Trainer, folder: Path) -> None:
     """Write the parts that rendering needs, unless all that is rendered are Gaussians."""
-    states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.renders}
+    states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.needed_to_render}
     if trainer.method.plain and not states:
         return
     with whole_file(folder / FILE) as path:
@@ -50,7 +50,7 @@ class StoredMethod:
         try:
             states: dict[str, Any] = torch.load(folder / FILE, weights_only=True, map_location="cpu")
             for name, part in trainer.all_parts().items():
-                if part.renders:
+                if part.needed_to_render:
                     part.load_state_dict(states[name])
         except Exception as error:  # torch documents no exception types for foreign files
             raise ValueError(f"{folder / FILE} does not hold the parts of {record.method}: {error}") from error
@@ -62,7 +62,7 @@ class StoredMethod:
         return self._trainer.method.modalities
 
     @torch.no_grad()
-    def render(self, modality: str, camera: Camera, view: str | None = None) -> Render:
+    def render(self, camera: Camera, modality: str = "thermal", view: str | None = None) -> Render:
         """Render a modality from a camera, at the time of a view, if one is named."""
         frames, frame = self._trainer.context.frames, Frame(camera)
         if view in frames:

@@ -100,7 +100,7 @@ class Context:
 
     def of_stage(self, number: int, share: float, rig: Rig | None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
-        stage = replace(self, budget=self.budget.part(share), rig=rig)
+        stage = replace(self, budget=self.budget.of_stage(share), rig=rig)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         _ = stage.curriculum  # the first part, which the others follow
         if rig is not None:
@@ -160,7 +160,9 @@ class Context:
         return self.keep(name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum))
 
     def network(self, name: str, module: torch.nn.Module, rate: float) -> Network:
-        """Make a network with Adam at a learning rate. Its weights are drawn when `module` is made: see `random`."""
+        """Make a network with Adam at a learning rate. torch draws its weights when `module` is made:
+        call `torch.manual_seed(self.seed)` before.
+        """
         return self.keep(name, Network(module.to(self.device), rate))
 
     def random(self, name: str) -> torch.Generator:

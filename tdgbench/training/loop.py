@@ -63,7 +63,7 @@ def train(
     try:
         _train_stages(trainer, log, on_line, on_step, on_model)
     except TrainingError as error:
-        error.iteration += trainer.before  # of the whole training, as in the log
+        error.iteration += trainer.iterations_before  # of the whole training, as in the log
         raise
     return log
 
@@ -78,21 +78,21 @@ def _train_stages(
     """Train all stages that are left, and note their course in the log."""
     clock = Clock(log)
     while not log.ended:
-        iteration = log.iterations - trainer.before + 1  # within the stage
+        iteration = log.iterations - trainer.iterations_before + 1  # within the stage
         for part in trainer.parts.values():
             part.begin(iteration)
         step = trainer.stage.step(iteration)
         loss = _finite_loss(step, trainer.parts, iteration)
         ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
         log.iterations += 1
-        log.ended = ends_stage and trainer.number + 1 == len(trainer.stages)
+        log.ended = ends_stage and trainer.stage_number + 1 == len(trainer.stages)
         if on_model is not None:
             clock.stop()
             on_model(log)
             clock = Clock(log)
         if not ends_stage:
             _update(step, trainer.parts, iteration)
-        every = max(1, trainer.whole.budget.iterations // LOG_LINES)
+        every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
         if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
             _check_parameters(trainer.parts, iteration)
             clock.stop()

@@ -36,10 +36,11 @@ class Stage(NamedTuple):
     setup: Callable[[Context], None]  # makes the parts through the context; those of stages before may be used
     step: Callable[[int], Step]  # loss of an iteration, 1-based within the stage
     share: float = 1.0  # of the budget's iterations
+    modality: str = "thermal"  # of the renders of held-out views by which it settles
 
 
 class Method:
-    """A way to train. A subclass implements `setup`, `step` and `render`.
+    """A way to train. A subclass implements `render`, and either `setup` and `step` or, for several stages, `stages`.
 
     Everything that changes during training is a part, made through the context (`tdgbench.training.part`).
     """

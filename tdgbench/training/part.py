@@ -13,7 +13,7 @@ class Part:
     Every method has a default that does nothing; a part overrides those that concern it.
     """
 
-    renders: bool = False  # whether rendering needs its state, which is then stored with the cell
+    needed_to_render: bool = False  # whether rendering needs its state, which is then stored with the cell
 
     def begin(self, iteration: int) -> None:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
@@ -29,10 +29,10 @@ class Part:
         """Multiply all learning rates by a factor, at most 1, from now on; the last factor counts."""
 
     def stop_growth(self, iteration: int) -> None:
-        """Take up and remove nothing any more from an iteration on."""
+        """Add and remove no Gaussians from an iteration on."""
 
     def has_recovered(self, iteration: int) -> bool:
-        """Return whether the part is over its last large change at an iteration, so that training may end there."""
+        """Return whether the part has recovered from its last large change; only then may training end."""
         return True
 
     def not_finite(self) -> str | None:
@@ -75,7 +75,7 @@ class RandomStream(Part):
 class Network(Part):
     """A torch module with its optimiser, by default Adam."""
 
-    renders = True
+    needed_to_render = True
 
     def __init__(
         self, module: torch.nn.Module, rate: float, optimizer: type[torch.optim.Optimizer] = torch.optim.Adam

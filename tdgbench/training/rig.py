@@ -34,7 +34,7 @@ class Rig(Part):
     the focal length. distortion: k1, k2; distorted = (1 + k1 r² + k2 r⁴) × undistorted, as in OpenCV.
     """
 
-    renders = True
+    needed_to_render = True
 
     def __init__(self, extent: float, device: torch.device) -> None:
         """extent: of the scene, world units."""

@@ -111,7 +111,7 @@ class Finished(NamedTuple):
     trains_on_rgb: bool
     budget: Budget
     iterations: int  # trained
-    curriculum: Curriculum
+    curricula: list[tuple[Curriculum, int]]  # of each stage, with the iterations of its budget
     work: list[Work]  # of each set of Gaussians
 
 
@@ -162,7 +162,11 @@ def _growth(skip: Skip, training: Finished) -> None:
 
 
 def _pixels(skip: Skip, training: Finished) -> None:
-    trained = {scale: count for scale, count in training.curriculum.iterations.items() if scale > 1}
+    trained: dict[int, int] = {}
+    for curriculum, _ in training.curricula:
+        for scale, count in curriculum.iterations.items():
+            if scale > 1:
+                trained[scale] = trained.get(scale, 0) + count
     reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if count)
     left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
     nothing = "the images are too small, or all of their spectrum is in their highest frequencies"
@@ -170,16 +174,17 @@ def _pixels(skip: Skip, training: Finished) -> None:
 
 
 def _settling(skip: Skip, training: Finished) -> None:
-    rule, iterations, curriculum = training.budget.settling, training.budget.iterations, training.curriculum
+    rule, iterations = training.budget.settling, training.budget.iterations
     if rule is None:
         return
-    is_early = 0 < curriculum.settled_at < rule.latest(iterations)
-    if not curriculum.held_out:
+    is_early = any(0 < curriculum.settled_at < rule.latest(length) for curriculum, length in training.curricula)
+    held_out = len(training.curricula[0][0].held_out)
+    if not held_out:
         reason = "too few training views to hold some out"
     elif not is_early:
-        reason = f"{len(curriculum.held_out)} held-out views went on getting better"
+        reason = f"{held_out} held-out views went on getting better"
     else:
-        reason = f"{len(curriculum.held_out)} held-out views gained less than {rule.gain:g} dB from window to window"
+        reason = f"{held_out} held-out views gained less than {rule.gain:g} dB from window to window"
     remaining = iterations - training.iterations
     skip.decide(is_early and remaining > 0, reason, f"{remaining} of {iterations} iterations")
 
@@ -189,7 +194,7 @@ def _plateau(skip: Skip, training: Finished) -> None:
     if rule is None:
         return
     remaining = iterations - training.iterations
-    is_asked = not training.curriculum.settled_at
+    is_asked = not any(curriculum.settled_at for curriculum, _ in training.curricula)
     if not is_asked:
         reason = "the rule for settling decided"
     elif remaining == 0:

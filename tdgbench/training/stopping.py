@@ -48,12 +48,11 @@ class Settling(Stopping):
         iterations: int,
         curriculum: Curriculum,
         parts: Mapping[str, Part],
-        render: Callable[[View], np.ndarray],
+        errors: Callable[[View], np.ndarray],
     ) -> None:
-        """parts: those that slow down and stop to grow. render: the thermal image (H, W, C) of a view."""
-        self.rule, self.iterations, self.curriculum, self.parts, self.render = (
-            rule, iterations, curriculum, parts, render
-        )  # fmt: skip
+        """parts: those that slow down and stop to grow. errors: of the render of a view, (n, C) at n pixels."""
+        self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
+        self.parts, self.errors = parts, errors
         self._scale = curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
@@ -128,8 +127,7 @@ class Settling(Stopping):
         """Return the PSNR of the held-out views over valid pixels, at full resolution, dB."""
         values = []
         for view in self.curriculum.held_out:
-            squares = np.square(self.render(view) - view.thermal)
-            mse = float((squares if view.valid is None else squares[view.valid]).mean(dtype=np.float64))
+            mse = float(np.square(self.errors(view)).mean(dtype=np.float64))
             values.append(-10 * math.log10(max(mse, MIN_MSE)))
         return values
 

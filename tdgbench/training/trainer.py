@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 
 from tdgbench.scenes import View
 from tdgbench.training.context import Context
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Stopping
@@ -20,26 +22,29 @@ class Trainer:
 
     def __init__(self, method: Method, whole: Context) -> None:
         """whole: the context of the whole training, of which each stage gets its own."""
-        self.method, self.whole = method, whole
+        self.method, self.whole_context = method, whole
         self.restart()
 
     def restart(self) -> None:
         """Set the first stage up again, as if nothing had been trained."""
         self.stages = self.method.stages()
-        self._rig = Rig(self.whole.scene.extent, self.whole.device) if self.whole.learns_rig else None
-        self.number, self.before = 0, 0  # of the stage, and of iterations in those before it
+        whole = self.whole_context
+        self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
+        self.stage_number, self.iterations_before = 0, 0
+        self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole.of_stage(self.number, self.stage.share, self._rig)
+        self.context = self.whole_context.of_stage(self.stage_number, self.stage.share, self._rig)
+        self.contexts.append(self.context)
         self.stage.setup(self.context)
         self.stopping = self._stopping()
 
     @property
     def stage(self) -> Stage:
         """The stage that runs."""
-        return self.stages[self.number]
+        return self.stages[self.stage_number]
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -60,10 +65,10 @@ class Trainer:
 
     def advance(self, iterations: int) -> bool:
         """Start the next stage after so many iterations in this one; False if it was the last."""
-        if self.number + 1 == len(self.stages):
+        if self.stage_number + 1 == len(self.stages):
             return False
         done, name = self.parts, self.stage.name
-        self.number, self.before = self.number + 1, self.before + iterations
+        self.stage_number, self.iterations_before = self.stage_number + 1, self.iterations_before + iterations
         self._start()
         current = [id(part) for part in self.parts.values()]
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
@@ -72,18 +77,18 @@ class Trainer:
     def state_dict(self) -> dict[str, Any]:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
-        return {"stage": self.number, "before": self.before, "parts": parts}
+        return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
 
     def at_stage(self, number: int) -> None:
         """Set up all stages up to one (0-based), to load its state. Raises ValueError if there is no such stage."""
         if not 0 <= number < len(self.stages):
             raise ValueError(f"there is no stage {number}")
-        while self.number < number:
+        while self.stage_number < number:
             self.advance(0)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what `state_dict` returned at the same stage."""
-        self.before = saved["before"]
+        self.iterations_before = saved["before"]
         for name, part in self.all_parts().items():
             part.load_state_dict(saved["parts"][name])
 
@@ -96,11 +101,15 @@ class Trainer:
         """Return what ends the stage early, by the rules of its budget; None: nothing."""
         budget, context = self.context.budget, self.context
         if budget.settling is not None:
-            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self._thermal_image)
+            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self._error_image)
         if budget.plateau is not None:
             return Plateau(budget.plateau, len(context.scene.train))
         return None
 
     @torch.no_grad()
-    def _thermal_image(self, view: View) -> Any:
-        return self.method.render(self.context.frame(view)).image.cpu().numpy()
+    def _error_image(self, view: View) -> np.ndarray:
+        """Return render minus image, in the stage's modality, at the pixels that count: (n, C)."""
+        images = MODALITIES[self.stage.modality]
+        image, valid = images.array(view), images.valid(view)
+        error: np.ndarray = self.method.render(self.context.frame(view), images.name).image.cpu().numpy() - image
+        return error.reshape(-1, error.shape[2]) if valid is None else error[valid]

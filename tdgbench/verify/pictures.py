@@ -97,7 +97,7 @@ class StoredPictures:
         """Return what renders a view of the stored Gaussians, or of the method where it renders more than these."""
         if (self.folder / stored_parts.FILE).exists():
             method = self._method
-            return None if method is None else lambda name: method.render(modality, self.cameras[name], name)
+            return None if method is None else lambda name: method.render(self.cameras[name], modality, name)
         model = files_of(modality).model
         gaussians = self.found.read(model, load_ply, self.folder / model)
         if gaussians is None:

@@ -30,7 +30,7 @@ def all_of(scene, method: str, folder, *overrides: str):
     pictures = {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*.png"))}
     lines = [(line.loss, line.psnr, line.gaussians, line.terms) for line in log.lines]
     scores = scorer.score(scene, renders), score_training_views(trained, scene, scorer)
-    priors = {name: prior.values.tobytes() for name, prior in trained.whole.priors.items()}
+    priors = {name: prior.values.tobytes() for name, prior in trained.whole_context.priors.items()}
     return {"model": digest(trained), "log": lines, "scores": scores, "pictures": pictures, "priors": priors}
 
 

@@ -24,7 +24,7 @@ def test_a_method_is_ready_to_train(data_root):
                  "budget.iterations=2")  # fmt: skip
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
     trainer, scored, _ = set_up(cfg, scene)
-    context = trainer.whole
+    context = trainer.whole_context
     assert len(trainer.gaussians["thermal"]) == 300 and len(trainer.method.targets) == len(scene.train)
     assert context.budget == instantiate(cfg.budget) and context.scene is scored is scene and context.seed == cfg.seed
     assert train(trainer).iterations == 2

@@ -1,6 +1,6 @@
 """What every method must do, as nerfbaselines tests its own: a new one gets this test by its YAML file.
 
-It is set up, trained, killed, resumed to the same bytes; its cell is run, stored, rendered again and scored; it goes.
+It is set up, trained, killed, resumed to the same bytes; its cell is run, stored, rendered again, scored.
 """
 
 from __future__ import annotations
@@ -119,6 +119,22 @@ def test_a_trainer_that_is_let_go_leaves_nothing(configured, small_gray_scene, n
     del trainer
     gc.collect()
     assert rows() is None
+
+
+def test_stages_settle_by_their_own_images(configured, small_gray_scene):
+    """With rules that look at held-out views, also a stage that trains on RGB; what was left out is counted in both."""
+    rules = "budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 budget.settling.gain=50"
+    cfg = configured(f"fine_tuned budget=lean {rules} budget.pixels.smallest_side=8 budget.iterations=120")
+    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 120))
+    assert outcome.status == "ok", outcome.message
+    ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
+    skips = {skip["name"]: skip for skip in record.skips}
+    assert skips["settling"]["taken"] and record.iterations < 100
+    assert record.parts["rgb/curriculum"]["settled_at"] > 0 and record.parts["curriculum"]["settled_at"] > 0
+    small = [sum(int(report["iterations"].get(f"1/{scale}", 0)) for scale in (2, 3, 4, 6, 8)) for report in
+             (record.parts["rgb/curriculum"], record.parts["curriculum"])]  # fmt: skip
+    assert sum(int(words.split()[0]) for words in skips["pixels"]["reason"].split(", ")) == sum(small) > max(small)
+    assert verify_cell(folder) == []
 
 
 def test_the_parts_of_another_method_are_refused(configured, small_gray_scene):

@@ -7,10 +7,10 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from scipy.spatial.transform import Rotation
+from tdgbench.scenes.synthetic.rig import Rig as KnownRig
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Camera
-from tdgbench.scenes.synthetic.rig import Rig as KnownRig
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
@@ -87,7 +87,7 @@ def test_it_is_found_with_the_scene(data_root):
         trainer = set_up(cfg, instantiate(cfg.dataset.loader).load("turntable"), compiles=False).trainer
         train(trainer)
         errors = []
-        for view in trainer.whole.scene.test:
+        for view in trainer.whole_context.scene.test:
             image = trainer.method.render(trainer.context.frame(view)).image.numpy()
             errors.append(np.square(image - view.thermal).mean())
         scores[learns] = -10 * np.log10(np.mean(errors))

@@ -56,12 +56,11 @@ def test_depth_is_left_out_of_iterations():
 
 def accounted(trainer, log) -> dict[str, Skip]:
     """The account of a training, by the name of the skip or rule."""
-    whole, method = trainer.whole, trainer.method
+    whole, method = trainer.whole_context, trainer.method
     work = [model.work for model in trainer.gaussians.values()]
-    finished = Finished(
-        whole.scene, method.name, "rgb" in method.modalities, whole.budget, log.iterations, trainer.context.curriculum,
-        work,
-    )  # fmt: skip
+    curricula = [(context.curriculum, context.budget.iterations) for context in trainer.contexts]
+    on_rgb = "rgb" in method.modalities
+    finished = Finished(whole.scene, method.name, on_rgb, whole.budget, log.iterations, curricula, work)
     return {skip.name: skip for skip in account(whole.skips, finished)}
 
 

@@ -38,7 +38,7 @@ class Scripted(Settling):
         self.curriculum = Curriculum(list(steps))
         self.curriculum.held_out, self.curriculum.is_holding = list(held_out), bool(held_out)
         self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
-        super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, render=lambda view: 1 / 0)
+        super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, errors=lambda view: 1 / 0)
 
     def reached(self, iteration, loss=0.0):
         self.iteration = iteration

@@ -147,7 +147,7 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     train(trainer, on_step=checkpoint.after_step, log=checkpoint.take_up(trainer))
     other = ready_to_train(small_gray_scene, "splat", ITERATIONS, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    assert checkpoint.take_up(other).iterations == 0 and other.number == other.before == 0
+    assert checkpoint.take_up(other).iterations == 0 and other.stage_number == other.iterations_before == 0
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
 
 
@@ -155,9 +155,9 @@ def test_a_failed_load_in_a_later_stage_restarts_the_first_one(small_gray_scene)
     trainer = two_stages(small_gray_scene)
     fresh = digest(trainer)
     trainer.at_stage(1)
-    assert (trainer.number, trainer.stage.name) == (1, "fine")
+    assert (trainer.stage_number, trainer.stage.name) == (1, "fine")
     trainer.restart()
-    assert (trainer.number, trainer.before) == (0, 0) and digest(trainer) == fresh
+    assert (trainer.stage_number, trainer.iterations_before) == (0, 0) and digest(trainer) == fresh
     for number in (-1, 2):
         with pytest.raises(ValueError, match=f"there is no stage {number}"):
             trainer.at_stage(number)
@@ -168,7 +168,7 @@ def test_a_rule_of_the_budget_ends_each_stage(small_gray_scene):
     trainer = two_stages(small_gray_scene, "budget.density.start=1000")
     trainer.stopping = Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=0), views=5)
     log = train(trainer)
-    assert trainer.before == 10 and log.iterations == 10 + 40 and trainer.stopping is None
+    assert trainer.iterations_before == 10 and log.iterations == 10 + 40 and trainer.stopping is None
 
 
 def test_a_gradient_of_a_network_that_is_not_finite_names_part_and_parameter(small_gray_scene, monkeypatch):

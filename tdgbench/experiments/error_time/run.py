@@ -144,7 +144,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, run.options))
     trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips)
     scorer: Scorer = instantiate(cfg.metrics)
-    sampled = _sampled_iterations(trainer.whole.budget, samples)
+    sampled = _sampled_iterations(trainer.whole_context.budget, samples)
     rows: list[dict[str, Any]] = []
 
     def sample(log: TrainingLog) -> None:
