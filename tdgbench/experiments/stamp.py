@@ -79,7 +79,10 @@ def inputs_hash(cfg: DictConfig) -> str | None:
     words = [OmegaConf.to_yaml(part) for part in (plain, hydra.overrides, hydra.sweeper)]
     sources = [source for source in hydra.runtime.config_sources if source.schema == "file"]
     text = "\n".join(
-        [*words, *(path.read_text("utf-8") for source in sources for path in Path(source.path).rglob("*.yaml"))]
+        [
+            *words,
+            *(path.read_text(encoding="utf-8") for source in sources for path in Path(source.path).rglob("*.yaml")),
+        ]
     )
     is_decided = set(RESOLVER.findall(text)) <= DECIDED and set(TARGET.findall(text)) <= OWN
     if hydra.sweeper._target_ != BASIC_SWEEPER or cfg.overwrite == "always" or not is_decided:

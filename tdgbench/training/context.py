@@ -98,7 +98,7 @@ class Context:
             held_out = hold_out(budget.settling, views)
         return self.keep("curriculum", Curriculum(steps, held_out))
 
-    def of_stage(self, number: int, share: float, rig: Rig | None) -> Context:
+    def of_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
         stage = replace(self, budget=self.budget.of_stage(share), rig=rig)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own

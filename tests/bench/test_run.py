@@ -48,7 +48,7 @@ def auto_is(monkeypatch):
     """What `backend=auto` stands for, as from a new process on: `auto_is("reference", "why")`."""
 
     def of(backend, line):
-        monkeypatch.setattr(choose, "choose", lambda run: choose.Choice(backend, line))
+        monkeypatch.setattr(choose, "choose", lambda run: choose.AutoBackend(backend, line))
         choose.auto.cache_clear()
 
     yield of

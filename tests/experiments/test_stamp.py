@@ -21,7 +21,7 @@ from tests.helpers.paths import ROOT
 OPTIONS = ("-m", "dataset=folder", "scene=a,b", "method=splat", "budget=demo", "budget.iterations=3",
            "metrics.lpips.download=false")  # fmt: skip
 HEAVY = ("torch", "numba", "pandas", "matplotlib", "scipy", "pycolmap")
-WORK = {"job": "run_cell", "finish": "build_tables"}  # by module of the sweep
+WORK = {"run": "run_cell", "finish": "build_tables"}  # by module of the sweep
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from scipy.spatial.transform import Rotation
-from tdgbench.scenes.synthetic.rig import Rig as KnownRig
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Camera
+from tdgbench.scenes.synthetic.capture import TrueRig as KnownRig
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
