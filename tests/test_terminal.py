@@ -151,7 +151,7 @@ def _opens_text(call: ast.Call) -> bool:
     if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in (
         "os",
         "Image",
-        "self._zip",
+        "member",
         "pycolmap.Database",
     ):
         return False
