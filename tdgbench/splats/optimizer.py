@@ -81,11 +81,11 @@ class Adam:
 
         Raises ValueError for a further field without a rate, and for the rate of a field that is not there.
         """
-        self.state, self.rates, self.extent, self._own = state, rates, extent, dict(own or {})
+        self.state, self.rates, self.extent, self.own = state, rates, extent, dict(own or {})
         self.slowdown = 1.0  # factor of all learning rates, at most 1
         names = [name for name, _ in state.split(state.values[:0]).items()]
-        if not {*names[len(Gaussians.names()) :]} <= {*self._own} <= {*names}:
-            raise ValueError(f"there are rates for {[*self._own]}; the fields are {', '.join(names)}")
+        if not {*names[len(Gaussians.names()) :]} <= {*self.own} <= {*names}:
+            raise ValueError(f"there are rates for {[*self.own]}; the fields are {', '.join(names)}")
         self.steps = dict.fromkeys(names, 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
@@ -207,7 +207,7 @@ class Adam:
 
     def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
         """Return the learning rate of a field, or those of its columns."""
-        rate = self._own.get(name, name)
+        rate = self.own.get(name, name)
         if not isinstance(rate, str):
             return rate
         if rate == "sh":

@@ -85,7 +85,7 @@ def _train_stages(
         loss = _finite_loss(step, trainer.parts, iteration)
         ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
         log.iterations += 1
-        log.ended = ends_stage and trainer.stage_number + 1 == len(trainer.stages)
+        log.ended = ends_stage and trainer.is_last_stage
         if on_model is not None:
             clock.stop()
             on_model(log)

@@ -73,15 +73,13 @@ class SplatModel(Part):
         self._iteration = 0
         self._views: list[_View] = []
 
-        self._own_rates = options.rates
-
     def __len__(self) -> int:
         return len(self.state)
 
     def restore(self, gaussians: Gaussians, background: torch.Tensor | None, blending: Blending) -> None:
         """Take stored Gaussians, to render them as they were after training, with all of their SH degrees."""
         self.state = TrainingState(gaussians)
-        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self._own_rates)
+        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self.optimizer.own)
         self.degree, self.background, self.blending = gaussians.sh_degree, background, blending
 
     @property

@@ -47,6 +47,11 @@ class Trainer:
         return self.stages[self.stage_number]
 
     @property
+    def is_last_stage(self) -> bool:
+        """Whether no stage follows the one that runs."""
+        return self.stage_number + 1 == len(self.stages)
+
+    @property
     def parts(self) -> dict[str, Part]:
         """The parts of the stage that runs, in the order in which they are driven."""
         return self.context.parts
@@ -63,16 +68,15 @@ class Trainer:
         parts = self.all_parts().items()
         return {name: part for name, part in parts if isinstance(part, SplatModel) and "/" not in name}
 
-    def advance(self, iterations: int) -> bool:
-        """Start the next stage after so many iterations in this one; False if it was the last."""
-        if self.stage_number + 1 == len(self.stages):
-            return False
+    def advance(self, iterations: int) -> None:
+        """Start the next stage after so many iterations in this one; nothing happens after the last."""
+        if self.is_last_stage:
+            return
         done, name = self.parts, self.stage.name
         self.stage_number, self.iterations_before = self.stage_number + 1, self.iterations_before + iterations
         self._start()
         current = [id(part) for part in self.parts.values()]
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
-        return True
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""

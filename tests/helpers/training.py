@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
+import pytest
 import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
+from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
@@ -42,6 +45,29 @@ def trained(
     extra = [f"{k}={v}" for k, v in overrides.items()]
     trainer = ready_to_train(scene, method_name, iterations, *OFTEN, *extra, seed=seed, skips=skips)
     return trainer, train(trainer)
+
+
+class KilledError(Exception):
+    """Ends a training as a signal would."""
+
+
+def train_killed(make: Callable[[], Trainer], path: Path, stops: Sequence[int]) -> tuple[Trainer, TrainingLog]:
+    """Train with a checkpoint after every iteration, killed after some; return the last trainer and its log."""
+    for stop in (*stops, None):
+        trainer, checkpoint = make(), Checkpoint(path, {"key": "k"}, 0.0)
+        log = checkpoint.take_up(trainer)
+        assert checkpoint.notes == []
+
+        def write(log: TrainingLog, checkpoint=checkpoint, stop=stop) -> None:
+            checkpoint._next = 0.0  # however long writing takes
+            checkpoint.after_step(log)
+            if log.iterations == stop:
+                raise KilledError
+
+        if stop is not None:
+            with pytest.raises(KilledError):
+                train(trainer, on_step=write, log=log)
+    return trainer, train(trainer, on_step=write, log=log)
 
 
 def digest(trainer: Trainer) -> str:

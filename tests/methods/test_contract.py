@@ -18,15 +18,12 @@ from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all, read_each
 from tdgbench.bench.setup import set_up
-from tdgbench.scenes import Scene
-from tdgbench.training.checkpoint import Checkpoint
-from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.trainer import Trainer
+from tdgbench.training.loop import train
 from tdgbench.verify.cell import verify_cell
 from tests.helpers.configs import QUICK, config
 from tests.helpers.page import Page
 from tests.helpers.paths import ROOT
-from tests.helpers.training import digest_of_all
+from tests.helpers.training import digest_of_all, train_killed
 
 ITERATIONS = 36
 KILLED_AFTER = (1, 17, 18, 30)  # 18: the first of two equal stages is over
@@ -59,38 +56,15 @@ def configured(tmp_path, monkeypatch, data_root):
         page.forget_modules()
 
 
-class KilledError(Exception):
-    pass
-
-
-def resumed(cfg: DictConfig, scene: Scene, path: Path) -> tuple[Trainer, TrainingLog]:
-    """Train with a checkpoint after every iteration, killed some times on the way."""
-    for stop in (*KILLED_AFTER, None):
-        trainer = set_up(cfg, scene, compiles=False).trainer
-        checkpoint = Checkpoint(path, {}, 0.0)
-        log = checkpoint.take_up(trainer)
-        assert not checkpoint.notes
-
-        def write(log: TrainingLog, checkpoint=checkpoint, stop=stop) -> None:
-            checkpoint._next = 0.0  # however long writing takes
-            checkpoint.after_step(log)
-            if log.iterations == stop:
-                raise KilledError
-
-        try:
-            log = train(trainer, on_step=write, log=log)
-        except KilledError:
-            continue
-    return trainer, log
-
-
 @pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
 def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name):
     cfg = configured(name)
     calm = set_up(cfg, small_gray_scene, compiles=False).trainer
     log = train(calm)
     assert log.ended and log.iterations == ITERATIONS
-    trainer, again = resumed(cfg, small_gray_scene, tmp_path / "a.pt")
+    trainer, again = train_killed(
+        lambda: set_up(cfg, small_gray_scene, compiles=False).trainer, tmp_path / "a.pt", KILLED_AFTER
+    )
     assert again.resumed == list(KILLED_AFTER)
     assert [line.loss for line in again.lines] == [line.loss for line in log.lines]
     assert digest_of_all(trainer) == digest_of_all(calm)

@@ -10,8 +10,8 @@ import torch
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.trainer import Trainer
+from tests.helpers.training import KilledError, ready_to_train, train_killed
 from tests.helpers.training import digest_of_all as digest
-from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
 OFTEN = (  # with a plateau that is watched but never reached
@@ -23,10 +23,6 @@ LEAN = (  # every rule of the lean budget: images are small at first; it settles
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
     "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
 )  # fmt: skip
-
-
-class KilledError(Exception):
-    pass
 
 
 def set_up(scene, name: str, *overrides: str) -> Trainer:
@@ -45,26 +41,9 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
     trainer = set_up(small_gray_scene, name)
     calm = train(trainer)
     wanted = digest(trainer)
-    log = TrainingLog()
-    stops = [1, 9, 10, 26, 47, ITERATIONS]
-    for stop in stops:
-        trainer = set_up(small_gray_scene, name)
-        checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        log = checkpoint.take_up(trainer)
-        checkpoint._next = 0.0  # every step, however long writing takes
-
-        def killed(log, checkpoint=checkpoint, stop=stop):
-            checkpoint.after_step(log)
-            checkpoint._next = 0.0
-            if log.iterations == stop < ITERATIONS:
-                raise KilledError
-
-        if stop < ITERATIONS:
-            with pytest.raises(KilledError):
-                train(trainer, on_step=killed, log=log)
-        else:
-            log = train(trainer, on_step=killed, log=log)
-    assert log.resumed == stops[:-1]
+    stops = [1, 9, 10, 26, 47]
+    trainer, log = train_killed(lambda: set_up(small_gray_scene, name), tmp_path / "a.pt", stops)
+    assert log.resumed == stops
     assert timeless(log) == timeless(calm)
     assert digest(trainer) == wanted
     # once it has ended, nothing is left to do

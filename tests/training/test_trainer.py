@@ -15,17 +15,13 @@ from tdgbench.training.part import NonFiniteError
 from tdgbench.training.stopping import Plateau
 from tdgbench.training.trainer import Trainer
 from tests.helpers.training import digest_of_all as digest
-from tests.helpers.training import ready_to_train
+from tests.helpers.training import ready_to_train, train_killed
 
 ITERATIONS = 60
 OFTEN = (
     "budget.density.start=8", "budget.density.every=8", "budget.density.opacity_reset_every=1000", "budget.sh_every=9",
     "budget.density.grad_threshold=1e-5", "budget.density.round_recovery=0", "budget.plateau=null",
 )  # fmt: skip
-
-
-class KilledError(Exception):
-    pass
 
 
 class CoarseToFine(Method):
@@ -119,25 +115,9 @@ def test_parts_of_a_finished_stage_are_kept_and_reported(small_gray_scene):
 def test_a_training_killed_in_any_stage_resumes_to_the_same_bytes(small_gray_scene, tmp_path):
     calm = two_stages(small_gray_scene)
     wanted = lines(train(calm)), digest(calm)
-    stops, log = [5, 19, 20, 21, 44, 59, ITERATIONS], TrainingLog()
-    for stop in stops:
-        trainer = two_stages(small_gray_scene)
-        checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-        log = checkpoint.take_up(trainer)
-        assert checkpoint.notes == []
-
-        def killed(log, checkpoint=checkpoint, stop=stop):
-            checkpoint._next = 0.0
-            checkpoint.after_step(log)
-            if log.iterations == stop < ITERATIONS:
-                raise KilledError
-
-        if stop < ITERATIONS:
-            with pytest.raises(KilledError):
-                train(trainer, on_step=killed, log=log)
-        else:
-            train(trainer, on_step=killed, log=log)
-    assert log.resumed == stops[:-1] and (lines(log), digest(trainer)) == wanted
+    stops = [5, 19, 20, 21, 44, 59]
+    trainer, log = train_killed(lambda: two_stages(small_gray_scene), tmp_path / "a.pt", stops)
+    assert log.resumed == stops and (lines(log), digest(trainer)) == wanted
 
 
 def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_fit(small_gray_scene, tmp_path):
