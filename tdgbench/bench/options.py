@@ -165,7 +165,7 @@ class _Backend(_Group):
 
 class _Camera(_PlugIn):
     estimate: bool
-    rig: bool
+    rig: bool | Literal["auto"]
 
 
 class _Log(_PlugIn):

@@ -158,7 +158,7 @@ class Record:
     peak_gpu_mb: Megabytes | None = None  # reserved by torch; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
-    camera: dict[str, dict[str, Any]] = field(default_factory=dict)  # thermal camera as `estimated`
+    camera: dict[str, dict[str, Any]] = field(default_factory=dict)  # thermal camera as `estimated`; `rig`: trial
     backend: str = ""
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

@@ -41,6 +41,7 @@ from tdgbench.training.model import SplatModel
 from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
 from tdgbench.training.trainer import Trainer
+from tdgbench.training.trial import RigTrial
 
 
 class CellRun(SetupObserver):
@@ -83,6 +84,10 @@ class CellRun(SetupObserver):
     def note_camera(self, facts: Facts, notes: list[str]) -> None:
         self.record.camera["estimated"] = facts
         self.record.notes += notes
+
+    def note_rig(self, trial: RigTrial) -> None:
+        self.record.camera["rig"] = asdict(trial)
+        self.record.notes.append(f"camera: the rig is {'learnt' if trial.pays else 'not learnt'}: {trial.reason}")
 
     def note_prior(self, description: dict[str, object]) -> None:
         self.record.prior = description

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from hydra.utils import instantiate
@@ -24,6 +24,7 @@ from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
+from tdgbench.training.trial import RigTrial, try_rig
 from tdgbench.training.warmup import compile_kernels
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
@@ -45,7 +46,7 @@ class SetupObserver:
     """Receives the progress and the facts of a set-up; this one ignores them."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Enter a stage: images, camera, prior, init or compile."""
+        """Enter a stage: images, camera, prior, init, compile or rig."""
         return nullcontext()
 
     def count(self, done: int, total: int) -> None:
@@ -53,6 +54,9 @@ class SetupObserver:
 
     def note_camera(self, facts: Facts, notes: list[str]) -> None:
         """Called once the thermal camera is estimated, if it is, with facts and notes for the record."""
+
+    def note_rig(self, trial: RigTrial) -> None:
+        """Called once short trainings have shown whether the rig is learnt, if they decide on it."""
 
     def note_prior(self, description: dict[str, object]) -> None:
         """Called once the depth priors are known, with their estimator's identity, kind and source."""
@@ -98,14 +102,19 @@ def set_up(
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips, camera.rig)
+        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
-        trainer = Trainer(method, context)
     if compiles:
         with observer.stage("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
+    if camera.rig == "auto":
+        with observer.stage("rig"):
+            trial = try_rig(method, context)
+        observer.note_rig(trial)
+    context.learns_rig = trial.pays if camera.rig == "auto" else camera.rig
+    trainer = Trainer(method, context)
     return Training(trainer, scene if is_changed else scored, response)
 
 
@@ -183,7 +192,7 @@ class CameraOptions:
     """What is done about the thermal camera's errors; see `conf/camera/`."""
 
     estimate: bool  # its response, before training, from sparse points; training views are then corrected
-    rig: bool = False  # learn where it is, and its lens, with the Gaussians: `tdgbench.training.rig`
+    rig: bool | Literal["auto"] = False  # learn its pose and lens with the Gaussians; auto: if `try_rig` finds a gain
 
 
 class CorrectedScene(NamedTuple):

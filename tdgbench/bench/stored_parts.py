@@ -42,7 +42,8 @@ class StoredMethod:
         """cameras: of all views. Raises ValueError, naming file or method, if they cannot be restored."""
         method = _method_of(record)
         context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
-        context.learns_rig = bool(record.setting("camera.rig"))
+        trial = record.camera.get("rig", {})  # of `camera.rig=auto`
+        context.learns_rig = trial.get("pays", bool(record.setting("camera.rig")))
         trainer = Trainer(method, context)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():

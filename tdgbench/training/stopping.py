@@ -26,7 +26,11 @@ def hold_out(rule: SettlingRule, views: list[View]) -> list[View]:
     """Return the training views to hold out by a rule, evenly spread."""
     if len(views) < 4 * rule.fewest:
         return []
-    count = min(max(rule.fewest, round(rule.share * len(views))), rule.most, len(views) // 4)
+    return spread(views, min(max(rule.fewest, round(rule.share * len(views))), rule.most, len(views) // 4))
+
+
+def spread(views: list[View], count: int) -> list[View]:
+    """Return a number of views, evenly spread."""
     return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
 
 

@@ -105,13 +105,13 @@ class Trainer:
         """Return what ends the stage early, by the rules of its budget; None: nothing."""
         budget, context = self.context.budget, self.context
         if budget.settling is not None:
-            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self._error_image)
+            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self.error_image)
         if budget.plateau is not None:
             return Plateau(budget.plateau, len(context.scene.train))
         return None
 
     @torch.no_grad()
-    def _error_image(self, view: View) -> np.ndarray:
+    def error_image(self, view: View) -> np.ndarray:
         """Return render minus image, in the stage's modality, at the pixels that count: (n, C)."""
         images = MODALITIES[self.stage.modality]
         image, valid = images.array(view), images.valid(view)

@@ -1,0 +1,59 @@
+"""Whether the rig pays: two short trainings, with and without it, are compared on training views that both hold out."""
+
+from __future__ import annotations
+
+import math
+from copy import deepcopy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tdgbench.training.context import Context
+from tdgbench.training.loop import train
+from tdgbench.training.method import Method
+from tdgbench.training.stopping import MIN_MSE, spread
+from tdgbench.training.trainer import Trainer
+
+ITERATIONS = 1000  # of either training, at most
+SHARE = 1 / 8  # of the training views that is held out
+FEWEST = 3  # held-out views; with less than four times as many training views there is no trial
+GAIN = 0.3  # dB that the rig gains at least
+ERRORS = 2  # standard errors that the gain exceeds
+
+
+@dataclass(frozen=True)
+class RigTrial:
+    """Gain of the rig in PSNR (dB) at each held-out view, whether it pays, and why."""
+
+    gains: list[float]
+    pays: bool
+    reason: str
+
+
+def try_rig(method: Method, whole: Context) -> RigTrial:
+    """Train a method twice on all but some training views of a context, and compare its renders of these.
+
+    The trainings are as long as the budget, at most 1 000 iterations, and have one seed. Test views are not read.
+    """
+    views = whole.scene.train
+    if len(views) < 4 * FEWEST:
+        return RigTrial([], False, f"{len(views)} training views are too few to hold out {FEWEST}")
+    held_out = spread(views, max(FEWEST, round(SHARE * len(views))))
+    chosen = {view.name for view in held_out}
+    scene = replace(whole.scene, train=[view for view in views if view.name not in chosen], test=held_out)
+    length = min(ITERATIONS, whole.budget.iterations)
+    budget = replace(whole.budget, iterations=length, settling=None, plateau=None)
+    psnrs = []
+    for learns_rig in (True, False):
+        context = replace(whole, scene=scene, budget=budget, skips=deepcopy(whole.skips), learns_rig=learns_rig)
+        trainer = Trainer(method, context)
+        train(trainer)
+        psnrs.append([_psnr(trainer.error_image(view)) for view in held_out])
+    gains = np.array(psnrs[0]) - np.array(psnrs[1])
+    mean, error = float(gains.mean()), float(gains.std(ddof=1)) / len(gains) ** 0.5
+    reason = f"{mean:+.2f} ± {error:.2f} dB at {len(gains)} held-out training views"
+    return RigTrial([round(float(gain), 3) for gain in gains], mean >= max(GAIN, ERRORS * error), reason)
+
+
+def _psnr(error: np.ndarray) -> float:
+    return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))
