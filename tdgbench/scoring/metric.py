@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.measure import Measure
@@ -51,11 +51,8 @@ class ImageMetric(Metric):
 
     def of_training_views(self) -> Measure:
         """Return the description of the mean over the training views, which records keep apart."""
-        return Measure(
-            name=f"train_{self.name}", label=self.label, meaning=self.meaning, digits=self.digits,
-            overall_digits=self.overall_digits, unit=self.unit, higher_is_better=self.higher_is_better,
-            limits=self.limits, part="training views", latex=self.latex, ratio=self.ratio,
-        )  # fmt: skip
+        described = {field.name: getattr(self, field.name) for field in fields(Measure)}
+        return Measure(**described | {"name": f"train_{self.name}", "part": "training views", "published": False})
 
 
 @dataclass(frozen=True, kw_only=True)
