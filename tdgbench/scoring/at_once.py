@@ -16,15 +16,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def views_at_once(pixels: int, threads: int) -> int:
-    """Return the number of views of so many pixels that threads work on at once: bounded by memory as well.
-
-    >>> views_at_once(640 * 480, threads=2), views_at_once(640 * 480, threads=64), views_at_once(4096 * 4096, threads=2)
-    (2, 8, 1)
-    """
-    return max(1, min(threads, PIXELS_AT_ONCE // max(1, pixels)))
-
-
 def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
     """Return the results of a function of a view, in the order of the views; an idle thread takes the next one.
 
@@ -38,7 +29,8 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
         for number, view in waiting:
             results[number] = function(view)
 
-    workers = min(views_at_once(pixels, pool.get_threads()), len(views))
+    in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
+    workers = min(in_memory, pool.get_threads(), len(views))
     if workers > 0:
         with one_torch_thread():
             pool.run(work, [()] * workers)

@@ -67,8 +67,10 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
         lines = _lines(data, left, weights)
         if not terms.pattern:
-            shown = [left, left - _held_out_pattern(data, left, weights)]
-            terms = terms._replace(pattern=_simplest([errors[weights > 0] for errors in shown]) == 1)
+            used = weights > 0
+            without = left[used]
+            remaining = (left - _held_out_pattern(data, left, weights))[used]
+            terms = terms._replace(pattern=_size(remaining, without) < BETTER * _size(without, without))
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
@@ -132,15 +134,6 @@ def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.n
     for number in range(FOLDS):
         pattern[fold == number] = _at(*_lines(data, left, np.where(fold == number, 0, weights)), data)[fold == number]
     return pattern
-
-
-def _simplest(errors: list[np.ndarray]) -> int:
-    """Return the first of several models, by errors (S,) of the same values, that no later one clearly beats."""
-    best = 0
-    for index in range(1, len(errors)):
-        if _size(errors[index], errors[0]) < BETTER * _size(errors[best], errors[0]):
-            best = index
-    return best
 
 
 def _size(errors: np.ndarray, simplest: np.ndarray) -> float:

@@ -150,11 +150,6 @@ class SplatModel(Part):
         if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
             self.degree += 1
 
-    def take_gradients(self) -> Gradients | None:
-        """Sum of the gradients since the last step, which forgets them; None without a backward pass."""
-        views, self._views = self._views, []
-        return Gradients.total([view.gradients.computed() for view in views], len(self.state)) if views else None
-
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
 
