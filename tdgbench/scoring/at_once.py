@@ -1,4 +1,4 @@
-"""Work on several views at once: one thread each, so that no result depends on their number."""
+"""Score several views in parallel, one thread each, so that scores do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ R = TypeVar("R")
 
 
 def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
-    """Return the results of a function of a view, in the order of the views; an idle thread takes the next one.
+    """Apply a function to views in parallel and return the results in their order.
 
-    pixels: of the largest view. torch has one thread for each view meanwhile. Raises what a call raises.
+    pixels: of the largest view; it limits the views in memory. torch uses one thread per view. An exception of the
+    function is raised.
     """
     results: dict[int, R] = {}
     waiting = iter(enumerate(views))

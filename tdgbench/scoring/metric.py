@@ -19,8 +19,8 @@ class Metric(Measure, ABC):
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
-    reads: str = ""  # numbers that are fitted to a test view before it is scored; empty: none
-    verified_to: float | None = None  # largest error when computed again from a cell's files; None: they do not suffice
+    reads: str = ""  # parameters fitted to a test view before it is scored; empty: none
+    verified_to: float | None = None  # tolerance when `verify` recomputes it from a cell's files; None: it cannot
 
     @abstractmethod
     def score(self, shown: ScoredView) -> float:
@@ -50,7 +50,7 @@ class ImageMetric(Metric):
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:
-        """Return the description of the mean over the training views, which records keep apart."""
+        """Return the description of the mean over the training views."""
         described = {field.name: getattr(self, field.name) for field in fields(Measure)}
         return Measure(**described | {"name": f"train_{self.name}", "part": "training views", "published": False})
 

@@ -1,9 +1,9 @@
-"""A thermal camera's response, as estimated from a scene.
+"""The response of a thermal camera, estimated from a scene.
 
 value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise: that is gain_v · T plus
 an offset of view v, written so that offsets are those at the reference temperature, where they do not depend on the
-gains. The scale and zero of T are not observable; they are such that the mean offset is 0 and the mean gain 1 over the
-training views, and that vignette and pattern have a mean of 0 over the image. So the scene's mean temperature stays.
+gains. Scale and zero of T are not observable. By convention the training views have a mean offset of 0 and a mean gain
+of 1, and vignette and pattern have a mean of 0 over the image, which keeps the mean temperature of the scene.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class ThermalCamera:
         return line_map(self.columns, self.rows, width, height)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return vignette plus fixed pattern (height, width), which all views share."""
         return self.map(width, height) + self.pattern(width, height)
 
     @property
@@ -102,7 +102,7 @@ class Unknown:
 
 
 def normalized(response: ViewResponses) -> ViewResponses:
-    """Return the same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
+    """Normalise a response to mean offset 0 and mean gain 1, which changes scale and zero of the scene's temperatures.
 
     >>> normalized(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])

@@ -16,7 +16,7 @@ from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
 from tdgbench.thermal.priors import Drift, Widths, places
 
-FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
+FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated
 FEWEST_TRAINING_VIEWS = 3
 
 
@@ -122,7 +122,7 @@ def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) 
 
 
 def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
-    """Return what a prior decided, and how the offsets change in time."""
+    """Return notes on undetermined directions and on the drift."""
     notes = []
     if undetermined:
         directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"

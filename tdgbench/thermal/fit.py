@@ -36,7 +36,7 @@ FEWEST_IN_PATCH = 4  # values, of a patch whose mean tells of the patches' own e
 class Data:
     """S values (S,) of points (S,) in views (S,), and what is known of each.
 
-    detail: (S,) what a blur took from it. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
+    detail: (S,) original minus blurred value. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
     column, row: (S,) in which it lies. cluster: (S,) of points that lie together. size: numbers of columns and rows.
     """
 

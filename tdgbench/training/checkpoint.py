@@ -75,7 +75,7 @@ class Checkpoint:
         self.path.unlink(missing_ok=True)
 
     def _write(self, log: TrainingLog) -> None:
-        content = {"made_with": self.made_with, **_progress(log), **self._trainer.state_dict()}
+        content = {"made_with": self.made_with, "log": asdict(log), **self._trainer.state_dict()}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(self.path) as part, part.open("wb") as file:
             torch.save(content, file)
@@ -89,7 +89,7 @@ class Checkpoint:
         if not _ends_with_digest(self.path):
             raise ValueError("it is damaged")
         saved: dict[str, Any] = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
-        before, at = saved["made_with"], saved["iterations"]
+        before, at = saved["made_with"], saved["log"]["iterations"]
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]
         if differs:
             raise ValueError(f"other {', '.join(differs)} (iteration {at})")
@@ -99,9 +99,10 @@ class Checkpoint:
         """Load the stored content, which the same code wrote in a training of the same options and data."""
         self._trainer.at_stage(saved["stage"])
         self._trainer.load_state_dict(saved)
-        lines, at = [LogLine(**line) for line in saved["lines"]], saved["iterations"]
-        resumed = [*saved["resumed"], at]
-        return TrainingLog(lines, saved["seconds"], saved["processor_seconds"], at, saved["ended"], resumed)
+        log = TrainingLog(**saved["log"])
+        log.lines = [LogLine(**line) for line in saved["log"]["lines"]]
+        log.resumed.append(log.iterations)
+        return log
 
 
 def _digest(path: Path, size: int) -> bytes:
@@ -118,15 +119,3 @@ def _ends_with_digest(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(size)
         return file.read() == _digest(path, size)
-
-
-def _progress(log: TrainingLog) -> dict[str, Any]:
-    """Return the log of a training as plain data."""
-    return {
-        "iterations": log.iterations,
-        "seconds": log.seconds,
-        "processor_seconds": log.processor_seconds,
-        "ended": log.ended,
-        "resumed": log.resumed,
-        "lines": [asdict(line) for line in log.lines],
-    }

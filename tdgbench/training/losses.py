@@ -61,20 +61,15 @@ def photometric(image: Tensor, target: Tensor, lambda_ssim: float, valid: Tensor
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim, valid)
 
 
-def thermal(
-    image: Tensor,
-    target: Tensor,
-    lambda_ssim: float,
-    lambda_smooth: float,
-    reading: str,
-    valid: Tensor | None = None,
+def thermal_loss(
+    image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str, valid: Tensor | None = None
 ) -> Tensor:
     """Return the thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
 
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
 
     >>> image = torch.full((8, 8, 1), 0.5)
-    >>> round(thermal(image, image - 0.25, 0.0, 0.6, "paper").item(), 4)
+    >>> round(thermal_loss(image, image - 0.25, 0.0, 0.6, "paper").item(), 4)
     0.25
     """
     if not _is_fused(image):

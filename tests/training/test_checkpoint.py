@@ -195,8 +195,8 @@ OTHERS = {
     "a later stage": ("stage", lambda _: 1),
     "an earlier stage": ("stage", lambda _: -1),
     "a stage in words": ("stage", lambda _: "first"),
-    "no iterations": ("iterations", lambda _: None),
-    "lines": ("lines.0", lambda line: {**line, "colour": "red"}),
+    "no iterations": ("log.iterations", lambda _: None),
+    "lines": ("log.lines.0", lambda line: {**line, "colour": "red"}),
 }  # fmt: skip
 
 

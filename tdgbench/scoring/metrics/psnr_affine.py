@@ -1,4 +1,4 @@
-"""PSNR after the best gain and offset of a view: what a drifting camera costs is left out."""
+"""PSNR after the best gain and offset of each view, which removes the effect of a drifting camera."""
 
 from __future__ import annotations
 

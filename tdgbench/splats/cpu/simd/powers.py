@@ -71,9 +71,7 @@ def _log2(builder, x):
 
 
 log2 = on_registers(
-    vec,
-    _log2,
-    "log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 beyond.",
+    vec, _log2, "log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 beyond."
 )
 
 

@@ -59,8 +59,7 @@ def _sum_tree(builder, vectors):
         labels = [[(labels[i] + labels[i + 1])[k] for k in low] for i in halves]
         vectors = [
             builder.fadd(
-                _shuffle(builder, vectors[i], vectors[i + 1], low),
-                _shuffle(builder, vectors[i], vectors[i + 1], high),
+                _shuffle(builder, vectors[i], vectors[i + 1], low), _shuffle(builder, vectors[i], vectors[i + 1], high)
             )
             for i in halves
         ]
