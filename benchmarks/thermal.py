@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.experiments.camera_response import normalized_truth
 from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
 from tdgbench.scenes.synthetic.drifting import drifting, in_degC
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
+from tdgbench.thermal.accuracy import normalized_truth
 
 BOUNDS = {"offset": 0.1, "gain": 0.02, "vignette": 0.2, "clean": 0.02}  # °C; of gains, a share of 1
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,28 +13,12 @@ from matplotlib.figure import Figure
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.thermal.accuracy import Truth, normalized_truth
 from tdgbench.thermal.camera import ViewResponses, normalized
 from tdgbench.thermal.maps import TERMS, evaluate
 
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 TINY = 1e-9  # °C; a smaller truth has nothing to show
-
-
-class Truth(NamedTuple):
-    """The true camera, normalized as an estimated one is: offsets and gains (V,), what is shared (H, W), in °C."""
-
-    response: ViewResponses
-    vignette: np.ndarray
-    pattern: np.ndarray
-
-
-def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
-    """Return the true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
-    true, index = truth.camera, truth.index(list(views))
-    gains = true.gains[index]
-    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
-    response = normalized(ViewResponses(offsets + true.pattern.mean(), gains))
-    return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from tdgbench.bench.record import Record
-from tdgbench.experiments.camera_response import compare_camera, normalized_truth
+from tdgbench.experiments.camera_response import compare_camera
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.thermal.accuracy import normalized_truth
 from tdgbench.thermal.maps import TERMS, legendre_basis
 
 NAMES = [f"view{index}" for index in range(12)]

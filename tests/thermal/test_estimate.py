@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.thermal import errors_of
-from tdgbench.experiments.camera_response import normalized_truth
 from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
 from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
+from tdgbench.thermal.accuracy import normalized_truth
 from tests.helpers.layouts import celsius
 
 

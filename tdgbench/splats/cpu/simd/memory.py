@@ -167,16 +167,6 @@ def gather(typing_context, values, rows, k, stride, column):
     return vec(values, rows, types.int64, types.int64, types.int64), generate
 
 
-@kernel(inline=True)
-def gather_3(values, rows, k, stride, column):
-    """Three registers: columns column, + 1, + 2 of the rows rows[k …], as `gather`."""
-    return (
-        gather(values, rows, k, stride, column),
-        gather(values, rows, k, stride, column + 1),
-        gather(values, rows, k, stride, column + 2),
-    )
-
-
 @intrinsic
 def put_column(typing_context, values, first_row, stride, column, value):
     """values[(first_row + l) · stride + column] = lane l."""
