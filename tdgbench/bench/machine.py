@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from tdgbench.bench.lock import file_lock
-from tdgbench.splats.cpu.scratch import release
+from tdgbench.splats.cpu.scratch import free_buffers
 
 LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # shared by all users and results folders of a machine
 FOR_ALL = 0o666  # permissions of a lock that other users take as well
@@ -111,7 +111,7 @@ class PeakMemory:
 
     def __enter__(self) -> PeakMemory:
         gc.collect()
-        release()
+        free_buffers()
         if self._on_gpu:
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):

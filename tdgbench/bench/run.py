@@ -140,10 +140,10 @@ class CellRun(SetupObserver):
     def _train(self) -> None:
         """Train from the last checkpoint, if there is one, to the end."""
         self.checkpoint = self._open_checkpoint()
-        log = self.checkpoint.take_up(self.trainer)
+        log = self.checkpoint.resume(self.trainer)
         on_line = self._log_listener(log.iterations)
         try:
-            self.log = train(self.trainer, on_line, self.checkpoint.after_step, log)
+            self.log = train(self.trainer, on_line, self.checkpoint.write_if_due, log)
         except TrainingError:
             self._discard(self.checkpoint)  # training from it would end at the same iteration
             raise

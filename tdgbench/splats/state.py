@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.rows import permute_rows
-from tdgbench.splats.cpu.scratch import empty_aligned, release
+from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
@@ -79,18 +79,18 @@ class TrainingState:
             log_scales=rows[:, SCALES],
             quats=rows[:, QUATS],
             opacity_logits=rows[:, OPACITY_AT],
-            sh=rows[:, self.column_of("sh")].unflatten(1, (self.bases, self.channels)),
+            sh=rows[:, self.columns_of("sh")].unflatten(1, (self.bases, self.channels)),
             more={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._more.items()},
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
-        """Return Gaussians as new rows (n, columns) of this layout."""
+        """Convert Gaussians to new rows (n, columns)."""
         rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
         for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
             part[1].copy_(given[1].detach().reshape(part[1].shape))
         return rows
 
-    def column_of(self, name: str) -> slice:
+    def columns_of(self, name: str) -> slice:
         """Return the columns of a parameter."""
         return {
             "means": MEANS,
@@ -105,11 +105,11 @@ class TrainingState:
         """Return the length of the last axis of a field: the channels of a colour set."""
         return self.channels if name == "sh" else self._more[name][1][-1]
 
-    def exchange(self, removed: Tensor, added: Tensor) -> None:
+    def replace_rows(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
 
-        All rows must be current. Added rows replace removed ones first. The remaining ones are appended, or rows from
-        the end fill the remaining holes.
+        All rows must be current. Added rows take the places of removed ones; the rest is appended, or rows from the end
+        fill the remaining places.
         """
         n_removed, n_added = len(removed), len(added)
         self._reserve(self.count + max(n_added - n_removed, 0))
@@ -133,7 +133,7 @@ class TrainingState:
             self.order_in_space()
 
     def order_in_space(self) -> None:
-        """Sort rows along a Z-order curve, so that the visible rows of a camera are close in memory.
+        """Sort rows along a Z-order curve, so that the Gaussians of a view are close in memory.
 
         All rows must be current.
         """
@@ -146,7 +146,7 @@ class TrainingState:
         self._ordered_at = self.count
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all rows, with their deferred steps still due; the tensors share memory where they can."""
+        """Return all rows, deferred steps not applied; the tensors share memory with the state where possible."""
         return {
             **{name: compact(getattr(self, name)[: self.count]) for name in ROWS},
             "now": self.now,
@@ -173,11 +173,11 @@ class TrainingState:
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
-            release()  # C's allocator may hold the old array: it is not always a mapping of its own
+            free_buffers()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
 def _columns_after(first: int, more: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Return columns and shape of one Gaussian's value for each further field, from a first column on."""
+    """Return the columns of each field of `more`, which begin at `first`, and the shape of one Gaussian's value."""
     found: dict[str, tuple[slice, tuple[int, ...]]] = {}
     for name, tensor in more.items():
         shape = tuple(tensor.shape[1:]) or (1,)

@@ -1,9 +1,9 @@
-"""What explains the values of points in different views: a response and a fixed pattern that held-out views support.
+"""Choose and fit the response and fixed pattern that explain the values of points in different views.
 
-A jackknife over clusters of points tells how far a fitted response is evidence. Errors that no term of it describes
-(reflections, sunlit slopes, points that moved) are alike over large parts of a scene. In a direction that the values
-hardly determine they become large, and no standard error shows it. What changes as much as it is large when a part of
-the scene is left out is not known, and is held back.
+Held-out views decide which terms are fitted. A jackknife over clusters of points then shrinks uncertain parameters.
+Errors outside the model (reflections, sunlit slopes, moving points) are correlated over large parts of a scene. They
+become large in directions that the values hardly determine, and standard errors do not show them. A direction whose
+estimate varies as much as it is large when a cluster is left out is shrunk towards an ideal camera.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.fit import HUBER, Data, Fit, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
 from tdgbench.thermal.observations import BLUR
-from tdgbench.thermal.priors import NORMAL, Drift, Widths, drift_of
+from tdgbench.thermal.priors import NORMAL, Drift, Widths, fit_drift
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
@@ -51,9 +51,9 @@ class Explained:
 
 
 def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, Terms, Drift | None]:
-    """Fit the terms that held-out views support. Response and fixed pattern take turns.
+    """Fit the terms that held-out views support, alternating between response and fixed pattern.
 
-    places: (V,) of the views in the sequence, NaN if it is unknown.
+    places: (V,) positions of the views in the sequence, NaN if unknown.
     """
     terms = choose_terms(data, widths, places)
     found = fit(data, terms, prior(data, widths))
@@ -61,29 +61,30 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
     precision = prior(data, widths, drift, places)
     if drift is not None:
         found = fit(data, terms, precision)
-    best = Explained(held_back(data, found, terms, precision))
+    best = Explained(shrink_towards_ideal(data, found, terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
         lines = _lines(data, left, weights)
         if not terms.pattern:
-            shown = [left, left - _held_out_pattern(data, left, weights)]
-            terms = terms._replace(pattern=_simplest([errors[weights > 0] for errors in shown]) == 1)
+            used = weights > 0
+            without = left[used]
+            remaining = (left - _held_out_pattern(data, left, weights))[used]
+            terms = terms._replace(pattern=_size(remaining, without) < BETTER * _size(without, without))
         if not terms.pattern:
             break
         cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
-        again = held_back(cleaned, fit(cleaned, terms, precision), terms, precision)
+        again = shrink_towards_ideal(cleaned, fit(cleaned, terms, precision), terms, precision)
         best = Explained(replace(again, before=best.fit.before), *lines)
     return best, terms, drift
 
 
 def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
-    """Choose the simplest terms with which the other views predict the values of held-out views clearly better.
+    """Choose the simplest terms that clearly improve the prediction of held-out views.
 
-    A drift that the terms do not describe, or a reflection, can look like a gain. Correcting it would not make the
-    temperatures of the points truer, which views that were not used for it tell. Values are predicted as a test view's
-    are: without reading any of them, and after the gain and offset that fit its other half. Terms have to gain in one
-    way, and in both together.
+    A drift outside the model, or a reflection, can look like a gain; held-out views show that correcting it does not
+    improve the temperatures of the points. Two errors are measured, as for test views: without reading any value of the
+    view, and after the gain and offset fitted to its other half. Terms must lower one of them, and their product.
     """
     some = data.select(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
     best, least = LADDER[0], held_out_errors(some, LADDER[0], widths, places)
@@ -106,11 +107,11 @@ def prior(data: Data, widths: Widths, drift: Drift | None = None, places: np.nda
 
 
 def _drift(found: Fit, data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
-    """Return how the offsets change along the sequence; None if they are not estimated, or if there is no sequence."""
+    """Fit how the offsets change along the sequence; None if offsets are not estimated or there is no sequence."""
     if not terms.offsets or np.isnan(places).any():
         return None
     offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
-    return drift_of(places, offsets - offsets[known].mean(), known, widths.offsets)
+    return fit_drift(places, offsets - offsets[known].mean(), known, widths.offsets)
 
 
 def _within_points(values: np.ndarray, weights: np.ndarray, data: Data) -> np.ndarray:
@@ -134,15 +135,6 @@ def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.n
     return pattern
 
 
-def _simplest(errors: list[np.ndarray]) -> int:
-    """Return the first of several models, by errors (S,) of the same values, that no later one clearly beats."""
-    best = 0
-    for index in range(1, len(errors)):
-        if _size(errors[index], errors[0]) < BETTER * _size(errors[best], errors[0]):
-            best = index
-    return best
-
-
 def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
     """Return the root mean square of errors (S,), cut off at CUT robust standard deviations of the simplest model's."""
     if not simplest.size:
@@ -152,10 +144,10 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
 
 
 def held_out_errors(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the values of views, held out in turn, from the points' temperatures in other views; return the errors.
+    """Predict the values of views, held out in turn, from the points' temperatures in other views; return two errors.
 
-    The first are of values of which none is read: the view has the offset that its neighbours in the sequence let
-    expect, and gain 1. The second are after the gain and offset that fit the other half of the image.
+    The first use no value of the view: its offset is interpolated from its neighbours in the sequence, its gain is 1.
+    The second are after the gain and offset that fit the other half of the image.
     """
     present = np.unique(data.view)
     unread, halves = [np.zeros(0)], [np.zeros(0)]
@@ -212,8 +204,8 @@ def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.n
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
 
 
-def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
-    """Return the fit, each direction shrunk towards an ideal camera by what the jackknife leaves of its evidence."""
+def shrink_towards_ideal(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
+    """Shrink each direction of a fit towards an ideal camera, by its variance under the jackknife."""
     free = terms.free(data)
     if not free.any():
         return found
@@ -221,7 +213,7 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
     system = System(data, theta, found.temperatures, found.reference, found.weights)
     information, axes = system.directions(precision, free)
     given = precision[np.ix_(free, free)]
-    others = [_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
+    others = [_change_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
     moved = np.stack(others)[:, free] @ given @ axes
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
@@ -240,10 +232,10 @@ def held_back(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fi
     )  # fmt: skip
 
 
-def _without(
+def _change_without(
     data: Data, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
 ) -> np.ndarray:
-    """Change (2 V + K,) of the parameters if a cluster of points is left out."""
+    """Return the change (2 V + K,) of the parameters when a cluster of points is left out."""
     keep = data.cluster != cluster
     rest, residuals = data.select(keep), found.residuals[keep]
     system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])

@@ -1,8 +1,8 @@
-"""What is known of a thermal camera before its images are read: how large its errors are, and how they change in time.
+"""Priors of a thermal camera: the size of its errors, and how they change over time.
 
-Sparse points do not determine a camera. Where it moves along a surface, the place in the image is point − camera: a
-vignette that is linear there, offsets that are linear in the camera's position, and a gradient over the scene cancel.
-What the points do not tell, a prior of the size that cameras have decides: the smallest correction.
+Sparse points do not determine all parameters. If a camera moves along a surface, a linear vignette, offsets that are
+linear in the camera's position, and a linear gradient over the scene cancel in the images. In such directions the prior
+chooses the smallest correction.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ FEWEST = 6  # views with an offset, to tell whether it changes smoothly
 
 
 def places(names: Sequence[str]) -> dict[str, float]:
-    """Return places of views in the sequence, by the numbers in their names; NaN if one has none.
+    """Return the positions of views in the sequence, sorted by the numbers in their names; NaN if a name has none.
 
-    Names with time stamps or counters stand in the order of capture. Whether it is an order in time, the offsets tell.
+    Time stamps and counters in names give the order of capture. `fit_drift` tests whether offsets follow it.
 
     >>> places(["img_10", "img_9"])
     {'img_10': 1.0, 'img_9': 0.0}
@@ -67,10 +67,10 @@ class Widths(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """How offsets change over the places of views in the sequence: variance, share that changes from view to view."""
+    """Model of offsets along the sequence: a Matérn process, with jumps at shutter events, plus independent jitter."""
 
     variance: float
-    jitter: float
+    jitter: float  # share of the variance that is independent from view to view
     length: float  # views
     events: tuple[float, ...] = ()  # places between views at which the shutter closed
 
@@ -85,15 +85,14 @@ class Drift(NamedTuple):
         return self.covariance(places, places) + self.variance * max(self.jitter, JITTERS[0]) * np.eye(len(places))
 
     def expected(self, at: np.ndarray, places: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """Return offsets (A,) that those (V,) of views at places (V,) let expect at other places (A,)."""
+        """Interpolate the offsets (V,) of views at places (V,) at other places (A,) (Gaussian-process mean)."""
         return np.asarray(self.covariance(at, places) @ np.linalg.solve(self.prior(places), offsets))
 
 
-def drift_of(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
-    """Return the drift that explains estimated offsets (V,) at places (V,) best (largest likelihood).
+def fit_drift(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
+    """Fit the drift to estimated offsets (V,) at places (V,) by maximum likelihood.
 
-    known: (V,) views whose offset was estimated. width: standard deviation of offsets as cameras have them, beyond
-    which no variance goes.
+    known: (V,) mask of views whose offset was estimated. width: upper bound of the standard deviation of offsets.
     """
     x, y = places[known], offsets[known]
     variance = float(np.mean(y**2))
@@ -106,7 +105,7 @@ def drift_of(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: 
 
 
 def shutter_events(places: np.ndarray, offsets: np.ndarray) -> tuple[float, ...]:
-    """Return places between successive views at which the offset jumps as it does nowhere else."""
+    """Return the places between successive views at which the offset jumps by far more than usual."""
     order = np.argsort(places)
     x, steps = places[order], np.diff(offsets[order])
     usual = NORMAL * float(np.median(np.abs(steps - np.median(steps))))

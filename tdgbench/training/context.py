@@ -1,4 +1,4 @@
-"""What a method is set up with, and how it makes its parts."""
+"""Inputs of a method, and the functions with which it makes its parts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ P = TypeVar("P", bound=Part)
 
 @dataclass(frozen=True)
 class Frame:
-    """What is rendered: a camera, and the view that was taken there, if one was."""
+    """A camera to render from, and index and time of the view that it took, if any."""
 
     camera: Camera
     index: int | None = None  # of the view among all of the scene, in the order of their names
@@ -70,9 +70,9 @@ class ViewOrder(RandomStream):
 
 @dataclass
 class Context:
-    """What a stage is set up with: scene, initial points, depth priors by view (empty if it needs none), budget.
+    """Inputs of a stage: scene, initial points, depth priors by view (empty if the method needs none), budget.
 
-    Its methods make parts and keep them in `parts`, by name: the loop drives them, and a checkpoint saves them.
+    Its methods make parts and add them to `parts` by name. The training loop calls them, a checkpoint saves them.
     """
 
     scene: Scene
@@ -89,7 +89,7 @@ class Context:
 
     @cached_property
     def curriculum(self) -> Curriculum:
-        """What the stage shows of the training views."""
+        """The training views of each iteration, and their resolution."""
         budget, views = self.budget, self.scene.train
         steps, held_out = [], []
         if budget.pixels is not None and views:
@@ -122,7 +122,7 @@ class Context:
         return training_device(self.backend)
 
     def keep(self, name: str, part: P) -> P:
-        """Train a part of this name in this stage, perhaps one of the stage before, and return it."""
+        """Add a part, new or of an earlier stage, under a name, and return it. Raises ValueError for a name in use."""
         if name in self.parts:
             raise ValueError(f"two parts have the name {name!r}; give one of them another name")
         self.parts[name] = part

@@ -52,9 +52,8 @@ def train(
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
     density control and optimiser step. A stage ends early once its parts have recovered from density control.
 
-    on_line is called with each log line. on_step is called after each iteration; on_model before its changes of the
-    parts, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to
-    resume after them.
+    on_line is called with each log line, on_model in each iteration before the parts change, and on_step after it; the
+    clock is stopped during the last two. log: of earlier iterations, to resume after them.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
@@ -75,7 +74,7 @@ def _train_stages(
     on_step: Callable[[TrainingLog], None] | None,
     on_model: Callable[[TrainingLog], None] | None,
 ) -> None:
-    """Train all stages that are left, and note their course in the log."""
+    """Train the remaining stages and write the log."""
     clock = Clock(log)
     while not log.ended:
         iteration = log.iterations - trainer.iterations_before + 1  # within the stage
@@ -124,7 +123,7 @@ def _line(log: TrainingLog, step: Step, loss: float, trainer: Trainer) -> LogLin
 
 
 class Clock:
-    """Runs from its making on, and adds its time to that of a log."""
+    """A stopwatch that starts when it is made and continues the times of a log."""
 
     def __init__(self, log: TrainingLog) -> None:
         self._log = log
@@ -132,7 +131,7 @@ class Clock:
         self._processor_start = time.process_time() - log.processor_seconds
 
     def stop(self) -> None:
-        """Put the seconds so far into the log; the clock runs on."""
+        """Write the times so far to the log."""
         self._log.seconds = time.perf_counter() - self._start
         self._log.processor_seconds = time.process_time() - self._processor_start
 

@@ -1,4 +1,4 @@
-"""A part of a training: what changes while it runs, such as Gaussians, a network, or a rule that ends it."""
+"""Parts of a training: everything with state, such as Gaussians, networks, orders of views, stopping rules."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import torch
 
 
 class Part:
-    """Something that a training changes. The loop drives it, a checkpoint stores it, a record describes it.
+    """An object with state that training changes. The loop calls it, checkpoints save it, and records report on it.
 
-    Every method has a default that does nothing; a part overrides those that concern it.
+    All methods do nothing by default; a subclass overrides those that it needs.
     """
 
     needed_to_render: bool = False  # whether rendering needs its state, which is then stored with the cell
@@ -26,13 +26,13 @@ class Part:
         return None
 
     def slow_down(self, factor: float) -> None:
-        """Multiply all learning rates by a factor, at most 1, from now on; the last factor counts."""
+        """Set the factor of all learning rates, at most 1; it replaces an earlier one."""
 
     def stop_growth(self, iteration: int) -> None:
         """Add and remove no Gaussians from an iteration on."""
 
     def has_recovered(self, iteration: int) -> bool:
-        """Return whether the part has recovered from its last large change; only then may training end."""
+        """Return whether training may end: the part has recovered from its last large change."""
         return True
 
     def not_finite(self) -> str | None:
@@ -47,7 +47,7 @@ class Part:
         """Restore what `state_dict` returned."""
 
     def report(self) -> dict[str, Any]:
-        """Return facts for the record, as JSON can hold them."""
+        """Return facts for the record that JSON can represent."""
         return {}
 
 

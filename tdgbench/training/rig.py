@@ -16,7 +16,7 @@ from torch import Tensor
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook
-from tdgbench.splats.pose import in_camera
+from tdgbench.splats.pose import to_camera_space
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.part import Part
 
@@ -90,7 +90,7 @@ class Rig(Part):
 
         def seen(gaussians: Gaussians, degree: int) -> GaussianTensors:
             active = (hook or Gaussians.activated)(gaussians, degree)
-            return self._lens(in_camera(active, viewmat), K, given)
+            return self._lens(to_camera_space(active, viewmat), K, given)
 
         return seen, given._replace(viewmat=torch.eye(4).to(viewmat), K=K.detach())
 

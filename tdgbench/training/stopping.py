@@ -1,7 +1,7 @@
-"""Rules that end a training early, by held-out training views or by the loss of the others.
+"""Rules that end a training early: by the PSNR of held-out training views, or by the loss of the others.
 
-`Settling`: what held-out views say about a training: when it needs more pixels, and when it settles and ends.
-`Plateau`: the training views' loss, averaged over whole rounds of them, no longer falls.
+`Settling` raises the resolution and ends the training once held-out views no longer improve. `Plateau` ends it once the
+loss, averaged over whole rounds of training views, no longer falls.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def windows(rule: SettlingRule, psnrs: list[list[float]]) -> tuple[np.ndarray, n
 
 
 class Settling(Stopping):
-    """Decides by a rule when a training goes on to more pixels, settles and ends; slows the optimisers down at last."""
+    """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Settling(Stopping):
         parts: Mapping[str, Part],
         errors: Callable[[View], np.ndarray],
     ) -> None:
-        """parts: those that slow down and stop to grow. errors: of the render of a view, (n, C) at n pixels."""
+        """parts: of the stage that runs. errors: returns the errors (n, C) of a view's render at n valid pixels."""
         self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
         self.parts, self.errors = parts, errors
         self._scale = curriculum.scale
@@ -117,7 +117,7 @@ class Settling(Stopping):
         return not self._best_scale or float(np.median(psnrs - self._best_psnrs)) >= self.rule.gain
 
     def _leave_resolution(self) -> None:
-        """Note what the resolution until now has reached, and begin with the curriculum's."""
+        """Compare the last resolution with the best one so far, and start with the current one."""
         if self._psnrs:
             reached = np.mean(self._psnrs[-self.rule.checks :], axis=0)
             if self._is_best(reached):

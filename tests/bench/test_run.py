@@ -32,15 +32,15 @@ class PulledPlugError(BaseException):
 
 def killed_at(iteration, monkeypatch):
     """Write a checkpoint at every iteration, and die after that of the given one."""
-    after_step = checkpoints.Checkpoint.after_step
+    write_if_due = checkpoints.Checkpoint.write_if_due
 
     def write_and_die(self, log):
         self._next = 0.0
-        after_step(self, log)
+        write_if_due(self, log)
         if log.iterations == iteration:
             raise PulledPlugError
 
-    monkeypatch.setattr(checkpoints.Checkpoint, "after_step", write_and_die)
+    monkeypatch.setattr(checkpoints.Checkpoint, "write_if_due", write_and_die)
 
 
 @pytest.fixture

@@ -55,12 +55,12 @@ def train_killed(make: Callable[[], Trainer], path: Path, stops: Sequence[int]) 
     """Train with a checkpoint after every iteration, killed after some; return the last trainer and its log."""
     for stop in (*stops, None):
         trainer, checkpoint = make(), Checkpoint(path, {"key": "k"}, 0.0)
-        log = checkpoint.take_up(trainer)
+        log = checkpoint.resume(trainer)
         assert checkpoint.notes == []
 
         def write(log: TrainingLog, checkpoint=checkpoint, stop=stop) -> None:
             checkpoint._next = 0.0  # however long writing takes
-            checkpoint.after_step(log)
+            checkpoint.write_if_due(log)
             if log.iterations == stop:
                 raise KilledError
 

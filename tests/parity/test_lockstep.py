@@ -55,7 +55,7 @@ class _Pulled(torch.autograd.Function):
 
 def original_order(state: TrainingState) -> list[int]:
     """Columns of our rows in the order of the original's: means, log_scales, quats, opacity_logits, sh."""
-    columns = [c for name in Gaussians.names() for c in range(*state.column_of(name).indices(COLUMNS))]
+    columns = [c for name in Gaussians.names() for c in range(*state.columns_of(name).indices(COLUMNS))]
     assert sorted(columns) == list(range(COLUMNS))
     return columns
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.thermal.maps import TERMS
-from tdgbench.thermal.priors import FEWEST, Widths, drift_of, places, shutter_events
+from tdgbench.thermal.priors import FEWEST, Widths, fit_drift, places, shutter_events
 
 PLACES = np.arange(60.0)
 ALL = np.ones(60, bool)
@@ -23,7 +23,7 @@ def test_places_are_in_the_order_of_counters_and_time_stamps():
 def test_a_smooth_drift_lets_expect_views_between_others():
     for seed in range(3):
         offsets, known = smooth(seed), np.arange(60) % 5 != 2
-        drift = drift_of(PLACES, offsets, known, 2.0)
+        drift = fit_drift(PLACES, offsets, known, 2.0)
         assert drift.jitter <= 0.1 and drift.length >= 4
         error = drift.expected(PLACES[~known], PLACES[known], offsets[known]) - offsets[~known]
         assert np.std(error) < 0.1 and np.std(error) < 0.25 * np.std(offsets[~known])
@@ -32,7 +32,7 @@ def test_a_smooth_drift_lets_expect_views_between_others():
 def test_offsets_without_an_order_let_expect_nothing():
     for seed in range(3):
         offsets, known = np.random.default_rng(seed).normal(size=60), np.arange(60) % 5 != 2
-        drift = drift_of(PLACES, offsets, known, 2.0)
+        drift = fit_drift(PLACES, offsets, known, 2.0)
         assert drift.jitter >= 0.9
         assert np.abs(drift.expected(PLACES[~known], PLACES[known], offsets[known])).max() < 0.4
 
@@ -41,9 +41,9 @@ def test_nothing_is_expected_across_a_shutter_event():
     offsets = 0.05 * (PLACES % 20) + np.random.default_rng(0).normal(0, 0.01, 60)
     known = ALL.copy()
     known[20] = False  # the first after the shutter
-    drift = drift_of(PLACES, offsets - offsets.mean(), known, 2.0)
+    drift = fit_drift(PLACES, offsets - offsets.mean(), known, 2.0)
     assert drift.events == (20.0, 39.5)
-    assert drift_of(PLACES, offsets - offsets.mean(), ALL, 2.0).events == (19.5, 39.5)
+    assert fit_drift(PLACES, offsets - offsets.mean(), ALL, 2.0).events == (19.5, 39.5)
     after = drift.expected(np.array([20.5]), PLACES[known], (offsets - offsets.mean())[known])
     assert after == pytest.approx(-offsets.mean(), abs=0.1) and -offsets.mean() < -0.4
 
@@ -54,13 +54,13 @@ def test_a_walk_has_no_shutter_events():
 
 def test_few_views_tell_nothing_of_a_drift():
     few = np.arange(60) < FEWEST - 1
-    assert drift_of(PLACES, smooth(0), few, 2.0).jitter == 1.0
-    assert drift_of(PLACES, np.zeros(60), ALL, 2.0).jitter == 1.0
+    assert fit_drift(PLACES, smooth(0), few, 2.0).jitter == 1.0
+    assert fit_drift(PLACES, np.zeros(60), ALL, 2.0).jitter == 1.0
 
 
 def test_no_drift_varies_more_than_cameras_do():
-    assert drift_of(PLACES, 100 * smooth(0), ALL, 2.0).variance == 4.0
-    assert drift_of(PLACES, smooth(0), ALL, 2.0).variance == pytest.approx(np.mean(smooth(0) ** 2))
+    assert fit_drift(PLACES, 100 * smooth(0), ALL, 2.0).variance == 4.0
+    assert fit_drift(PLACES, smooth(0), ALL, 2.0).variance == pytest.approx(np.mean(smooth(0) ** 2))
 
 
 def test_widths_of_images_without_temperatures_follow_their_contrast():

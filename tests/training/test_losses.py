@@ -15,7 +15,7 @@ from tdgbench.training.losses import (
     photometric,
     smoothness,
     ssim,
-    thermal,
+    thermal_loss,
 )
 from tdgbench.training.torch_losses import _blur, ssim_map
 from tests.helpers.masks import masks
@@ -60,11 +60,11 @@ def test_the_window_of_ssim_is_a_convolution():
 def test_losses_stay_on_the_device_of_the_image(reading):
     """Mixed devices raise an error; `meta` stands for a GPU."""
     image = torch.rand(20, 30, 3, device="meta", requires_grad=True)
-    loss = thermal(image, torch.rand(20, 30, 3, device="meta"), 0.2, 0.1, reading)
+    loss = thermal_loss(image, torch.rand(20, 30, 3, device="meta"), 0.2, 0.1, reading)
     loss.backward()
     assert loss.device.type == image.grad.device.type == "meta"
     with pytest.raises(RuntimeError, match="device"):
-        thermal(image, torch.rand(20, 30, 3), 0.2, 0.1, reading)
+        thermal_loss(image, torch.rand(20, 30, 3), 0.2, 0.1, reading)
     depth = torch.rand(20, 30, device="meta", requires_grad=True)
     inverse_expected_depth(depth, torch.rand(20, 30, device="meta"), 1e-3).sum().backward()
     assert depth.grad.device.type == "meta"
@@ -123,7 +123,7 @@ def test_unknown_reading():
 def test_fused_smoothness_is_the_torch_one(reading, shape):
     image = torch.rand(shape, generator=torch.Generator().manual_seed(0))
     fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
-    a, b = smoothness(fast, reading), smoothness(exact, reading)
+    a, b = thermal_loss(fast, image, 0.0, 1.0, reading), smoothness(exact, reading)
     a.backward()
     b.backward()
     assert a.item() == pytest.approx(b.item(), rel=1e-5, abs=1e-7)
@@ -194,7 +194,7 @@ def test_fused_masked_thermal_loss_is_the_torch_one(size, reading):
         a[~valid], b[~valid] = 1e4, torch.nan
 
         def loss(x, other=b, mask=valid):
-            return thermal(x, other.to(x.dtype), 0.2, 0.6, reading, mask)
+            return thermal_loss(x, other.to(x.dtype), 0.2, 0.6, reading, mask)
 
         fast, exact = value_and_gradient(loss, a), value_and_gradient(loss, a.double())
         assert fast[0] == pytest.approx(exact[0], rel=1e-5, abs=1e-6), name
@@ -223,7 +223,9 @@ def test_masked_losses_in_torch_are_those_of_their_definition(size):
         count = valid.sum() * size[2]
         assert smoothness(x, "paper", mask).item() == pytest.approx(total / (4 * count), abs=1e-12), name
         assert smoothness(x, "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-12), name
-        assert smoothness(x.float(), "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-5), name
+        assert thermal_loss(x.float(), x.float(), 0.0, 1.0, "reference", mask).item() == pytest.approx(
+            wrapped / count, abs=1e-5
+        ), name
 
 
 def test_a_mask_that_masks_nothing_changes_nothing():
@@ -251,7 +253,7 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
         for threads in (1, 2, 3, 7):
             pool.set_threads(threads)
             x = a.clone().requires_grad_()
-            value = thermal(x, b, 0.2, 0.6, "reference", valid)
+            value = thermal_loss(x, b, 0.2, 0.6, "reference", valid)
             value.backward()
             found.append((value.item(), x.grad.numpy().tobytes()))
     finally:

@@ -124,10 +124,11 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     """A checkpoint in the second stage of a method that has only one now."""
     trainer = two_stages(small_gray_scene)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    train(trainer, on_step=checkpoint.after_step, log=checkpoint.take_up(trainer))
+    log = train(trainer, log=checkpoint.resume(trainer))
+    checkpoint.write_if_due(log)
     other = ready_to_train(small_gray_scene, "splat", ITERATIONS, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    assert checkpoint.take_up(other).iterations == 0 and other.stage_number == other.iterations_before == 0
+    assert checkpoint.resume(other).iterations == 0 and other.stage_number == other.iterations_before == 0
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
 
 

@@ -21,7 +21,7 @@ from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import read_image
 from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.temperature import read_radiometry
-from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal
+from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal_loss
 
 FAMILY = "losses"
 SIZE = (24, 32)
@@ -41,7 +41,7 @@ def cases() -> list[Case]:
 def _losses() -> list[tuple[str, Loss, Tensor]]:
     """Return name, loss, and the tensor at which its value and gradient are compared."""
     black, white, noise = torch.zeros(*SIZE, 1), torch.ones(*SIZE, 1), _noise(0)
-    depth = _noise(1)[..., 0] * 5 + 1
+    depth, pixel = _noise(1)[..., 0] * 5 + 1, torch.ones(1, 1, 1)
     clear, other = torch.zeros(*SIZE), _noise(2)[..., 0] * 5 + 1
     return [
         ("SSIM of two black images", lambda x: ssim(x, black.to(x)), black),
@@ -49,14 +49,10 @@ def _losses() -> list[tuple[str, Loss, Tensor]]:
         ("SSIM of black and white", lambda x: ssim(x, white.to(x)), black),
         ("L1 of equal images", lambda x: l1(x, noise.to(x)), noise),
         ("smoothness of a constant image", lambda x: smoothness(x, "paper"), white),
-        ("the thermal loss of one pixel", lambda x: thermal(x, white[:1, :1].to(x), 0.2, 0.6, "paper"), black[:1, :1]),
-        (
-            "the thermal loss of one pixel, wrapped around",
-            lambda x: thermal(x, white[:1, :1].to(x), 0.2, 0.6, "reference"),
-            black[:1, :1],
-        ),
-        ("the thermal loss of one row", lambda x: thermal(x, noise[:1].to(x), 0.2, 0.6, "paper"), noise[1:2]),
-        ("the thermal loss of values of 1e6", lambda x: thermal(x, noise.to(x), 0.2, 0.6, "paper"), noise * 1e6),
+        ("the thermal loss of one pixel", lambda x: thermal_loss(x, pixel.to(x), 0.2, 0.6, "paper"), 0 * pixel),
+        ("the same, wrapped around", lambda x: thermal_loss(x, pixel.to(x), 0.2, 0.6, "reference"), 0 * pixel),
+        ("the thermal loss of one row", lambda x: thermal_loss(x, noise[:1].to(x), 0.2, 0.6, "paper"), noise[1:2]),
+        ("the thermal loss of values of 1e6", lambda x: thermal_loss(x, noise.to(x), 0.2, 0.6, "paper"), noise * 1e6),
         ("min-max of a constant map", lambda x: min_max(x).sum(), clear + 3),
         ("min-max of a range of 1e-7", lambda x: min_max(x).square().sum(), 1 + 1e-7 * depth),
         ("min-max of values of 1e9", lambda x: min_max(x).square().sum(), 1e9 * depth),

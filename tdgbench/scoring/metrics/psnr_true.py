@@ -1,4 +1,4 @@
-"""PSNR to the true temperatures, which are known of made scenes: what a thermal camera's errors cost a model."""
+"""PSNR to the true temperatures of made scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a thermal camera shows of a model's renders: the response that its training views were corrected for."""
+"""Apply the estimated response of a thermal camera to renders of a model that was trained on corrected views."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class ImageResponse:
     """Response of a camera in image values, and the range of the images that a model was trained on.
 
     shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), T = low + (high − low) · render.
-    offsets, gains: by view. Those of test views are not read from them: an offset is what the neighbours in the
-    sequence let expect, a gain is 1. vignette: (K,) coefficients of `maps`. columns, rows: fixed pattern.
+    offsets, gains: by view. Test views are not read: their offset is interpolated in the sequence, their gain is 1.
+    vignette: (K,) coefficients of `maps`. columns, rows: fixed pattern.
     """
 
     reference: float = 0.0
@@ -38,11 +38,11 @@ class ImageResponse:
             raise ValueError(f"the range of a response ends at {self.high:g}, not above {self.low:g}")
 
     def temperatures(self, render: np.ndarray) -> np.ndarray:
-        """Return values (H, W, C) float32 that an ideal camera would show of a render, not clipped."""
+        """Return the image (H, W, C) float32 of a render by an ideal camera, not clipped."""
         return render if (self.low, self.high) == (0.0, 1.0) else _float32(self.low + (self.high - self.low) * render)
 
     def of(self, render: np.ndarray, view: str) -> np.ndarray:
-        """Return what the camera shows of a render (H, W, C) of a view, float32, not clipped."""
+        """Return the image (H, W, C) float32 of a render of a view by this camera, not clipped."""
         values = self.temperatures(render)
         if self.is_ideal:
             return values
@@ -52,24 +52,24 @@ class ImageResponse:
 
     @property
     def is_ideal(self) -> bool:
-        """True if it shows temperatures as they are."""
+        """Whether the camera has no response of its own."""
         return not (self.offsets or self.gains or self.vignette or self.columns or self.rows)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return vignette plus fixed pattern (height, width), which all views share."""
         pattern = line_map(self.columns, self.rows, width, height)
         return pattern + evaluate(np.array(self.vignette), width, height) if self.vignette else pattern
 
     def as_json(self) -> dict[str, Any]:
-        """Return its numbers, as a record holds them."""
+        """Return the fields for a record, without empty ones."""
         return {name: value for name, value in asdict(self).items() if value not in ((), {})}
 
 
-IDEAL = ImageResponse()  # shows renders as they are
+IDEAL = ImageResponse()
 
 
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
-    """Return the response that a record states; that of an ideal camera where it states none. Raises ValueError."""
+    """Return the response in a record, by default an ideal camera's. Raises ValueError for invalid fields."""
     return TypeAdapter(ImageResponse).validate_python({} if stated is None else stated)
 
 
