@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -23,7 +23,6 @@ ALTERNATIVES = {  # for real scenes: what to add to the command line, and what T
     "files": "prior.estimator.folder=DIR (maps made elsewhere)",
     "sfm_points": "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)",
 }
-LONGEST_REASON = 300  # characters of a library's message
 
 
 class PriorError(Exception):
@@ -116,28 +115,27 @@ def prepare(estimator: DepthEstimator) -> None:
 
 
 @contextmanager
-def importing(prior: str) -> Iterator[None]:
-    """Import libraries: what fails in this context becomes PriorUnavailableError."""
+def unavailable(prior: str, reason: str, remedy: str) -> Iterator[None]:
+    """Turn what fails in this context, in any library, into PriorUnavailableError."""
     try:
         yield
-    except MemoryError:
+    except (MemoryError, PriorError):
         raise
-    except Exception as error:  # a broken package raises many kinds
-        reason = f"a package is missing or broken ({shortened(str(error), LONGEST_REASON)})"
-        raise PriorUnavailableError(prior, reason, "pip install -e '.[depth]'") from error
+    except Exception as error:
+        raise PriorUnavailableError(
+            prior, f"{reason} ({type(error).__name__}: {shortened(str(error))})", remedy
+        ) from error
 
 
-@contextmanager
-def loading(prior: str, model: str) -> Iterator[None]:
-    """Get a model: what fails in this context becomes PriorUnavailableError."""
-    try:
-        yield
-    except MemoryError:
-        raise
-    except Exception as error:  # the libraries raise many kinds
-        reason = f"no weights of {model} ({type(error).__name__}: {shortened(str(error), LONGEST_REASON)})"
-        remedy = "connect to the Hugging Face hub once, or name a copy: HF_HOME=CACHE, or prior.estimator.model=FOLDER"
-        raise PriorUnavailableError(prior, reason, remedy) from error
+def importing(prior: str, extra: str = "depth") -> AbstractContextManager[None]:
+    """Turn errors of importing the packages of an extra into PriorUnavailableError."""
+    return unavailable(prior, "a package is missing or broken", f"pip install -e '.[{extra}]'")
+
+
+def loading(prior: str, model: str) -> AbstractContextManager[None]:
+    """Turn errors of getting a model from the Hugging Face hub into PriorUnavailableError."""
+    remedy = "connect to the Hugging Face hub once, or name a copy: HF_HOME=CACHE, or prior.estimator.model=FOLDER"
+    return unavailable(prior, f"no weights of {model}", remedy)
 
 
 def chosen_device(name: str) -> torch.device:

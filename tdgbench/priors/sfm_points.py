@@ -6,6 +6,8 @@ Planes are linear in inverse depth. Needs no network.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 from scipy.sparse import coo_matrix, diags
@@ -19,6 +21,7 @@ from tdgbench.scenes.images import resize
 MIN_POINTS = 8
 
 
+@dataclass
 class SfmPointsPrior:
     """Prior of kind `disparity`, in inverse world units.
 
@@ -26,10 +29,10 @@ class SfmPointsPrior:
     a point is hidden if it lies more than this share behind the nearest point within 2 cells.
     """
 
-    def __init__(
-        self, grid_width: PositiveInt, edge: PositiveFloat, smoothness: PositiveFloat, occlusion: NonNegativeFloat
-    ) -> None:
-        self.grid_width, self.edge, self.smoothness, self.occlusion = grid_width, edge, smoothness, occlusion
+    grid_width: PositiveInt
+    edge: PositiveFloat
+    smoothness: PositiveFloat
+    occlusion: NonNegativeFloat
 
     def identity(self, scene: Scene) -> dict[str, object]:
         return {"estimator": "sfm_points", **vars(self)}

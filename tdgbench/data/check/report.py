@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.table import Table
@@ -34,20 +35,20 @@ def print_table(root: Path, checks: list[SceneCheck]) -> None:
 
 def _row(check: SceneCheck) -> list[str]:
     status = f"[{COLORS[check.status]}]{check.status}[/]"
-    layout = one_line(check.layout).replace("[", r"\[")
+    name, layout = (one_line(text).replace("[", r"\[") for text in (check.name, check.layout or ""))
     if not check.views:
-        return [one_line(check.name).replace("[", r"\["), layout, *[""] * 7, status]
-    views = str(check.views) if check.published is None else f"{check.views} of {check.published}"
+        return [name, layout, *[""] * 7, status]
+    published, offset = check.views_published, check.edge_offset
     return [
-        one_line(check.name).replace("[", r"\["),
+        name,
         layout,
-        views,
+        str(check.views) if published is None else f"{check.views} of {published}",
         f"{check.train} + {check.test}",
-        ", ".join(f"{width}×{height}" for width, height in check.sizes[:2]) + (" …" if check.sizes[2:] else ""),
+        ", ".join(f"{width}×{height}" for width, height in check.sizes_px[:2]) + (" …" if check.sizes_px[2:] else ""),
         str(check.channels),
         _range(check),
-        "n/a" if check.masked is None else f"{100 * check.masked:.1f} %",
-        f"{check.offset.px:.1f} ± {check.offset.spread:.1f}" if isinstance(check.offset, Offset) else "n/a",
+        "n/a" if check.masked_share is None else f"{100 * check.masked_share:.1f} %",
+        f"{offset.px:.1f} ± {offset.spread:.1f}" if isinstance(offset, Offset) else "n/a",
         status,
     ]
 
@@ -56,46 +57,26 @@ def _range(check: SceneCheck) -> str:
     """Return what image values 0 and 1 are, in words."""
     if check.counts is not None:
         return f"counts {check.counts[0]} to {check.counts[1]}"
-    return "n/a" if check.temperature is None else f"{check.temperature[0]:.1f} to {check.temperature[1]:.1f} °C"
+    span = check.temperature_degC
+    return "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f} °C"
 
 
 def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
     """Return the check as JSON with stable keys, described in docs/data.md."""
+    scenes = []
+    for check in checks:
+        offset = check.edge_offset
+        edges: dict[str, object] = {"edge_offset_px": None, "edge_offset": None, "edge_offset_unknown": offset}
+        if isinstance(offset, Offset):
+            edges = {"edge_offset_px": offset.px, "edge_offset": offset._asdict(), "edge_offset_unknown": None}
+        scenes.append({**asdict(check), **edges})
     return json.dumps(
         {
             "format": 2,
             "root": str(root),
             "scenes_of": "paper" if is_paper else "folder",
             "usable": all(check.status == "ok" for check in checks),
-            "scenes": [_scene_json(check) for check in checks],
+            "scenes": scenes,
         },
         indent=1,
     )
-
-
-def _scene_json(check: SceneCheck) -> dict[str, object]:
-    offset = check.offset
-    is_known = isinstance(offset, Offset)
-    return {
-        "name": check.name,
-        "dataset": check.dataset,
-        "status": check.status,
-        "folder": check.folder or None,
-        "layout": check.layout or None,
-        "views": check.views,
-        "views_published": check.published,
-        "views_with_rgb": check.rgb,
-        "train": check.train,
-        "test": check.test,
-        "sizes_px": [list(size) for size in check.sizes],
-        "channels": check.channels,
-        "temperature_degC": None if check.temperature is None else list(check.temperature),
-        "counts": None if check.counts is None else list(check.counts),
-        "masked_share": check.masked,
-        "points": check.points,
-        "edge_offset_px": offset.px if isinstance(offset, Offset) else None,
-        "edge_offset": offset._asdict() if isinstance(offset, Offset) else None,
-        "edge_offset_unknown": None if is_known or offset is None else offset.reason,  # type: ignore[union-attr]
-        "problems": check.problems,
-        "notes": check.notes,
-    }

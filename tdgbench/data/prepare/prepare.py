@@ -150,7 +150,7 @@ def _write_views(
                 pairs.append(ViewPair(rgb, np.atleast_3d(thermal).astype(np.float32), valid))
             count(index + 1)
     offset = edge_offset(pairs)
-    report.edge_offset = {**offset._asdict(), "px": offset.px} if isinstance(offset, Offset) else offset.reason
+    report.edge_offset = {**offset._asdict(), "px": offset.px} if isinstance(offset, Offset) else offset
     return writer
 
 
