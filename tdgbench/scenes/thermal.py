@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from tdgbench.scenes.celsius import (
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import storage
+from tdgbench.scenes.layouts import SceneFiles
+from tdgbench.scenes.measured import (
     CELSIUS_OF_IMAGES,
     COUNTS,
     array_reader,
@@ -13,13 +16,10 @@ from tdgbench.scenes.celsius import (
     measured_images,
     read_counts,
 )
-from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import storage
-from tdgbench.scenes.layouts import SceneFiles
-from tdgbench.scenes.measured import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry, check_range
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.warped import WarpedPictures, is_picture
 from tdgbench.text import some
 

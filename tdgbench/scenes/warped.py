@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from tdgbench.scenes.celsius import Reader, Temperatures
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import grown
 from tdgbench.scenes.images import read_image
+from tdgbench.scenes.measured import Reader, Temperatures
 from tdgbench.scenes.temperature import Radiometry
 
 PICTURES = (".jpg", ".jpeg", ".png")

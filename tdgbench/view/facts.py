@@ -43,24 +43,19 @@ def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell]
     return " · ".join(f"{name} {text}" for (name, _), text in zip(shown, texts, strict=True))
 
 
-def bar_of(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
-    """Return the colour bar of a rendered look; none where its pictures are colours already."""
+def color_bar(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
+    """Return the colour bar of a rendered look with the values at its ends; none for pictures in colour."""
     look, whole = frame.look, frame.whole
     if whole is None:
         return ""
     ends = [np.array([whole[0] + share * (whole[1] - whole[0])]) for share in look.span]
-    low, high = (value_text(end, look.quantity, cells[frame.parts[0].cell].degC) for end in ends)
-    return bar(look.colors, low, high)
-
-
-def bar(colors: str, low: str, high: str) -> str:
-    """Return a colour bar with the texts of its ends."""
-    table = lookup_table(colors)[np.linspace(0, 255, STOPS).astype(int)]
+    texts = [value_text(end, look.quantity, cells[frame.parts[0].cell].degC) for end in ends]
+    table = lookup_table(look.colors)[np.linspace(0, 255, STOPS).astype(int)]
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in table)
-    ends = f"<span>{escape(low)}</span><span>{escape(high)}</span>"
     return (
         f'<div style="{STYLE}"><div style="height:0.8em;border-radius:2px;background:linear-gradient(90deg,{stops})">'
-        f'</div><div style="display:flex;justify-content:space-between">{ends}</div></div>'
+        '</div><div style="display:flex;justify-content:space-between">'
+        f"{''.join(f'<span>{escape(text)}</span>' for text in texts)}</div></div>"
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import viser
@@ -40,12 +39,8 @@ class Frustums:
                 color=TEST_COLOR if view in cell.test else TRAIN_COLOR, thickness=1.5, thickness_units="screen",
                 image=thumbnails.get(view), cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-            handle.on_click(self._going_to(view, on_click))
+            handle.on_click(lambda _, view=view: on_click(view))  # type: ignore[misc]
             self._handles[view] = handle
-
-    @staticmethod
-    def _going_to(view: str, on_click: Callable[[str], None]) -> Callable[[Any], None]:
-        return lambda _: on_click(view)
 
     def show(self, visible: bool) -> None:
         """Show or hide all cameras."""

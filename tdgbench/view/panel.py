@@ -48,15 +48,18 @@ class Panel:
     def look(self) -> Look:
         """Return what is chosen to be shown."""
         low, high = self._span.value
-        beside = self._beside.value
         return Look(
-            self._cell.value, self._quantity_value(), self._colors.value, (low / 100, max(high, low + 1) / 100),
-            "" if beside == ALONE else beside, self._divide.value / 100,
-        )  # fmt: skip
+            cell=self._cell.value,
+            quantity=self._quantities[self._quantity.value],
+            colors=self._colors.value,
+            span=(low / 100, max(high, low + 1) / 100),
+            beside="" if self._beside.value == ALONE else self._beside.value,
+            divide=self._divide.value / 100,
+        )
 
     def describe(self, frame: RenderedLook) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
-        self._bar.content = facts.bar_of(frame, self.cells)
+        self._bar.content = facts.color_bar(frame, self.cells)
         self._colors.visible = self._span.visible = frame.whole is not None
 
     def show_value(self, text: str) -> None:
@@ -113,9 +116,6 @@ class Panel:
         @buttons.on_click
         def _(_: viser.GuiEvent) -> None:
             self._on_step(1 if buttons.value == NEXT else -1)
-
-    def _quantity_value(self) -> str:
-        return self._quantities[self._quantity.value]
 
 
 def _line(title: str, text: str = "") -> str:

@@ -7,7 +7,7 @@ from PIL import Image
 from scipy import ndimage
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.celsius import array_reader
+from tdgbench.scenes.measured import array_reader
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 from tdgbench.scenes.warped import BLOCK, WarpedPictures, filler_below, is_picture

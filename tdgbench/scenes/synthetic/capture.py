@@ -47,17 +47,6 @@ class TrueRig:
             value = getattr(self, option.name)
             object.__setattr__(self, option.name, float(value) if option.name == "focal" else [float(v) for v in value])
 
-    @property
-    def title(self) -> str:
-        """The options that are not the default, for the name of a folder.
-
-        >>> TrueRig(offset=[0.1, 0, 0], focal=1.2).title
-        '-rig_offset0.1,0,0-rig_focal1.2'
-        """
-        none = TrueRig()
-        changed = (option.name for option in fields(self) if getattr(self, option.name) != getattr(none, option.name))
-        return "".join(f"-rig_{name}{_text(getattr(self, name))}" for name in changed)
-
     def camera(self, given: Camera) -> Camera:
         """Return the thermal camera beside a given one, without its distortion."""
         move = np.eye(4)
@@ -91,10 +80,6 @@ class TrueRig:
         return K[:2, 2] + (pixels - K[:2, 2]) * factor[:, None]
 
 
-def _text(value: float | list[float]) -> str:
-    return ",".join(f"{number:g}" for number in (value if isinstance(value, list) else [value]))
-
-
 @dataclass(frozen=True)
 class CaptureErrors:
     """Standard deviations of errors, each drawn anew for every view (noise: for every pixel) and normally distributed.
@@ -115,17 +100,6 @@ class CaptureErrors:
     rig: TrueRig = field(default_factory=TrueRig)
 
     @property
-    def title(self) -> str:
-        """The errors that are not the default, for the name of a folder.
-
-        >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
-        ('', '-drift_degC0.5')
-        """
-        numbers = (option for option in fields(self) if option.name not in ("camera", "rig"))
-        changed = (option.name for option in numbers if getattr(self, option.name) != option.default)
-        return "".join(f"-{name}{getattr(self, name):g}" for name in changed) + self.camera.title + self.rig.title
-
-    @property
     def has_truth(self) -> bool:
         """True if the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
         return self.drift_degC > 0 or self.camera != ThermalErrors() or self.rig != TrueRig()
@@ -143,15 +117,11 @@ class CaptureErrors:
         if self.pose_degrees == 0 and self.pose_units == 0:
             return cameras
         rng = np.random.default_rng([seed, STREAM, 1])
-        return [self.misplaced(camera, rng) for camera in cameras]
+        return [self._misplaced(camera, rng.normal(size=(2, 3))) for camera in cameras]
 
-    def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
-        """Return the camera, turned and displaced by errors drawn from `rng`."""
-        return self.moved(camera, np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
-
-    def moved(self, camera: Camera, error_sizes: np.ndarray) -> Camera:
-        """Return the camera with errors (6,) in standard deviations: of the turn, of the displacement."""
+    def _misplaced(self, camera: Camera, errors: np.ndarray) -> Camera:
+        """Return the camera, turned and displaced by errors (2, 3) in standard deviations."""
         error = np.eye(4)
-        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * error_sizes[:3], degrees=True).as_matrix()
-        error[:3, 3] = self.pose_units * error_sizes[3:]
+        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * errors[0], degrees=True).as_matrix()
+        error[:3, 3] = self.pose_units * errors[1]
         return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)

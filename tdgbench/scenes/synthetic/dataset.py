@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +19,6 @@ from tdgbench.scenes.scene import Scene
 from tdgbench.scenes.synthetic.capture import CaptureErrors
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.synthetic.write import Shot, write_scene
-
-LONGEST = 150  # characters that errors have in a folder's name, which may have 255
 
 
 class SyntheticDataset:
@@ -75,12 +74,11 @@ class SyntheticDataset:
         return outline_scene(folder, description, options, LAYOUTS["rgbt_scenes"])  # every pixel was measured
 
     def folder(self, name: str) -> Path:
-        """Return the folder of a scene, whose name has all parameters and a hash of the generator."""
+        """Return the folder of a scene; its name has the parameters, a hash of the errors and one of the generator."""
         source = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
         version = hashlib.sha256(source).hexdigest()[:8]
         shot = self.shot
         counts = f"{shot.width}x{shot.height}-{shot.views}v-{shot.points}p-seed{shot.seed}"
-        errors = shot.errors.title
-        if len(errors) > LONGEST:
-            errors = f"{errors[:LONGEST]}-{hashlib.sha256(errors.encode()).hexdigest()[:8]}"
+        stated = json.dumps(asdict(shot.errors), sort_keys=True)
+        errors = "" if shot.errors == CaptureErrors() else f"-errors{hashlib.sha256(stated.encode()).hexdigest()[:8]}"
         return self.root / "synthetic" / f"{name}-{counts}{errors}-{version}"

@@ -12,7 +12,7 @@ Datasheet 500-0659-00-09, automatic FFC). A capture of a house: offsets of −4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -55,24 +55,9 @@ class ThermalErrors:
     vignette_y: Annotated[float, Field(ge=-1, le=1)] = 0.0
 
     @property
-    def title(self) -> str:
-        """The options that are not the default, for the name of a folder.
-
-        >>> ThermalErrors(gain=0.05, encoding="agc").title
-        '-gain0.05-agc'
-        """
-        numbers = (field for field in fields(self) if field.name != "encoding")
-        changed = [f"-{option.name}{getattr(self, option.name):g}" for option in numbers if getattr(self, option.name)]
-        return "".join(changed) + (f"-{self.encoding}" if self.encoding else "")
-
-    @property
     def files(self) -> Encoding:
         """How the thermal files are encoded."""
         return self.encoding or ("range" if self == ThermalErrors() else "degC")
-
-    def walk(self, views: int, rng: np.random.Generator) -> np.ndarray:
-        """Return offsets (views,) in °C of a camera that drifts; each closing of the shutter sets them back."""
-        return self.walk_degC * _walk(views, rng, self.shutter_views)
 
     def drawn(
         self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
@@ -87,7 +72,7 @@ class ThermalErrors:
         dead = streams[2].random((height, width)) < self.dead_share
         return TrueCamera(
             reference=(low + high) / 2,
-            offsets=drifts + self.walk(views, streams[0]),
+            offsets=drifts + self.walk_degC * _walk(views, streams[0], self.shutter_views),
             gains=1 + self.gain * streams[1].uniform(-1, 1, views),
             vignette=self.vignette_degC * vignette(width, height, self.vignette_x, self.vignette_y),
             pattern=self.pattern_degC * _pattern(height, width, streams[3]),

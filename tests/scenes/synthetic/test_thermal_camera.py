@@ -52,7 +52,6 @@ def test_a_vignette_off_the_centre_has_a_linear_part():
     assert row == 0 and column in (47, 48) and shape.min() >= 0
     assert shape.max() == shape[-1, 0] == pytest.approx(1, abs=0.05)
     assert np.polyfit(np.linspace(-0.5, 0.5, 64), shape.mean(axis=0), 2)[1] < -0.1
-    assert ThermalErrors(vignette_degC=2.6, vignette_x=0.25).title == "-vignette_degC2.6-vignette_x0.25"
 
 
 def test_vignette_is_radial_and_as_asked_at_the_corners():
@@ -90,10 +89,7 @@ def test_limits_of_gain_control_leave_out_tails():
     assert low == 7 and high > low
 
 
-def test_titles_name_what_is_set():
-    assert ThermalErrors().title == "" and ThermalErrors(walk_degC=4, shutter_views=10).title == (
-        "-walk_degC4-shutter_views10"
-    )
+def test_files_are_in_degC_if_the_camera_has_errors():
     assert [ThermalErrors(**errors).files for errors in ({}, {"gain": 0.1}, {"encoding": "agc"})] == [
         "range", "degC", "agc"
     ]  # fmt: skip
