@@ -21,7 +21,7 @@ from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import PERCENTILES, Radiometry, robust_range, sampled
+from tdgbench.scenes.temperature import PERCENTILES, CountScale, Radiometry, robust_range, sampled
 from tdgbench.scenes.validate import check_size
 from tdgbench.scenes.view_images import (
     UNMEASURED,
@@ -76,9 +76,7 @@ def array_reader(radiometry: Radiometry | None) -> Reader:
 
 def file_reader(radiometry: Radiometry | None) -> Reader:
     """Return a reader of cameras' radiometric files."""
-    if radiometry is None:
-        return _read_file
-    return partial(_read_file, degC_per_count=radiometry.degC_per_count, degC_at_zero=radiometry.degC_at_zero)
+    return partial(_read_file, scale=CountScale() if radiometry is None else radiometry.scale)
 
 
 def read_counts(path: Path) -> Temperatures:
@@ -86,8 +84,8 @@ def read_counts(path: Path) -> Temperatures:
     return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
 
 
-def _read_file(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> Temperatures:
-    return Temperatures(read_celsius(path, degC_per_count, degC_at_zero).astype(np.float32))
+def _read_file(path: Path, scale: CountScale) -> Temperatures:
+    return Temperatures(read_celsius(path, scale).astype(np.float32))
 
 
 def _read_array(path: Path, radiometry: Radiometry | None) -> Temperatures:
@@ -97,8 +95,8 @@ def _read_array(path: Path, radiometry: Radiometry | None) -> Temperatures:
     if values.ndim != 2 or 0 in values.shape:
         raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
     check_size(values.shape[1], values.shape[0], str(path))
-    if values.dtype.kind in "iu" and radiometry is not None and radiometry.degC_per_count is not None:
-        values = values * radiometry.degC_per_count + radiometry.degC_at_zero
+    if values.dtype.kind in "iu" and radiometry is not None and radiometry.scale.is_known:
+        values = radiometry.scale.degC(values)
     return Temperatures(values.astype(np.float32))
 
 

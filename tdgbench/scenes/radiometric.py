@@ -21,7 +21,7 @@ from PIL import Image
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
 from tdgbench.scenes.inputs import read_bytes, regular_file
-from tdgbench.scenes.temperature import TEMPERATURES
+from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 from tdgbench.scenes.validate import MAX_PIXELS
 
 JPEG_START, JPEG_SCAN, APP1, APP3 = b"\xff\xd8", 0xDA, 0xE1, 0xE3
@@ -29,6 +29,7 @@ FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
+NO_SCALE = CountScale()
 TIFF_STARTS = (b"II*\0", b"MM\0*")
 
 
@@ -70,11 +71,11 @@ def is_radiometric(path: Path) -> bool:
         return image.mode in (*COUNT_MODES, FLOAT_MODE)
 
 
-def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> np.ndarray:
+def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     """Read temperatures (H, W) float64 in °C; NaN where the file holds none.
 
     FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
-    counts × degC_per_count + degC_at_zero. Raises SceneError naming the file.
+    counts, of which `scale` says the temperature. Raises SceneError naming the file.
     """
     with regular_file(path).open("rb") as file:
         is_jpeg = file.read(2) == JPEG_START
@@ -83,12 +84,12 @@ def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: 
     with opened_image(path) as image:
         mode, values = image.mode, np.asarray(image).astype(np.float64)
     if mode in COUNT_MODES:
-        if degC_per_count is None:
+        if not scale.is_known:
             raise SceneError(
                 f"{path} holds counts; say which temperature they mean: degC_per_count and degC_at_zero "
                 "(in temperature.json, or as options)"
             )
-        values = values * degC_per_count + degC_at_zero
+        values = scale.degC(values)
     elif mode != FLOAT_MODE:
         raise SceneError(f"{path} has mode {mode}; temperatures are one channel of 16-bit counts or of float °C")
     return _valid_or_nan(values, path)

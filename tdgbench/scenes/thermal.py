@@ -42,8 +42,7 @@ def thermal_images(
             given = check_range(*options.temperature)
         except (ValueError, TypeError) as error:
             raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
-        scale = (None, 0.0) if radiometry is None else (radiometry.degC_per_count, radiometry.degC_at_zero)
-        radiometry = Radiometry(given, *scale)
+        radiometry = Radiometry(given) if radiometry is None else replace(radiometry, range=given)
     pictures = [name for name, source in sources.items() if is_picture(source.path)]
     if found.in_celsius and pictures:
         return _of_pictures(found, sources, pictures, train, options, radiometry, published)

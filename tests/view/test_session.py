@@ -61,10 +61,9 @@ def client() -> Iterator[SimpleNamespace]:
 
 @pytest.fixture
 def session(client, cells):
-    from tdgbench.view.frustums import thumbnails
-    from tdgbench.view.session import Session, Shown
+    from tdgbench.view.session import Session
 
-    return Session(client, Shown(cells, thumbnails(cells["tdg"]), width=320), Requests(rest=0))
+    return Session(client, cells, 320, Requests(rest=0))
 
 
 def all_wanted(session) -> list:

@@ -18,7 +18,7 @@ from tdgbench.scenes.images import is_gray
 SMOOTHING = 1.5  # px, σ of the Gaussian before the gradient
 STRONGEST = 99.0  # percentile of edges beyond which they count no more
 LARGEST_SHIFT, SHORTEST_RANGE = 0.05, 16  # of the width; px
-FEWEST_VIEWS = 3
+FEWEST_VIEWS, MOST_VIEWS = 3, 24
 SMALLEST = 96  # px, of the shorter side: measured on aligned images, errors were 0.4 px at 120 px, and 2 px at 36 px
 MIN_PROMINENCE = 6.0  # of the peak over the other shifts, in their robust standard deviations
 MAX_SPREAD = 3.0  # px
@@ -46,6 +46,11 @@ class Offset(NamedTuple):
     def px(self) -> float:
         """Length of the offset in px."""
         return float(np.hypot(self.x, self.y))
+
+
+def chosen_views(count: int) -> set[int]:
+    """Return the numbers of the views, of `count` in order, whose edges are compared."""
+    return set(np.linspace(0, count - 1, min(MOST_VIEWS, count)).round().astype(int))
 
 
 def edge_offset(pairs: Sequence[ViewPair]) -> Offset | str:

@@ -10,14 +10,13 @@ from typing import Literal
 
 import numpy as np
 
-from tdgbench.data.check.alignment import Offset, ViewPair, edge_offset
+from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.images import SUFFIXES, read_pixels
 from tdgbench.scenes.inputs import is_folder, listed
 from tdgbench.scenes.layouts import detect
 
-VIEWS_FOR_OFFSET = 24  # views of a scene whose edges are compared
 MOST_PROBLEMS = 20  # of a scene, in words
 
 # Numbers of views that the authors publish. RGBT-Scenes: camera files in `<Scene>/raw_images/` of the folder that
@@ -166,7 +165,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
 def _read_rgb(scene: Scene, check: SceneCheck) -> None:
     """Read each RGB image; some of them give the offset of edges."""
     views = [view for view in scene.views if view.load_rgb is not None]
-    used = set(np.linspace(0, len(views) - 1, min(VIEWS_FOR_OFFSET, len(views))).round().astype(int))
+    used = chosen_views(len(views))
     pairs = []
     for index, view in enumerate(views):
         rgb = _read(view.load_rgb, check)  # not view.rgb, which would stay in memory

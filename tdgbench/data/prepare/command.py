@@ -6,11 +6,11 @@ import argparse
 import math
 from pathlib import Path
 
-from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
 
 

@@ -10,9 +10,8 @@ import numpy as np
 import pycolmap
 
 from tdgbench.bench.lock import file_lock
-from tdgbench.data.check.alignment import Offset, ViewPair, edge_offset
-from tdgbench.data.prepare.captured import Captured, capture, too_few
-from tdgbench.data.prepare.extract import CountScale
+from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
+from tdgbench.data.prepare.capture import Capture, read_capture, too_few
 from tdgbench.data.prepare.mapping import Mapping, from_file, inside_photo, same_view
 from tdgbench.data.prepare.output import SceneWriter
 from tdgbench.data.prepare.report import Report
@@ -23,9 +22,7 @@ from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
-from tdgbench.scenes.temperature import FILE, read_radiometry
-
-VIEWS_FOR_OFFSET = 24
+from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 
 @dataclass(frozen=True)
@@ -68,16 +65,16 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) -> None:
     work = part / "work"
     work.mkdir()
-    captured = capture(folder, work, options.pairs, options.counts, report)
-    if options.sfm is not None and len(captured.names) < FEWEST_IMAGES:
-        raise too_few(folder, len(captured.names), report)
-    mapping, own = _choose_mapping(captured, options)
+    capture = read_capture(folder, work, options.pairs, options.counts, report)
+    if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
+        raise too_few(folder, len(capture.names), report)
+    mapping, own = _choose_mapping(capture, options)
     structure = None
     if options.sfm is not None:
-        structure = reconstruct(work, list(captured.names.values()), work, options.sfm)
-        _note_structure(structure, captured, report)
-    source: pycolmap.Camera = no_distortion(captured.rgb_size) if structure is None else structure.camera
-    grid = make_grid(source, mapping, captured.thermal_size, options.width)
+        structure = reconstruct(work, list(capture.names.values()), work, options.sfm)
+        _note_structure(structure, capture, report)
+    source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
+    grid = make_grid(source, mapping, capture.kind.thermal, options.width)
     report.assumptions += [
         mapping.assumption,
         "lens distortion is the RGB camera's, removed from both images alike"
@@ -85,22 +82,22 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
         else "images are not undistorted, and there is no model: run COLMAP on rgb/, into sparse/0",
     ]
     report.size = grid.size
-    views = _write_views(part, captured, (grid, mapping, own), report)
-    views.temperature(options.range or _known_range(folder, captured), report)
+    views = _write_views(part, capture, (grid, mapping, own), report)
+    views.temperature(options.range or _known_range(folder, capture), report)
     if structure is not None:
-        poses = {view: structure.poses[captured.names[view]] for view in views.names}
+        poses = {view: structure.poses[capture.names[view]] for view in views.names}
         views.model({f"{view}.png": grid.camera(pose) for view, pose in poses.items()}, structure.points)
     shutil.rmtree(work)
 
 
-def _choose_mapping(captured: Captured, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
+def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
     """Return the mapping that the output is cropped by, and those of views for which the camera states others."""
-    sizes = captured.rgb_size, captured.thermal_size
+    sizes = capture.kind.rgb, capture.kind.thermal
     if options.homography is not None:
         return from_file(options.homography), {}
     if options.mapping is not None:
         return inside_photo(options.mapping, *sizes, "--mapping"), {}
-    stated = captured.mappings
+    stated = capture.mappings
     if not stated:
         return same_view(*sizes), {}
     fields = [(one.real_to_ir, one.offset_x, one.offset_y) for one in stated.values()]
@@ -112,12 +109,12 @@ def _choose_mapping(captured: Captured, options: PrepareOptions) -> tuple[Mappin
     }
 
 
-def _note_structure(structure: Structure, captured: Captured, report: Report) -> None:
+def _note_structure(structure: Structure, capture: Capture, report: Report) -> None:
     report.models, report.error_px = structure.models, structure.error_px
     report.points = len(structure.points.points)
     report.camera = f"{structure.camera.model_name}, f = {structure.camera.mean_focal_length():.0f} px"
     for file in report.files:
-        name = captured.names.get(file.view)
+        name = capture.names.get(file.view)
         if file.status == "written" and name not in structure.poses:
             file.status = "not registered"
             file.reason = (
@@ -127,21 +124,21 @@ def _note_structure(structure: Structure, captured: Captured, report: Report) ->
 
 
 def _write_views(
-    part: Path, captured: Captured, place: tuple[Grid, Mapping, dict[str, Mapping]], report: Report
+    part: Path, capture: Capture, place: tuple[Grid, Mapping, dict[str, Mapping]], report: Report
 ) -> SceneWriter:  # fmt: skip
     """Resample and write the views that are in the scene, and measure the offset of their edges.
 
     place: the grid, the mapping of thermal images, and the views that have another one.
     """
     grid, mapping, own = place
-    writer = SceneWriter(part, captured.is_celsius)
+    writer = SceneWriter(part, capture.kind.is_celsius)
     written = [one for one in report.files if one.status == "written"]
-    sampled = set(np.linspace(0, len(written) - 1, min(VIEWS_FOR_OFFSET, len(written))).round().astype(int))
+    sampled = chosen_views(len(written))
     pairs: list[ViewPair] = []
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
-            rgb = grid.rgb(captured.rgb(one.view))
-            thermal, valid = grid.thermal(captured.thermal(one.view), own.get(one.view, mapping))
+            rgb = grid.rgb(capture.rgb(one.view))
+            thermal, valid = grid.thermal(capture.thermal(one.view), own.get(one.view, mapping))
             if not valid.any():
                 raise SceneError(f"{one.file}: no temperature lies inside the RGB image; leave the view out")
             one.invalid = float(1 - valid.mean())
@@ -154,7 +151,7 @@ def _write_views(
     return writer
 
 
-def _known_range(folder: Path, captured: Captured) -> tuple[float, float] | None:
+def _known_range(folder: Path, capture: Capture) -> tuple[float, float] | None:
     """Return °C of the values of shown images, if the folder's temperature.json says."""
-    radiometry = None if captured.is_celsius else read_radiometry(folder / FILE)
+    radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
     return None if radiometry is None else (radiometry.range.min, radiometry.range.max)

@@ -1,4 +1,4 @@
-"""Errors of a thermal camera: drift, gain, vignette, fixed pattern, blur, dead pixels, automatic gain control.
+"""Errors of a thermal camera: drift, gain, vignette, fixed pattern, automatic gain control.
 
 value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise, in °C, of
 temperatures T.
@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeInt
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d
 
 SMOOTHING = 4.0  # views, σ; over which the drift keeps its direction
 QUARTIC = 0.5  # share of r⁴ in the vignette, the rest is r²
@@ -37,10 +37,10 @@ class ThermalErrors:
     gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
     vignette_x, vignette_y: how far right of the image's centre and below it the vignette's is, as in real cameras;
     shares of width and height. A vignette off the centre has a linear part, and vignette_degC at the farthest corner.
-    pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns. blur_px: σ.
-    dead_share: of pixels that show one value in all views. encoding: of the thermal files. `range`: 8 bits of the
-    world's range, which clips, and the world's palette; `degC`: float TIFF; `agc`: 8-bit gray, each image stretched
-    on its own, so that temperatures are lost. None: `degC` if there is an error, else `range`.
+    pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns.
+    encoding: of the thermal files. `range`: 8 bits of the world's range, which clips, and the world's palette; `degC`:
+    float TIFF; `agc`: 8-bit gray, each image stretched on its own, so that temperatures are lost. None: `degC` if there
+    is an error, else `range`.
     """
 
     walk_degC: DegC = 0.0
@@ -48,8 +48,6 @@ class ThermalErrors:
     gain: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     vignette_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
     pattern_degC: DegC = 0.0
-    blur_px: Annotated[float, Field(ge=0, le=100)] = 0.0
-    dead_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     encoding: Encoding | None = None
     vignette_x: Annotated[float, Field(ge=-1, le=1)] = 0.0
     vignette_y: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -67,17 +65,14 @@ class ThermalErrors:
         Each kind of error has random numbers of its own, so that one does not change with another.
         """
         width, height = size
-        streams = [np.random.default_rng([*seed, number]) for number in range(4)]
+        walk, gain, pattern = (np.random.default_rng([*seed, number]) for number in (0, 1, 3))
         views, (low, high) = len(drifts), span
-        dead = streams[2].random((height, width)) < self.dead_share
         return TrueCamera(
             reference=(low + high) / 2,
-            offsets=drifts + self.walk_degC * _walk(views, streams[0], self.shutter_views),
-            gains=1 + self.gain * streams[1].uniform(-1, 1, views),
+            offsets=drifts + self.walk_degC * _walk(views, walk, self.shutter_views),
+            gains=1 + self.gain * gain.uniform(-1, 1, views),
             vignette=self.vignette_degC * vignette(width, height, self.vignette_x, self.vignette_y),
-            pattern=self.pattern_degC * _pattern(height, width, streams[3]),
-            dead=np.where(dead, streams[2].uniform(low, high, dead.shape), np.nan),
-            blur_px=self.blur_px,
+            pattern=self.pattern_degC * _pattern(height, width, pattern),
         )
 
 
@@ -90,16 +85,12 @@ class TrueCamera:
     gains: np.ndarray  # (V,)
     vignette: np.ndarray  # (H, W)
     pattern: np.ndarray  # (H, W)
-    dead: np.ndarray  # (H, W), what a dead pixel shows; NaN for pixels that work
-    blur_px: float = 0.0  # σ
     limits: np.ndarray | None = None  # (V, 2), shown as 0 and 255; None without automatic gain control
 
     def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
         """Return what the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
-        seen = gaussian_filter(degC, self.blur_px, mode="nearest") if self.blur_px else degC
-        shared = self.vignette + self.pattern
-        response = seen + (self.gains[view] - 1) * (seen - self.reference) + shared
-        return np.where(np.isnan(self.dead), response + noise + self.offsets[view], self.dead)
+        response = degC + (self.gains[view] - 1) * (degC - self.reference) + (self.vignette + self.pattern)
+        return response + noise + self.offsets[view]
 
 
 def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> np.ndarray:

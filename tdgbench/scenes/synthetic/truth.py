@@ -34,7 +34,7 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
     """Write the camera's fields as arrays, of which maps (H, W) are float32. scene: its folder."""
     (scene / FOLDER).mkdir()
     values = {field.name: getattr(truth.camera, field.name) for field in fields(TrueCamera)}
-    values |= {name: values[name].astype(np.float32) for name in ("vignette", "pattern", "dead")}
+    values |= {name: values[name].astype(np.float32) for name in ("vignette", "pattern")}
     known = {name: value for name, value in values.items() if value is not None}
     np.savez(scene / FOLDER / CAMERA, names=np.array(truth.names), **known)
 
@@ -51,8 +51,7 @@ def read_truth(scene: Path) -> CameraTruth:
         with np.load(regular_file(path), allow_pickle=False) as file:
             stored = dict(file)
         names = stored.pop("names").tolist()
-        reference, blur_px = float(stored.pop("reference")), float(stored.pop("blur_px"))
-        return CameraTruth(names, TrueCamera(reference=reference, blur_px=blur_px, **stored))
+        return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
     except Exception as error:  # numpy and zipfile raise many kinds
         raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error
 

@@ -56,4 +56,4 @@ def test_each_set_of_errors_has_a_folder(tmp_path):
 
 def test_only_errors_of_the_camera_have_a_truth():
     assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
-    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(camera=ThermalErrors(blur_px=1.0)).has_truth
+    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(camera=ThermalErrors(pattern_degC=1.0)).has_truth

@@ -67,17 +67,8 @@ def test_pattern_is_partly_one_of_columns():
     assert pattern.mean(axis=0).std() > 3 * pattern.mean(axis=1).std()
 
 
-def test_blur_and_dead_pixels():
-    degC, still = scene_temperatures(), np.zeros((36, 48))
-    camera = drawn(blur_px=1.5, dead_share=0.02)
-    first, second = camera.shown(degC, 0, still), camera.shown(degC + 1, 1, still)
-    dead = first == second
-    assert dead.mean() == pytest.approx(0.02, rel=0.5) and np.array_equal(dead, np.isfinite(camera.dead))
-    assert np.allclose(first[~dead], gaussian_filter(degC, 1.5, mode="nearest")[~dead])
-
-
 def test_one_error_does_not_change_the_random_numbers_of_another():
-    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1, dead_share=0.1), drawn(gain=0.05)
+    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1), drawn(gain=0.05)
     assert np.array_equal(both.gains, one.gains)
     assert np.array_equal(both.pattern, drawn(pattern_degC=0.1).pattern)
 
