@@ -11,9 +11,8 @@ from tdgbench.bench.record import FILE, record_files
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.verify.cell import verify_cell
+from tdgbench.verify.cell import read_cell, verify_cell
 from tdgbench.verify.findings import Findings
-from tdgbench.verify.stored_cell import read_cell
 
 OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
 

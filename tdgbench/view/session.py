@@ -8,12 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import viser
 
-from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.cursor import watch_cursor
-from tdgbench.view.frustums import add_frustums
-from tdgbench.view.panel import Panel
-from tdgbench.view.poses import ViserPose, focus, pose_of
+from tdgbench.view.panel import Panel, readout
+from tdgbench.view.poses import ViserPose, add_frustums, focus, pose_of
 from tdgbench.view.renderer import Look, RenderedLook
 from tdgbench.view.requests import Requests
 
@@ -86,7 +84,7 @@ class Session:
         """Show the values at a place of the picture; x and y are shares of its width and height."""
         self._cursor = (x, y)
         if self._frame is not None:
-            self.panel.show_value(facts.readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
+            self.panel.show_value(readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
 
     def show(self, frame: RenderedLook, is_fine: bool) -> None:
         """Send a picture to the browser."""

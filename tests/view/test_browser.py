@@ -10,7 +10,7 @@ import pytest
 
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import open_cells
-from tdgbench.view.facts import readout
+from tdgbench.view.panel import readout
 from tdgbench.view.poses import ViserPose, camera_of
 from tdgbench.view.renderer import Look, RenderedLook, Renderer
 from tests.helpers.browser import CHROMIUM, Page, opened
@@ -97,7 +97,7 @@ def test_a_click_on_a_camera_leads_there(viewer):
     waited(lambda: viewer.is_shown(viewer.expected()), 60, "the picture is the render")
     cell = viewer.renderer.cells["tdg"]
     other = cell.test[sorted(cell.test)[1]]
-    from tdgbench.view.frustums import size_of
+    from tdgbench.view.poses import size_of
 
     x, y = other.width / other.K[0, 0] / 2, other.height / other.K[1, 1] / 2
     ahead = size_of(cell) / np.cbrt(x * y / 3)  # of viser's frustums: as large as a pyramid of that volume

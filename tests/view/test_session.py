@@ -159,9 +159,9 @@ def test_a_picture_that_is_lost_meanwhile_is_told(session, cells, monkeypatch):
 
 
 def test_names_from_records_are_text(client, cells, monkeypatch):
-    from tdgbench.view import facts
+    from tdgbench.view.panel import numbers_table
 
     monkeypatch.setattr(cells["tdg"].record, "notes", [])
-    content = facts.numbers_table({"<b>tdg": cells["tdg"]})
+    content = numbers_table({"<b>tdg": cells["tdg"]})
     assert "&lt;b&gt;tdg" in content and "<b>" not in content
     assert f"{cells['tdg'].record.scores['psnr']:.2f}" in content and "PSNR, dB" in content

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from tdgbench.data.prepare.mapping import Size
 from tdgbench.data.prepare.report import FileReport, Report
+from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import ViewFiles, find_sources
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
@@ -104,7 +104,10 @@ def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale:
     if not kinds:
         raise too_few(folder, 0, report)
     if len(kinds) > 1:
-        found = [f"{len(views)} with {kind} ({views[0]} …)" for kind, views in kinds.items()]
+        found = [
+            f"{len(views)} with {kind} ({views[0]} …)"
+            for kind, views in sorted(kinds.items(), key=lambda item: -len(item[1]))
+        ]
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(found[:4])}. One scene is of one pair "
             "of cameras in one orientation: prepare each kind from a folder of its own"

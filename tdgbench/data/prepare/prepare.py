@@ -12,10 +12,9 @@ import pycolmap
 from tdgbench.bench.lock import file_lock
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
-from tdgbench.data.prepare.mapping import Mapping, from_file, inside_photo, same_view
 from tdgbench.data.prepare.output import SceneWriter
 from tdgbench.data.prepare.report import Report
-from tdgbench.data.prepare.resample import Grid, make_grid, no_distortion
+from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
 from tdgbench.data.progress import step
 from tdgbench.files import whole_folder
