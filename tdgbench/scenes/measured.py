@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import PERCENTILES, CountScale, Radiometry, robust_range, sampled
+from tdgbench.scenes.temperature import PERCENTILES, CountScale, robust_range, sampled
 from tdgbench.scenes.validate import check_size
 from tdgbench.scenes.view_images import (
     UNMEASURED,
@@ -37,9 +36,9 @@ from tdgbench.scenes.view_images import (
 
 @dataclass(frozen=True)
 class Unit:
-    """Of the values of a scene's files. steps: of one unit, in which the range of the values is whole.
+    """The unit of a scene's thermal values.
 
-    dtype: in which values are scaled; that of images keeps the bytes of scenes whose range is stated.
+    steps: the range of the values is rounded to 1 / steps of the unit. dtype: in which values are scaled to [0, 1].
     """
 
     name: str
@@ -69,34 +68,26 @@ class Temperatures(NamedTuple):
 Reader = Callable[[Path], Temperatures]
 
 
-def array_reader(radiometry: Radiometry | None) -> Reader:
-    """Return a reader of .npy files: °C, or counts where temperature.json says what they mean."""
-    return partial(_read_array, radiometry=radiometry)
-
-
-def file_reader(radiometry: Radiometry | None) -> Reader:
-    """Return a reader of cameras' radiometric files."""
-    return partial(_read_file, scale=CountScale() if radiometry is None else radiometry.scale)
-
-
 def read_counts(path: Path) -> Temperatures:
     """Read a 16-bit image of raw counts."""
     return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
 
 
-def _read_file(path: Path, scale: CountScale) -> Temperatures:
+def read_radiometric(path: Path, scale: CountScale) -> Temperatures:
+    """Read a camera's radiometric file, in °C or counts."""
     return Temperatures(read_celsius(path, scale).astype(np.float32))
 
 
-def _read_array(path: Path, radiometry: Radiometry | None) -> Temperatures:
+def read_npy(path: Path, scale: CountScale) -> Temperatures:
+    """Read an .npy file of °C, or of counts whose scale is known."""
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     if values.ndim != 2 or 0 in values.shape:
         raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
     check_size(values.shape[1], values.shape[0], str(path))
-    if values.dtype.kind in "iu" and radiometry is not None and radiometry.scale.is_known:
-        values = radiometry.scale.degC(values)
+    if values.dtype.kind in "iu" and scale.is_known:
+        values = scale.degC(values)
     return Temperatures(values.astype(np.float32))
 
 

@@ -1,4 +1,4 @@
-"""The controls of one browser: what is shown, values under the cursor, a colour bar, the record's numbers."""
+"""The controls of one browser: what is shown, the value of a pixel, a colour bar, the record's numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from PIL import Image
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.cursor import VALUE_ID
 from tdgbench.view.paint import COLOR_MAPS, as_rgb, lookup_table
 from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Look, RenderedLook
 
@@ -40,7 +39,7 @@ def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | No
 
 
 def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: str) -> str:
-    """Return the values under the cursor, of each cell."""
+    """Return the values of a pixel, of each cell."""
     texts = [value_text(values, quantity, cells[name].degC) for name, values in shown]
     if len(shown) == 1:
         return texts[0]
@@ -136,7 +135,7 @@ class Panel:
         self._colors.visible = self._span.visible = frame.whole is not None
 
     def show_value(self, text: str) -> None:
-        """Show what lies under the cursor."""
+        """Show the value of the pixel that was clicked."""
         self.readout.content = _line(self._title, text)
 
     def show_view(self, view: str) -> None:
@@ -192,8 +191,8 @@ class Panel:
 
 
 def _line(title: str, text: str = "") -> str:
-    """Return the scene, and the value under the cursor."""
-    value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
+    """Return the scene, and the value of a pixel."""
+    value = f'<span id="tdgbench-value">{escape(text)}</span>'
     return f'<div style="{STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
 

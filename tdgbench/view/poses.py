@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 import viser
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import ViewedCell
+from tdgbench.view.paint import as_rgb
 
 
 class ViserPose(NamedTuple):
@@ -72,26 +74,42 @@ def focus(cameras: Iterable[Camera]) -> np.ndarray:
 
 ROOT = "/cameras"
 TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
+THUMBNAIL_WIDTH = 96  # px
 SIZE = 0.045  # of the cameras' mean distance from the point that they look at
 
 
-def add_frustums(scene: viser.SceneApi, cell: ViewedCell, on_click: Callable[[str], None]) -> viser.FrameHandle:
-    """Add the cameras of a cell to one client's scene; return their common frame, which shows or hides them.
+class Frustums:
+    """The cameras of a cell in one client's scene. on_click is called with the name of a view."""
 
-    on_click: called with the name of a view.
-    """
-    root = scene.add_frame(ROOT, show_axes=False)
-    size = size_of(cell)
-    for number, (view, camera) in enumerate(cell.cameras.items()):
-        aspect = camera.width / camera.height
-        pose = pose_of(camera, aspect)
-        handle = scene.add_camera_frustum(
-            f"{ROOT}/{number}", pose.fov, aspect, scale=size, wxyz=pose.wxyz, position=pose.position,
-            color=TEST_COLOR if view in cell.test else TRAIN_COLOR, thickness=1.5, thickness_units="screen",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
-        handle.on_click(lambda _, view=view: on_click(view))  # type: ignore[misc]
-    return root
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        cell: ViewedCell,
+        thumbnails: Mapping[str, np.ndarray],
+        on_click: Callable[[str], None],
+    ) -> None:
+        self._root = scene.add_frame(ROOT, show_axes=False)
+        size = size_of(cell)
+        self._handles = {}
+        for number, (view, camera) in enumerate(cell.cameras.items()):
+            aspect = camera.width / camera.height
+            pose = pose_of(camera, aspect)
+            handle = scene.add_camera_frustum(
+                f"{ROOT}/{number}", pose.fov, aspect, scale=size, wxyz=pose.wxyz, position=pose.position,
+                color=TEST_COLOR if view in cell.test else TRAIN_COLOR, thickness=1.5, thickness_units="screen",
+                image=thumbnails.get(view), cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            handle.on_click(lambda _, view=view: on_click(view))  # type: ignore[misc]
+            self._handles[view] = handle
+
+    def show(self, visible: bool) -> None:
+        """Show or hide all cameras."""
+        self._root.visible = visible
+
+    def leave_out(self, view: str) -> None:
+        """Hide the camera that the viewer stands at, whose picture would cover everything."""
+        for name, handle in self._handles.items():
+            handle.visible = name != view
 
 
 def size_of(cell: ViewedCell) -> float:
@@ -99,3 +117,15 @@ def size_of(cell: ViewedCell) -> float:
     cameras = list(cell.cameras.values())
     centers = np.stack([camera.center for camera in cameras])
     return SIZE * float(np.linalg.norm(centers - focus(cameras), axis=1).mean())
+
+
+def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:
+    """Return small thermal pictures (H, W, 3) uint8 of the views that have one; a click on them is easy."""
+    found = {}
+    for view in cell.test:
+        picture = cell.pictures(view).get("thermal")
+        if picture is not None:
+            image = Image.fromarray(as_rgb(picture, "inferno"))
+            image.thumbnail((THUMBNAIL_WIDTH, THUMBNAIL_WIDTH))
+            found[view] = np.asarray(image)
+    return found

@@ -1,4 +1,4 @@
-"""Render a look at some cells from a camera: values for the cursor, and the picture that the browser shows."""
+"""Render a look at some cells from a camera: pixel values, and the picture that the browser shows."""
 
 from __future__ import annotations
 

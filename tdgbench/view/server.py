@@ -12,10 +12,10 @@ import rich
 import viser
 
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.poses import camera_of, up_direction
+from tdgbench.view.poses import camera_of, thumbnails, up_direction
 from tdgbench.view.renderer import Renderer
 from tdgbench.view.requests import RenderJob, Requests
-from tdgbench.view.session import Session, Wanted
+from tdgbench.view.session import Session, Shown, Wanted
 
 FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
 TARGET_SECONDS = 1 / 24  # per picture of a moving camera
@@ -32,7 +32,7 @@ class Viewer:
 
     def __init__(self, server: viser.ViserServer, cells: dict[str, ViewedCell], width: int) -> None:
         first = next(iter(cells.values()))
-        self._cells, self._width = cells, width
+        self._shown = Shown(cells, thumbnails(first), width)
         self._requests: Requests[Wanted] = Requests()
         self._renderer, self._pace = Renderer(cells), Pace()
         self._error: Exception | None = None
@@ -59,7 +59,7 @@ class Viewer:
         self._ended.set()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        Session(client, self._cells, self._width, self._requests)
+        Session(client, self._shown, self._requests)
 
     def _work(self) -> None:
         try:

@@ -9,9 +9,8 @@ import numpy as np
 import viser
 
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.cursor import watch_cursor
 from tdgbench.view.panel import Panel, readout
-from tdgbench.view.poses import ViserPose, add_frustums, focus, pose_of
+from tdgbench.view.poses import Frustums, ViserPose, focus, pose_of
 from tdgbench.view.renderer import Look, RenderedLook
 from tdgbench.view.requests import Requests
 
@@ -29,25 +28,29 @@ class Wanted(NamedTuple):
     height: int
 
 
+class Shown(NamedTuple):
+    """What all sessions show. width: most pixels of a picture's width. thumbnails: of the first cell's views."""
+
+    cells: dict[str, ViewedCell]
+    thumbnails: dict[str, np.ndarray]
+    width: int
+
+
 class Session:
     """A connected browser: its camera, controls and pictures."""
 
-    def __init__(
-        self, client: viser.ClientHandle, cells: dict[str, ViewedCell], width: int, requests: Requests[Wanted]
-    ) -> None:
-        """width: most pixels of a picture's width."""
-        self.client, self._requests, self._cells, self._width = client, requests, cells, width
-        self._first = next(iter(cells.values()))
+    def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
+        self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width
+        self._first = next(iter(shown.cells.values()))
         self._focus = focus(self._first.cameras.values())
         self._frame: RenderedLook | None = None
-        self._cursor: tuple[float, float] | None = None
+        self._clicked: tuple[float, float] | None = None
         self._turn = threading.RLock()  # viser calls from several threads at once
-        self.panel = Panel(client.gui, cells, self._look_changed, self.go_to, self.step)
+        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to, self.step)
         self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
         self._left = self._view  # the one before
-        watch_cursor(client.gui, self.read_at)
-        frustums = add_frustums(client.scene, self._first, self.go_to)
-        self.panel.cameras.on_update(lambda _: setattr(frustums, "visible", self.panel.cameras.value))
+        self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
+        self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
         client.camera.on_update(lambda _: self._moved())
         client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
         self.go_to(self._view)
@@ -78,11 +81,12 @@ class Session:
                 camera.look_at = pose.position + distance * forward
         self._view, self._aspect = view, camera.aspect
         self.panel.show_view(view)
+        self._frustums.leave_out(view)
         self._requests.moved(self.client.client_id, self._wanted())
 
     def read_at(self, x: float, y: float) -> None:
         """Show the values at a place of the picture; x and y are shares of its width and height."""
-        self._cursor = (x, y)
+        self._clicked = (x, y)
         if self._frame is not None:
             self.panel.show_value(readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
 
@@ -94,8 +98,8 @@ class Session:
         self._frame = frame
         if is_fine:
             self.panel.describe(frame)
-            if self._cursor is not None:
-                self.read_at(*self._cursor)
+            if self._clicked is not None:
+                self.read_at(*self._clicked)
 
     def _moved(self) -> None:
         camera = self.client.camera

@@ -14,7 +14,7 @@ from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
-from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, levels, limits
+from tdgbench.scenes.synthetic.capture import DegC, ThermalErrors, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth
 
 ROOM = 1.0  # °C between the values and the ends of the range

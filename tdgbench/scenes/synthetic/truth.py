@@ -10,8 +10,7 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_json, regular_file
-from tdgbench.scenes.synthetic.capture import TrueRig
-from tdgbench.scenes.synthetic.thermal_camera import TrueCamera
+from tdgbench.scenes.synthetic.capture import TrueCamera, TrueRig
 
 FOLDER = "camera"  # inside the scene's
 CAMERA, RIG = "camera.npz", "rig.json"

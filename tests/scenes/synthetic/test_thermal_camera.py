@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, limits, vignette
+from tdgbench.scenes.synthetic.capture import ThermalErrors, limits, vignette
 from tests.helpers.configs import config
 
 SIZE, SPAN = (48, 36), (10.0, 30.0)
