@@ -13,11 +13,14 @@ from PIL import Image
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.paint import COLOR_MAPS, as_rgb, lookup_table
-from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Look, RenderedLook
+from tdgbench.view.renderer import COLOR_MAPS, GEOMETRY, QUANTITIES, Look, RenderedLook, as_rgb, lookup_table
 
 STOPS = 12  # colours of a colour bar
 STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
+ALONE = "–"  # choice of no second cell
+PREVIOUS, NEXT = "← previous", "next →"
+PICTURE_WIDTH = 360  # px
+NOTHING = np.zeros((1, 1, 3), np.uint8)
 
 
 def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | None) -> str:
@@ -86,12 +89,6 @@ def _numbers_of(cell: ViewedCell) -> dict[str, str]:
         "iterations": f"{record.iterations:,}",
         "training": str(timedelta(seconds=round(record.seconds["train"]))),
     }
-
-
-ALONE = "–"  # choice of no second cell
-PREVIOUS, NEXT = "← previous", "next →"
-PICTURE_WIDTH = 360  # px
-NOTHING = np.zeros((1, 1, 3), np.uint8)
 
 
 class Panel:

@@ -12,7 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.paint import as_rgb
+from tdgbench.view.renderer import as_rgb
+
+ROOT = "/cameras"
+TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
+THUMBNAIL_WIDTH = 96  # px
+SIZE = 0.045  # of the cameras' mean distance from the point that they look at
 
 
 class ViserPose(NamedTuple):
@@ -70,12 +75,6 @@ def focus(cameras: Iterable[Camera]) -> np.ndarray:
     if np.linalg.cond(total) > 1e6:
         return centers.mean(axis=0) + axes.mean(axis=0)
     return np.linalg.solve(total, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
-
-
-ROOT = "/cameras"
-TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
-THUMBNAIL_WIDTH = 96  # px
-SIZE = 0.045  # of the cameras' mean distance from the point that they look at
 
 
 class Frustums:

@@ -10,9 +10,8 @@ from tdgbench.bench.reading import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
-from tdgbench.view.paint import colored, labelled, wiped
 from tdgbench.view.poses import camera_of, pose_of
-from tdgbench.view.renderer import Look, Renderer
+from tdgbench.view.renderer import Look, Renderer, colored, labelled, wiped
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,8 @@ from tdgbench.scenes.splits import SPLITS
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
 
+COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `tdgbench data check`."""
@@ -35,9 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_table(arguments.root, checks)
     return 0 if all(check.status == "ok" for check in checks) else 1
-
-
-COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 
 
 def print_table(root: Path, checks: list[SceneCheck]) -> None:

@@ -25,6 +25,9 @@ from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, robust_range
 
+SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
+NARROWEST = 0.01  # °C, of a range
+
 
 @dataclass(frozen=True)
 class PrepareOptions:
@@ -156,10 +159,6 @@ def _known_range(folder: Path, capture: Capture) -> tuple[float, float] | None:
     """Return °C of the values of shown images, if the folder's temperature.json says."""
     radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
     return None if radiometry is None else (radiometry.range.min, radiometry.range.max)
-
-
-SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
-NARROWEST = 0.01  # °C, of a range
 
 
 class SceneWriter:

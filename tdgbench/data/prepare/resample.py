@@ -24,6 +24,7 @@ from tdgbench.scenes.radiometric import PhotoMapping
 ASPECT_TOLERANCE = 0.01
 
 Size = tuple[int, int]  # width, height in px
+SMALLEST = 16  # px, of the output's sides
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,6 @@ def from_file(path: Path) -> Mapping:
         half @ matrix @ np.linalg.inv(half),
         f"the homography in {path.name}; one mapping for all distances, so near objects have parallax",
     )
-
-
-SMALLEST = 16  # px, of the output's sides
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,11 @@ from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.temperature import FILE
 
+PALETTE = "inferno"
+RGB_NOISE = 0.01  # standard deviation, of [0, 1]
+POINT_NOISE = 0.004  # standard deviation, × depth
+OUTLIERS = 0.02  # share of the sparse points
+
 
 class SyntheticDataset:
     """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, seed, and errors.
@@ -91,12 +96,6 @@ class SyntheticDataset:
         stated = json.dumps(asdict(shot.errors), sort_keys=True)
         errors = "" if shot.errors == CaptureErrors() else f"-errors{hashlib.sha256(stated.encode()).hexdigest()[:8]}"
         return self.root / "synthetic" / f"{name}-{counts}{errors}-{version}"
-
-
-PALETTE = "inferno"
-RGB_NOISE = 0.01  # standard deviation, of [0, 1]
-POINT_NOISE = 0.004  # standard deviation, × depth
-OUTLIERS = 0.02  # share of the sparse points
 
 
 @dataclass(frozen=True)
