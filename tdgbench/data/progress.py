@@ -35,7 +35,7 @@ def amount(size: int | None) -> str:
 
 @contextmanager
 def step(name: str, total: int | None, is_bytes: bool = False) -> Iterator[Count]:
-    """Context of a step; yields a function that takes how many of `total` (None: not known) are done.
+    """Show the progress of a step; yield a function that takes how many of `total` (None: unknown) are done.
 
     Without a terminal, one line says that the step begins, and one that it is done.
     """

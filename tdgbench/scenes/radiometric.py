@@ -96,30 +96,32 @@ def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
 
 
 def read_thermogram(path: Path) -> Thermogram:
-    """Read temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
+    """Read temperatures, photo and settings of a radiometric JPEG. Raises SceneError naming the file."""
     content = read_bytes(path)
     maker = _maker(io.BytesIO(content))
-    if maker == "DJI":
-        raise SceneError(
-            f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
-            "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
-        )
     if maker is None:
         raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return _decode(content, path)
+            return DECODERS[maker](content, path)
     except (SceneError, MemoryError):
         raise
-    except Exception as error:  # flyr raises many kinds on damaged files
+    except Exception as error:  # decoders raise many kinds on damaged files
         raise SceneError(
-            f"{path} cannot be read as a FLIR radiometric JPEG: {type(error).__name__}: {error}; "
+            f"{path} cannot be read as a {maker} radiometric JPEG: {type(error).__name__}: {error}; "
             "copy it again from the camera, or leave it out"
         ) from error
 
 
-def _decode(content: bytes, path: Path) -> Thermogram:
+def _refuse_dji(content: bytes, path: Path) -> Thermogram:
+    raise SceneError(
+        f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
+        "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
+    )
+
+
+def _decode_flir(content: bytes, path: Path) -> Thermogram:
     from flyr.embedded_image import parse_embedded_image
     from flyr.picture_in_picture import parse_pip_info
     from flyr.records import RecordIndex, extract_flir_app1, parse_flir_records
@@ -145,6 +147,9 @@ def _decode(content: bytes, path: Path) -> Thermogram:
         mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
     celsius = _valid_or_nan(FlyrThermogram(counts, settings).celsius, path)
     return Thermogram(celsius, photo, mapping, {key: float(value) for key, value in settings.items()})
+
+
+DECODERS = {"FLIR": _decode_flir, "DJI": _refuse_dji}  # of radiometric JPEG, by what `_maker` returns
 
 
 def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:

@@ -92,7 +92,7 @@ class View:
 
     @cached_property
     def thermal(self) -> np.ndarray:
-        """(H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false, whatever was read there."""
+        """The thermal image, (H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false."""
         image = self.load_thermal()
         if self.valid is None or not image[~self.valid].any():
             return image

@@ -8,7 +8,7 @@ SPLITS = ("eighty_twenty", "every_8th", "folder")
 
 
 def split_names(names: list[str], how: str, shipped: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """Split names into those of training and of test views, each sorted. Raises ValueError if one part is empty.
+    """Return the names of the training views and of the test views, each sorted. Raises ValueError if either is empty.
 
     how: `eighty_twenty`: the 1st, 6th, 11th ... sorted name is a test view (the paper's 80 % / 20 %); `every_8th`: the
     1st, 9th, 17th ... (3DGS, ThermalGaussian); `folder`: as shipped. shipped: `train` or `test` by name.

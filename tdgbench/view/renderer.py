@@ -110,7 +110,7 @@ class RenderedLook:
 
     @property
     def picture(self) -> np.ndarray:
-        """(H, W, 3) uint8; cells are named where two were asked for."""
+        """The picture (H, W, 3) uint8, with the names of the cells if the look has two."""
         first, last, divide = self.parts[0], self.parts[-1], self.look.divide
         if len(self.parts) == 2:
             return labelled(wiped(first.picture, last.picture, divide), divide, first.cell, last.cell)

@@ -66,7 +66,7 @@ class SceneCheck:
 
 @dataclass(frozen=True)
 class Place:
-    """Scenes to look for. root: data.root. names: all that should be there. is_paper: whether the paper's."""
+    """The scenes to check. root: data.root. names: of those that should be there. is_paper: whether the paper's."""
 
     root: Path
     dataset: Dataset
@@ -77,8 +77,8 @@ class Place:
 def find_place(root: Path, split: str) -> Place:
     """Find out which scenes should be in a folder.
 
-    The paper's, if it holds a folder of one of their data sets, or is one; else those that it holds or is, in whatever
-    layout. Of an empty folder or none, the paper's, all of which are missing.
+    A folder that is, or holds, one of the paper's data sets should have the paper's scenes. Any other folder should
+    have the scenes that it is or holds, in any layout. If it has none, the paper's scenes are all missing.
     """
     options = ReadOptions(split=split)  # type: ignore[arg-type]
     titles = {title.lower(): key for key, title in registry.DATASETS.items()}

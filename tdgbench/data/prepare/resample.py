@@ -116,15 +116,15 @@ class Grid:
         return self.rows.shape[1], self.rows.shape[0]
 
     def camera(self, world_to_camera: np.ndarray) -> Camera:
-        """Return camera of an output view with a pose (4, 4)."""
+        """Return the camera of an output view with a pose (4, 4)."""
         return Camera(self.K, world_to_camera, *self.size)
 
     def rgb(self, image: np.ndarray) -> np.ndarray:
-        """Return RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
+        """Return an RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
         return _averaged(self.crop.apply(image).astype(np.float32), self.size)
 
     def thermal(self, image: np.ndarray, mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
-        """Return thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
+        """Return a thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
 
         Others, beyond the thermal image or beside an invalid pixel, take the value of the nearest measured one.
         """
@@ -138,7 +138,7 @@ class Grid:
 
 
 def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: int | None = None) -> Grid:
-    """Return grid of the part of the undistorted RGB image that the thermal image covers.
+    """Return the grid of the part of the undistorted RGB image that the thermal image covers.
 
     source: camera of the RGB images; where no model is known, `no_distortion`. thermal: size of the thermal images.
     width: of the output in px; by default one pixel of the output is one of the thermal image, but never finer than
@@ -171,7 +171,7 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: i
 
 
 def no_distortion(rgb: Size) -> pycolmap.Camera:
-    """Return A camera that leaves images as they are, where no model is known."""
+    """Return a camera that leaves images as they are, for captures without a model."""
     width, height = rgb
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[width, width, width / 2, height / 2])
 

@@ -172,7 +172,7 @@ def _cloud(model: pycolmap.Reconstruction) -> PointCloud:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Context without COLMAP's own log, of which only errors are printed."""
+    """Silence COLMAP's log, except for errors."""
     before = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     try:
