@@ -16,9 +16,8 @@ from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.options import Description, ReadOptions
+from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
-from tdgbench.scenes.splits import split_names
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, resample

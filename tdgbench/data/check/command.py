@@ -12,7 +12,7 @@ from rich.table import Table
 from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.splits import SPLITS
+from tdgbench.scenes.options import SPLITS
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
 
