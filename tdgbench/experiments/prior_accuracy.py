@@ -22,7 +22,7 @@ from scipy.stats import spearmanr
 
 from tdgbench.priors import DepthPrior, PriorError, estimate_all, prepare
 from tdgbench.priors.prior import Kind
-from tdgbench.priors.visible import visible_points
+from tdgbench.priors.sfm_points import visible_points
 from tdgbench.scenes import PointCloud, Scene, View
 
 DELTA = 1.25

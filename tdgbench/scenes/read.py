@@ -16,12 +16,11 @@ from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.measured import ImageSource, ThermalImages, resample
-from tdgbench.scenes.options import Description, ReadOptions
+from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
-from tdgbench.scenes.splits import split_names
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, resample
 from tdgbench.text import some
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
@@ -88,9 +87,8 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     def whole(view: View) -> View:
-        cached = images.cached[view.name]
-        valid = cached.valid if cached.is_masked else None
-        return replace(view, load_thermal=partial(images.load, view.name), load_valid=valid)
+        image, valid = images.images[view.name]
+        return replace(view, load_thermal=lambda: image, load_valid=None if valid is None else lambda: valid)
 
     return replace(
         scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],

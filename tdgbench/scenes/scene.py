@@ -92,9 +92,11 @@ class View:
 
     @cached_property
     def thermal(self) -> np.ndarray:
-        """(H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false, whatever was read there."""
+        """The thermal image, (H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false."""
         image = self.load_thermal()
-        return image if self.valid is None else np.where(self.valid[..., None], image, np.float32(0))
+        if self.valid is None or not image[~self.valid].any():
+            return image
+        return np.where(self.valid[..., None], image, np.float32(0))
 
     @cached_property
     def rgb(self) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
-from tdgbench.priors.visible import grid_width, visible_points
+from tdgbench.priors.sfm_points import grid_width, visible_points
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import nearest_valid
 

@@ -18,7 +18,7 @@ def record_of(data_root, tmp_path):
         outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 30))
         assert outcome.status == "ok", outcome
         (record,) = read_all(tmp_path / "single")
-        assert verify(tmp_path / "single") == (1, [])
+        assert verify(tmp_path / "single") == (1, 1, [])
         return record
 
     return run

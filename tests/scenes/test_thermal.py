@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.data.prepare.output import SceneWriter
+from tdgbench.data.prepare.prepare import SceneWriter
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tests.helpers.layouts import celsius, write_model, write_thermalmix
 

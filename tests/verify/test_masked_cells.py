@@ -34,7 +34,7 @@ def rehash(cell: Path, **changes) -> None:
 
 
 def test_sound_cells(masked_results):
-    assert verify(masked_results) == (2, [])
+    assert verify(masked_results) == (2, 2, [])
 
 
 def test_the_record_counts_masked_pixels(cell):

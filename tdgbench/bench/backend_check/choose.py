@@ -33,7 +33,6 @@ from tdgbench.text import shortened
 GPU = "cuda"  # type of device
 REPETITIONS = 3
 COMPARED = (*NAMES, "means2d")  # density control reads the last one
-LONGEST_REASON = 300  # characters
 
 
 class AutoBackend(NamedTuple):
@@ -105,7 +104,7 @@ def check(backend: str) -> BackendCheck:
         for name, make in scenes().items():
             reason = reason or _compare(name, make(), backend, worst)
     except Exception as error:
-        reason = shortened(message(error), LONGEST_REASON)
+        reason = shortened(message(error))
     return BackendCheck(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 

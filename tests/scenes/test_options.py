@@ -1,6 +1,6 @@
 import pytest
 
-from tdgbench.scenes.splits import split_names
+from tdgbench.scenes.options import split_names
 
 NAMES = [f"v{i:02d}" for i in range(20)]
 
