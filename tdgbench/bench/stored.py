@@ -23,7 +23,7 @@ OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainin
 def readable_record(folder: Path) -> Record | None:
     """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
-        return read_record(folder, complete=True)
+        return read_record(folder)
     except (ValueError, OSError, RecursionError):
         return None
 

@@ -54,7 +54,7 @@ def test_a_job_without_a_readable_outcome_has_failed(tmp_path):
 @pytest.mark.parametrize(
     ("swept", "wrong", "records"),
     [
-        ("seed=0,abc,1", "seed=abc: must be a whole number", 2),  # there is no cell of seed abc
+        ("seed=0,abc,1", "seed=abc: must be a valid integer", 2),  # there is no cell of seed abc
         ("method.method.weight=1,inf,0.5", "weight=inf: must be", 3),
     ],
 )
