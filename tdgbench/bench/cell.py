@@ -73,7 +73,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record.environment = describe_environment()  # with these threads
-    run.identify()
+    cell = run.identify()
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")
     run.is_locked = True
@@ -92,10 +92,9 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
         record.environment = describe_environment()
     with PeakMemory(on_gpu) as memory:
-        run.load()
-        run.train()
+        trained = run.train(cell, run.load(cell))
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
-    run.write()
+    run.write(trained)
     return finished(record, "; ".join([*_remarks(existing, record), *run.remarks]))
 
 
