@@ -34,7 +34,8 @@ from tdgbench.terminal import console, say
 NONE = "none"  # TDg without its depth loss
 SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
 SHOWN = {  # on the terminal: title, format
-    "prior": ("prior", "{}"), "abs_rel": ("AbsRel", "{:.3f}"), "delta": ("δ<1.25", "{:.3f}"), "rank": ("rank", "{:.2f}"),
+    "prior": ("prior", "{}"),
+    "abs_rel": ("AbsRel", "{:.3f}"), "delta": ("δ<1.25", "{:.3f}"), "rank": ("rank", "{:.2f}"),
     "psnr": ("PSNR", "{:.2f}"), "psnr_gain": ("gain", "{:+.2f}"), "ssim": ("SSIM", "{:.3f}"),
     "lpips": ("LPIPS", "{:.3f}"),
 }  # fmt: skip

@@ -12,9 +12,8 @@ import pandas as pd
 from omegaconf import DictConfig
 
 from tdgbench.bench.record import Record
-from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
-from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.record import Record
-from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import (
     Axes,
     AxisValue,
@@ -27,7 +27,6 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
-from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
@@ -149,7 +148,7 @@ def response_errors(cells: Sequence[MatrixCell]) -> dict[str, dict[str, float]]:
 
 
 def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> dict[str, float]:
-    """Return the errors of a cell's estimated thermal camera by the names in ERRORS: root mean squares and largest ones.
+    """Return the errors of a cell's estimated thermal camera, named as in ERRORS: root mean squares and largest ones.
 
     Empty for a scene without temperatures, or a true camera that stretches images. A cell without an estimate has the
     errors of an ideal camera, which are the drift itself. train: names of the training views.

@@ -11,7 +11,6 @@ from tdgbench.tables.between_papers import (
     PLACE,
     SHARED,
     UNKNOWN,
-    all_averages,
     between_papers,
     check_averages,
     gain_against_spread,
@@ -79,17 +78,6 @@ def test_nothing_is_said_without_the_shared_scenes():
     assert gain_against_spread(table, ["hours", "depth_abs_rel_of_truth"], "overall") == ""  # in one paper, in none
     with pytest.raises(ValueError, match="'everywhere'"):
         gain_against_spread(table, ["psnr"], "everywhere")
-
-
-def test_which_averages_do_not_follow():
-    found = all_averages()
-    off = found[found["verdict"] == OFF]
-    assert off[["source", "method", "metric", "printed"]].values.tolist() == [
-        ["thermosplat-2601", "mmone", "lpips", 0.176]
-    ]
-    assert off["mean"].item() == pytest.approx(0.1803)
-    assert set(found[found["verdict"] == UNKNOWN]["source"]) == {"cegs-readme"}  # it prints no rows
-    assert (found["source"] == "tdg").sum() == 24
 
 
 def with_average(rows, average, half_unit=0.005, metric="psnr"):

@@ -17,8 +17,7 @@ from pydantic import BaseModel, Field, PositiveFloat
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by
-from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.preparation import prepare_prior
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.show import show_table
 from tdgbench.files import write_text
 from tdgbench.scenes import Scene

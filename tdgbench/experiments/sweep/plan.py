@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from tdgbench.bench.options import OptionError, check_options, names_to_text
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, key_and_value, number_of_jobs, overrides_of_jobs, swept
 from tdgbench.bench.record import Record
 from tdgbench.bench.stored import readable_record
-from tdgbench.experiments.preparation import unavailable_priors
+from tdgbench.experiments.experiment import prepare_prior
+from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import Description, SceneError
 from tdgbench.terminal import say
 
@@ -102,3 +105,20 @@ def _has_result(cfg: DictConfig, chosen: dict[str, str], place: Description, var
     record = Record(method, place.dataset, place.scene, init, int(seed), name, variant)
     found = readable_record(cell_folder_of(Path(chosen.get("results", cfg.results)) / name, record))
     return found is not None and found.status == "ok"
+
+
+def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:
+    """Return messages for the priors that cells need and that are not available, one each.
+
+    Cells with options that are not allowed say so themselves when they run.
+    """
+    messages: dict[str, None] = {}
+    for cfg in cells:
+        try:
+            check_options(names_to_text(cfg))
+            prepare_prior(cfg)
+        except PriorUnavailableError as error:
+            messages[str(error)] = None
+        except OptionError:
+            continue
+    return list(messages)
