@@ -77,7 +77,6 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")
     run.is_locked = True
-    held.callback(run.close)
     settle(run.folder)
     existing = stored.readable_record(run.folder)
     skipped = None if existing is None else _outcome_without_run(existing, record, cfg)

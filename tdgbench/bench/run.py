@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -22,20 +22,19 @@ from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
-from tdgbench.bench.scores import score_training_views, write_views
+from tdgbench.bench.scores import score_training_views, write_log, write_views
 from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
 from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
-from tdgbench.bench.training_log import TensorBoardLog, write_log
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
-from tdgbench.scoring import Scorer, mean_scores, to_8bit
+from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.ply import save_ply
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
-from tdgbench.training.loop import LogLine, TrainingLog, train
+from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import TrainingError
@@ -73,7 +72,6 @@ class CellRun(SetupObserver):
         self.current = "options"  # name of the current stage
         self.is_locked = False  # whether this run holds the cell's lock
         self.remarks: list[str] = []  # what did not work, but changes no result
-        self._board: TensorBoardLog | None = None
 
     @property
     def folder(self) -> Path:
@@ -144,9 +142,8 @@ class CellRun(SetupObserver):
         with self.stage("train"):
             checkpoint = self._open_checkpoint()
             log = checkpoint.take_up(ready.trainer)
-            on_line = self._log_listener(log.iterations)
             try:
-                log = train(ready.trainer, on_line, checkpoint.after_step, log)
+                log = train(ready.trainer, self.progress.line, checkpoint.after_step, log)
             except TrainingError:
                 self._discard(checkpoint)  # training from it would end at the same iteration
                 raise
@@ -177,31 +174,16 @@ class CellRun(SetupObserver):
             record.hashes = hashes(part)
             record.write(part)
         self._discard(checkpoint)
-        if self._board is not None:
-            with self._remarked("scores and renders could not be written to the TensorBoard log"):
-                images = {name: to_8bit(view.image) for name, view in renders.items()}
-                self._board.results(record.iterations, record.scores, images)
 
     def discard_checkpoint(self) -> None:
         """Remove the cell's checkpoint, if there is one."""
         self._discard(Checkpoint(self._checkpoint_path, {}, None))
 
-    def close(self) -> None:
-        """Close the TensorBoard log, if there is one."""
-        if self._board is not None:
-            self._board.close()
-
     def _discard(self, checkpoint: Checkpoint) -> None:
-        with self._remarked("its checkpoint could not be removed"):
-            checkpoint.discard()
-
-    @contextmanager
-    def _remarked(self, what: str) -> Iterator[None]:
-        """Turn an error in work beside the result into a remark on the outcome."""
         try:
-            yield
-        except Exception as error:
-            self.remarks.append(f"{what}: {error}")
+            checkpoint.discard()
+        except OSError as error:
+            self.remarks.append(f"its checkpoint could not be removed: {error}")
 
     def _cache(self, name: str, what: str) -> Path | None:
         """Return the folder of what cells of a scene share; None, with a remark, if it cannot be written."""
@@ -266,17 +248,3 @@ class CellRun(SetupObserver):
         if self.cfg.overwrite == "always":
             self._discard(checkpoint)
         return checkpoint
-
-    def _log_listener(self, after: int) -> Callable[[LogLine], None]:
-        """Return the callback for training log lines, from the iteration after `after` on."""
-        if self.cfg.log.writer is None:
-            return self.progress.line
-        place = self.folder.relative_to(self.experiment / "cells")
-        board: TensorBoardLog = instantiate(self.cfg.log.writer)(self.experiment / "tensorboard" / place, after)
-        self._board = board
-
-        def listen(line: LogLine) -> None:
-            self.progress.line(line)
-            board.line(line)
-
-        return listen

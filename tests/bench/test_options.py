@@ -11,7 +11,7 @@ from tdgbench.experiments.experiment import experiment_of
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
-GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "camera", "log")
+GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "camera")
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 WRONG = [
     ("data.width=0", "data.width=0: must be at least 1"),
