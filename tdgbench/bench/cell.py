@@ -30,8 +30,8 @@ from tdgbench.training.context import training_device
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     """Run the cell that a resolved configuration describes.
 
-    A failure of the cell is an outcome, not an exception, whatever its cause. Only what is meant to end the process
-    passes, as KeyboardInterrupt; locks are then released.
+    A failure of the cell is an outcome, not an exception, whatever its cause. Interrupts are raised, after the locks
+    are released.
     """
     run, held = None, ExitStack()
     try:
@@ -105,9 +105,9 @@ def _remarks(existing: Record | None, record: Record) -> list[str]:
 
 
 def _keep_failure(error: BaseException, run: CellRun | None) -> str:
-    """Write the record of a failure where that is possible; returns the message of the outcome.
+    """Write the record of a failure if possible, and return the message of the outcome.
 
-    Options that name no cell leave no record.
+    Without a run, since its options name no cell, there is no record.
     """
     message = failures.message(error)
     if run is None:

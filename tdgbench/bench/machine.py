@@ -1,4 +1,4 @@
-"""What a cell uses of the machine: one GPU, which its process locks, and its peak memory, in RAM and on the GPU."""
+"""The GPU of a cell, which its process locks, and the cell's peak memory, in RAM and on the GPU."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _driver() -> str | None:
 
 
 class PeakMemory:
-    """Context that measures peak memory. It begins by giving back what cells before it left.
+    """Context that measures peak memory. On entry it frees what earlier cells left.
 
     mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most memory of the current GPU
     that torch reserved, MB; None unless `on_gpu`.

@@ -26,7 +26,7 @@ from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.warmup import compile_kernels
 
-SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
+SPAN_SIZE = 64, 48  # px, of the vignette whose span is recorded
 DIGITS = 6
 
 

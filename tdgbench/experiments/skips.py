@@ -47,7 +47,7 @@ class SkipAblation(Experiment):
     sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]"}
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if the cells' prior is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if the cells' prior is not available."""
         prepare_prior(cfg)
 
     def run(self, cfg: DictConfig) -> None:

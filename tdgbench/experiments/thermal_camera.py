@@ -76,7 +76,7 @@ class ThermalCameraExperiment(Experiment):
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if a method needs a prior that is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
         for method in cfg.job.methods.values():
             cell = cfg.copy()
             cell.method = method

@@ -41,7 +41,7 @@ def between_papers() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def with_others(differences: pd.DataFrame) -> pd.DataFrame:
+def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     """Return the table with others_low, others_high (NaN without another paper's number), and the number of papers."""
     others = _numbers().query("source != @PAPER").groupby(PLACE)["value"]
     ranges = others.agg(others_low="min", others_high="max", papers="count").reset_index()

@@ -17,7 +17,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
-from tdgbench.tables.between_papers import between_papers, with_others
+from tdgbench.tables.between_papers import between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
@@ -142,7 +142,7 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
         columns={"word": "verdict"}
     )
     found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
-    return with_others(pd.concat([merged, found], axis=1))
+    return with_other_papers(pd.concat([merged, found], axis=1))
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:

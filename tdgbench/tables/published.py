@@ -73,7 +73,7 @@ def published_elsewhere() -> pd.DataFrame:
 
 
 def printed_half_unit(printed: str) -> float:
-    """Return the half a unit of the last digit of a printed number: how far it may be from the number itself.
+    """Return half a unit of the last digit of a printed number: how far it may be from the number itself.
 
     >>> printed_half_unit("27.42")
     0.005

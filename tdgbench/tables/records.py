@@ -1,4 +1,4 @@
-"""What tables are built from: an experiment's plan and records. What cannot be read is n/a and a problem in words."""
+"""An experiment's plan and records, from which tables are built; files that cannot be read are named."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from tdgbench.tables.between_papers import (
     between_papers,
     check_averages,
     gain_against_spread,
-    with_others,
+    with_other_papers,
 )
 from tdgbench.tables.published import published_main
 
@@ -42,7 +42,7 @@ def test_averages_are_compared_over_shared_scenes_only():
 
 
 def test_others_stand_beside_published_numbers():
-    found = with_others(published_main()).set_index(PLACE)
+    found = with_other_papers(published_main()).set_index(PLACE)
     row = found.loc[("msmg", "RGBT-Scenes", "Parterre", "psnr")]
     assert (row["others_low"], row["others_high"], row["papers"]) == (26.16, 26.16, 2)
     for alone in (("tdg", "RGBT-Scenes", "Parterre", "psnr"), ("msmg", "RGBT-Scenes", "Average", "psnr"),
@@ -50,7 +50,7 @@ def test_others_stand_beside_published_numbers():
         assert found.loc[alone, "papers"] == 1 and pd.isna(found.loc[alone, "others_low"])
     assert len(found) == len(published_main())
     ablation = pd.DataFrame({"method": ["msmg"], "init": ["colmap"], "metric": ["psnr"]})
-    assert with_others(ablation)["papers"].tolist() == [1]
+    assert with_other_papers(ablation)["papers"].tolist() == [1]
 
 
 def test_the_papers_gains_against_the_spread():

@@ -63,7 +63,7 @@ class ErrorTime(Experiment):
     sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "method": "job.runs"}
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if a training needs a prior that is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if a training needs a prior that is not available."""
         for run in runs_of(cfg):
             cell = cfg.copy()
             cell.method = cfg.job.methods[run.method]

@@ -43,7 +43,26 @@ class Sweep(Experiment):
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
-        _run_job(cfg)
+        hydra = HydraConfig.get()
+        outcome = _outcome(cfg, hydra)
+        folder = Path(hydra.runtime.output_dir)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
+        except OSError as error:
+            say(
+                f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})",
+                "error:",
+                stderr=True,
+            )
+        if outcome.status != "missing":
+            say(outcome.line, stderr=True)
+        workers = cells_at_once(hydra.launcher, pool.available_cores())
+        if outcome.status in ("ok", "failed") and workers is not None:
+            sweep = Path(hydra.sweep.dir)
+            left = remaining_time(read_plan(sweep).cells_to_run, list(numbered_outcomes(sweep).values()), workers)
+            if left:
+                say(f"{cfg.name}: {left}", stderr=True)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
         _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
@@ -53,25 +72,6 @@ def _finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     from tdgbench.experiments.sweep.finish import finish  # pandas, SciPy's statistics, Matplotlib: 75 MB of memory
 
     finish(cfg, outcomes)
-
-
-def _run_job(cfg: DictConfig) -> None:
-    hydra = HydraConfig.get()
-    outcome = _outcome(cfg, hydra)
-    folder = Path(hydra.runtime.output_dir)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
-    except OSError as error:
-        say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
-    if outcome.status != "missing":
-        say(outcome.line, stderr=True)
-    workers = cells_at_once(hydra.launcher, pool.available_cores())
-    if outcome.status in ("ok", "failed") and workers is not None:
-        sweep = Path(hydra.sweep.dir)
-        left = remaining_time(read_plan(sweep).cells_to_run, list(numbered_outcomes(sweep).values()), workers)
-        if left:
-            say(f"{cfg.name}: {left}", stderr=True)
 
 
 def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
