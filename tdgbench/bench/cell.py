@@ -30,8 +30,8 @@ from tdgbench.training.context import training_device
 def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     """Run the cell that a resolved configuration describes.
 
-    A failure of the cell is an outcome, not an exception, whatever its cause. Only what is meant to end the process
-    passes, as KeyboardInterrupt; locks are then released.
+    A failure of the cell is an outcome, not an exception, whatever its cause. Interrupts are raised, after the locks
+    are released.
     """
     run, held = None, ExitStack()
     try:
@@ -73,11 +73,10 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record.environment = describe_environment()  # with these threads
-    run.identify()
+    cell = run.identify()
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")
     run.is_locked = True
-    held.callback(run.close)
     settle(run.folder)
     existing = stored.readable_record(run.folder)
     skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
@@ -92,10 +91,9 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
         record.environment = describe_environment()
     with PeakMemory(on_gpu) as memory:
-        run.load()
-        run.train()
+        trained = run.train(cell, run.load(cell))
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
-    run.write()
+    run.write(trained)
     return finished(record, "; ".join([*_remarks(existing, record), *run.remarks]))
 
 
@@ -107,9 +105,9 @@ def _remarks(existing: Record | None, record: Record) -> list[str]:
 
 
 def _keep_failure(error: BaseException, run: CellRun | None) -> str:
-    """Write the record of a failure where that is possible; returns the message of the outcome.
+    """Write the record of a failure if possible, and return the message of the outcome.
 
-    Options that name no cell leave no record.
+    Without a run, since its options name no cell, there is no record.
     """
     message = failures.message(error)
     if run is None:

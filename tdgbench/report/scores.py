@@ -148,13 +148,13 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
     ends = [getattr(row, end, np.nan) for end in ("low", "high")]
     span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
     interval = f"95 % interval over seeds and views: {span}" if span else ""
-    note, details = beside(published, row.scene)
+    note, details = difference_note(published, row.scene)
     title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
     return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}
 
 
-def beside(published: Any, scene: str) -> tuple[str, str]:
+def difference_note(published: Any, scene: str) -> tuple[str, str]:
     """Return a number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
 
     published: a row of difference.csv, or None where nothing is published.

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 import pandas as pd
 
 from tdgbench.tables import methods
-from tdgbench.tables.claims import FAILS, HOLDS
-from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
+from tdgbench.tables.claims.evidence import FAILS, HOLDS
+from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.results import NO_RECORD

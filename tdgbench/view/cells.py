@@ -110,7 +110,7 @@ def open_cell(folder: Path) -> ViewedCell:
 
 
 def _finished_record(folder: Path) -> Record:
-    record = read_record(folder, complete=True)
+    record = read_record(folder)
     if record is None:
         state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
         raise ValueError(f"{folder} {state}; name the folder of a cell{_example(folder)}")

@@ -76,7 +76,6 @@ def test_clearing_up_changes_no_outcome(tiny_cell, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "discard", broken)
-        patch.setattr(CellRun, "close", broken)
         patch.setattr(CellProgress, "end", broken)
         outcome = tiny_cell()
     assert outcome.status == "ok"

@@ -36,10 +36,10 @@ COMPARED = (*NAMES, "means2d")  # density control reads the last one
 
 
 class AutoBackend(NamedTuple):
-    """What `auto` stands for."""
+    """The backend that `auto` chooses."""
 
     backend: str
-    line: str = ""  # what was found of the GPU, in one line; empty without one
+    line: str = ""  # why, in one line; empty without a GPU
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def training_backend(name: str) -> str:
 
 @cache
 def auto() -> AutoBackend:
-    """Return what `auto` stands for in this process."""
+    """Return the choice of this process; the first call makes it and prints why."""
     choice = choose(check)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
@@ -96,7 +96,7 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
 
 
 def check(backend: str) -> BackendCheck:
-    """Compare a backend with the reference, each scene several times. Never raises an Exception: that is a verdict."""
+    """Compare a backend with the reference, each scene several times. An exception refuses the backend."""
     start = time.perf_counter()
     worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
     reason = ""

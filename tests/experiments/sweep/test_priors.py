@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from tdgbench.bench.record import read_all
-from tdgbench.experiments.preparation import prepare_prior, unavailable_priors
+from tdgbench.experiments.experiment import prepare_prior
+from tdgbench.experiments.sweep.plan import unavailable_priors
 from tdgbench.priors import PriorUnavailableError
 from tests.helpers.command import command_here
 from tests.helpers.configs import config
