@@ -122,7 +122,7 @@ class CellRun(SetupObserver):
             dataset, skips = self.locate()
             cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
             record.config = relevant_config(cfg, cell.method)
-            record.data, record.code = self._fingerprint(cell), code_version()
+            record.data, record.code = self._fingerprint(cell), code_version(record.config)
             record.key = cell_key(record)
         return cell
 

@@ -109,7 +109,8 @@ def set_up(
             trial = try_rig(method, context)
         observer.note_rig(trial)
     context.learns_rig = trial.pays if camera.rig == "auto" else camera.rig
-    trainer = Trainer(method, context)
+    with observer.stage("init"):
+        trainer = Trainer(method, context)
     return Training(trainer, scene if is_changed else scored, response)
 
 

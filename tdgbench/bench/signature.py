@@ -195,6 +195,8 @@ def option_meant(option: str) -> str:
     '; did you mean budget.iterations?'
     >>> option_meant("budget.growth.z")
     '; it belongs to budget=lean'
+    >>> option_meant("methd")
+    '; did you mean method?'
     >>> option_meant("colour")
     ''
     """
@@ -202,6 +204,9 @@ def option_meant(option: str) -> str:
     if known.get(option):
         return f"; it belongs to {', '.join(known[option])}"
     alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
+    groups = {name.partition(".")[0] for name in known}
+    if "." not in option and not alike and (group := meant(option, groups)):
+        return group
     return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
 
 

@@ -24,6 +24,7 @@ NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
+BEFORE = ("load", "images", "camera", "prior", "init", "compile", "rig")  # training
 QUALITY = ("psnr", "ssim", "lpips")
 SHOWN = {  # on the terminal: title, format
     "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
@@ -102,7 +103,7 @@ def numbers(record: Record) -> dict[str, Any]:
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
         "train_seconds": record.seconds["train"],
-        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in ("load", "images", "prior", "init")),
+        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in BEFORE),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
         "peak_rss_mb": record.peak_rss_mb,

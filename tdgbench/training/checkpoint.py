@@ -10,12 +10,12 @@ import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from tdgbench.files import whole_file
 from tdgbench.training.loop import LogLine, TrainingLog
+from tdgbench.training.part import State
 from tdgbench.training.trainer import Trainer
 
 MAX_SHARE = 0.02  # of the time that writing takes
@@ -30,7 +30,7 @@ class Checkpoint:
     """
 
     path: Path
-    made_with: dict[str, Any]  # what the state depends on; a file made with anything else is not used
+    made_with: State  # what the state depends on; a file made with anything else is not used
     seconds: float | None  # of training between two writes, 0 or more; longer where writing takes long; None: never
     notes: list[str] = field(default_factory=list)  # files that were not used or could not be written, with the reason
     _next: float = 0.0
@@ -82,20 +82,20 @@ class Checkpoint:
             file.flush()
             file.write(_digest(part, file.tell()))
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> State:
         """Return the stored content. Raises ValueError if the file is not whole or is of another training."""
         if not self.path.is_file():
             raise ValueError(f"{self.path} is not a file")
         if not _ends_with_digest(self.path):
             raise ValueError("it is damaged")
-        saved: dict[str, Any] = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
+        saved: State = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
         before, at = saved["made_with"], saved["log"]["iterations"]
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]
         if differs:
             raise ValueError(f"other {', '.join(differs)} (iteration {at})")
         return saved
 
-    def _load(self, saved: dict[str, Any]) -> TrainingLog:
+    def _load(self, saved: State) -> TrainingLog:
         """Load the stored content, which the same code wrote in a training of the same options and data."""
         self._trainer.at_stage(saved["stage"])
         self._trainer.load_state_dict(saved)

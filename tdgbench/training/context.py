@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
-from tdgbench.training.part import Network, Part, RandomStream
+from tdgbench.training.part import Network, Part, RandomStream, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips
 from tdgbench.training.stopping import hold_out
@@ -60,10 +60,10 @@ class ViewOrder(RandomStream):
             self._order = [i for i in order if self.curriculum.shows(self.views[i])]
         return self.curriculum.at_resolution(self.views[self._order.pop()])
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {"order": list(self._order), **super().state_dict()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         super().load_state_dict(saved)
         self._order = list(saved["order"])
 

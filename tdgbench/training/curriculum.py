@@ -6,14 +6,13 @@ The resolution is low at first, if the spectrum of the images allows it (DashGau
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from tdgbench.scenes import View
 from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.training.budget import SCALES, PixelRule
-from tdgbench.training.part import Part
+from tdgbench.training.part import Part, Report, State
 from tdgbench.training.spectrum import noise_of, significant_amplitudes
 
 MOSTLY = 0.5
@@ -86,18 +85,18 @@ class Curriculum(Part):
             self._shrunk[view.name] = shrunk(view, self.scale)
         return self._shrunk[view.name]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {
             "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
             "iteration": self._iteration, "trained": list(self._trained),
         }  # fmt: skip
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.settled_at, self.is_holding = saved["settled_at"], saved["is_holding"]
         self._iteration, self._trained = saved["iteration"], list(saved["trained"])
         self._use(saved["step"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
         return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
 

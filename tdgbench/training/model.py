@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import torch
 
@@ -22,7 +21,7 @@ from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.growth import Significance
-from tdgbench.training.part import EmptyModelError, Part
+from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips, Work
 
@@ -114,7 +113,7 @@ class SplatModel(Part):
         options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it. Call it between iterations."""
         return {
             "rows": self.state.state_dict(),
@@ -125,7 +124,7 @@ class SplatModel(Part):
             "generator": self._generator.get_state(),
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
@@ -133,7 +132,7 @@ class SplatModel(Part):
         self.work = Work(**saved["work"])
         self._generator.set_state(saved["generator"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
         return {**counts, "pruned": self.work.pruned, **behind}

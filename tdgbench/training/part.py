@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+
+State = dict[str, Any]  # tensors, numbers, texts, lists and dicts, as `torch.save` takes them
+Json = bool | int | float | str | None | Sequence["Json"] | Mapping[str, "Json"]
+Report = Mapping[str, Json]
 
 
 class Part:
@@ -39,14 +44,14 @@ class Part:
         """Return the name of the first parameter that is not finite, or None."""
         return None
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with the part."""
         return {}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned."""
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         """Return facts for the record that JSON can represent."""
         return {}
 
@@ -65,10 +70,10 @@ class RandomStream(Part):
     def __init__(self, seed: int) -> None:
         self.generator = torch.Generator().manual_seed(seed)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {"generator": self.generator.get_state()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.generator.set_state(saved["generator"])
 
 
@@ -101,14 +106,14 @@ class Network(Part):
     def not_finite(self) -> str | None:
         return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {"module": dict(self.module.state_dict()), "optimizer": self.optimizer.state_dict()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.module.load_state_dict(saved["module"])
         self.optimizer.load_state_dict(saved["optimizer"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}
 
 

@@ -7,8 +7,6 @@ means. Test views get the same numbers, without being read.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,11 +16,11 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook
 from tdgbench.splats.pose import to_camera_space
 from tdgbench.splats.view import GaussianTensors, Pinhole
-from tdgbench.training.part import Part
+from tdgbench.training.part import Part, Report, State
 
 NUMBERS = {"turn": 3, "shift": 3, "focal": 1, "center": 2, "distortion": 2}
-RATES = {"turn": 1.0, "shift": 1.0, "focal": 1.0, "center": 1.0, "distortion": 4.0}  # × the learning rate
-RATE = 3e-5  # radians, shares of the scene's extent, shares of the focal length
+RATES = {"turn": 1.0, "shift": 1.0, "focal": 1.0, "center": 1.0, "distortion": 20.0}  # × the learning rate
+RATE = 2e-4  # radians, shares of the scene's extent, shares of the focal length
 BEYOND = 1.5  # times the radius of the image's corners, up to which distortion grows
 
 
@@ -58,18 +56,18 @@ class Rig(Part):
     def not_finite(self) -> str | None:
         return next((name for name, number in self.numbers.items() if not number.isfinite().all()), None)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {
             "numbers": {name: number.detach() for name, number in self.numbers.items()},
             "adam": self.optimizer.state_dict(),
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         for name, number in self.numbers.items():
             number.data.copy_(saved["numbers"][name])
         self.optimizer.load_state_dict(saved["adam"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         """Return degrees, world units, and shares."""
         found = {name: number.detach().cpu().double() for name, number in self.numbers.items()}
         found["turn"], found["shift"] = found["turn"].rad2deg(), self.extent * found["shift"]

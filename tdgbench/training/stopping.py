@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ import torch
 from tdgbench.scenes import View
 from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.part import Part, Stopping
+from tdgbench.training.part import Part, State, Stopping
 
 MIN_MSE = 1e-10
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
@@ -62,11 +61,11 @@ class Settling(Stopping):
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better")
         return {name.strip("_"): getattr(self, name) for name in names}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         for name, value in saved.items():
             setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
         if self.curriculum.settled_at:
@@ -146,10 +145,10 @@ class Plateau(Stopping):
         self._best, self._without = float("inf"), 0
         self._reached = False
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         vars(self).update(saved)
 
     def reached(self, iteration: int, loss: float) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 
@@ -12,7 +10,7 @@ from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
-from tdgbench.training.part import Part, Stopping
+from tdgbench.training.part import Part, Report, State, Stopping
 from tdgbench.training.rig import Rig
 from tdgbench.training.stopping import Plateau, Settling
 
@@ -78,7 +76,7 @@ class Trainer:
         current = [id(part) for part in self.parts.values()]
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
         return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
@@ -90,13 +88,13 @@ class Trainer:
         while self.stage_number < number:
             self.advance(0)
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned at the same stage."""
         self.iterations_before = saved["before"]
         for name, part in self.all_parts().items():
             part.load_state_dict(saved["parts"][name])
 
-    def reports(self) -> dict[str, dict[str, Any]]:
+    def reports(self) -> dict[str, Report]:
         """Return the reports of the parts, without empty ones."""
         found = {name: part.report() for name, part in self.all_parts().items()}
         return {name: report for name, report in found.items() if report}

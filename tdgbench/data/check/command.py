@@ -31,6 +31,11 @@ def run(arguments: argparse.Namespace) -> int:
     place = find_place(arguments.root, arguments.split)
     if not is_there(arguments.root):
         say(f"{arguments.root} does not exist", stderr=True)
+    elif place.is_paper and len(place.dataset.missing(place.names)) == len(place.names):
+        say(
+            f"no scene in {arguments.root}: for layouts, see docs/data.md; the paper's scenes:",
+            stderr=True,
+        )
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
     if arguments.json:
         say(checks_as_json(arguments.root, checks, place.is_paper))
