@@ -185,7 +185,7 @@ def _estimate_priors(
 
 
 def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
-    """Return the prior, unknown at masked pixels: it was made from an image that says nothing there.
+    """Return the prior without its depths at masked pixels, where the image that it was made from has no values.
 
     Raises PriorError if it is known nowhere else.
     """

@@ -32,8 +32,8 @@ LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 class Outline:
     """A scene whose images have not been decoded.
 
-    scene: all but what its images tell: its channels are 0, its temperature None, its views have neither images nor
-    masks. read: gives the whole scene; raises SceneError.
+    scene: without what only images tell: channels are 0, temperature is None, views have neither images nor masks.
+    read: returns the complete scene; raises SceneError.
     """
 
     scene: Scene

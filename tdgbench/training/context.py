@@ -30,7 +30,7 @@ P = TypeVar("P", bound=Part)
 
 @dataclass(frozen=True)
 class Frame:
-    """A camera to render from, and index and time of the view that it took, if any."""
+    """A camera to render from; if a view of the scene was taken with it, also number and time of that view."""
 
     camera: Camera
     index: int | None = None  # of the view among all of the scene, in the order of their names

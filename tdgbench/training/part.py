@@ -24,7 +24,7 @@ class Part:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
 
     def step(self, iteration: int) -> str | None:
-        """Change by the gradients of an iteration's backward pass, which is over.
+        """Make an optimiser step; called after the backward pass of each iteration.
 
         Returns the name of a parameter whose gradient is not finite, or None.
         """
@@ -60,7 +60,7 @@ class Stopping(Part):
     """A rule that may end a training before its last iteration."""
 
     def reached(self, iteration: int, loss: float) -> bool:
-        """Note an iteration's loss, after its forward pass; True from the iteration on at which training may end."""
+        """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""
         raise NotImplementedError
 
 
