@@ -86,7 +86,7 @@ def test_a_stage_starts_from_the_gaussians_of_the_one_before(small_gray_scene):
         seen[log.iterations] = trainer.stage.name, trainer.gaussians["thermal"].copy()
 
     before = len(trainer.gaussians["thermal"])
-    log = train(trainer, on_model=look)
+    log = train(trainer, before_update=look)
     assert log.iterations == ITERATIONS and log.ended
     assert [seen[i][0] for i in (1, 20, 21, 60)] == ["coarse", "coarse", "fine", "fine"]
     coarse, fine, last = (seen[i][1] for i in (20, 21, 60))
