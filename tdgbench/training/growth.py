@@ -90,7 +90,7 @@ class Significance:
         camera = Pinhole.of(taken_by).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        target, valid = self.modality.of(view, image.device)
+        target, valid = self.modality.tensors_of(view, image.device)
         return footprints(gaussians, taken_by, target - image, valid, self.backend)
 
 

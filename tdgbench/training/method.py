@@ -33,7 +33,8 @@ class Stage(NamedTuple):
     """A stretch of a training with parts and a loss of its own."""
 
     name: str
-    setup: Callable[[Context], None]  # makes the parts through the context; those of stages before may be used
+    # makes this stage's parts through the context; may read or reuse parts of earlier stages
+    setup: Callable[[Context], None]
     step: Callable[[int], Step]  # loss of an iteration, 1-based within the stage
     share: float = 1.0  # of the budget's iterations
     modality: str = "thermal"  # of the renders of held-out views by which it settles
@@ -47,7 +48,7 @@ class Method:
 
     name: str
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
-    plain: bool = True  # whether `render` gives the Gaussians of the modality's name, without hooks or other parts
+    renders_plain_gaussians: bool = True  # those of the modality's name; no hook or other part
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view
 
     def setup(self, context: Context) -> None:
@@ -57,7 +58,7 @@ class Method:
     def step(self, iteration: int) -> Step:
         """Return the loss of an iteration (1-based), with the render that it used.
 
-        Masked pixels must have no part in the loss: `Modality.of` gives the mask.
+        Masked pixels must have no part in the loss: `Modality.tensors_of` gives the mask.
         """
         raise NotImplementedError
 

@@ -161,7 +161,7 @@ class SplatModel(Part):
             return None
         return self.significance.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
     def step(self, iteration: int) -> str | None:
