@@ -67,7 +67,7 @@ def legend(tables: Tables) -> list[dict[str, str]]:
             "title": described.title,
             "meaning": described.meaning,
             "range": " to ".join("∞" if math.isinf(limit) else f"{limit:g}" for limit in described.limits),
-            "reads": getattr(described, "reads", "") or "nothing",
+            "fits_to_test_view": getattr(described, "fits_to_test_view", "") or "nothing",
             "needs": getattr(described, "needs", ""),
         }
         for name, described in MEASURES.items()
