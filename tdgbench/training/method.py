@@ -15,7 +15,7 @@ from tdgbench.training.context import Context, Frame
 __all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
 Share = Annotated[float, Field(ge=0, le=1)]
-SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
+SmoothnessReading = Literal["written", "released"]  # see `tdgbench.training.losses.smoothness`
 
 
 @dataclass
