@@ -35,7 +35,7 @@ class Splat(Method):
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.model.render(view.camera)
-        target, valid = THERMAL.of(view, render.image.device)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
 

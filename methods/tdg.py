@@ -70,7 +70,7 @@ class TDg(Method):
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
         render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
-        target, valid = THERMAL.of(view, render.image.device)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         terms = {"thermal": loss.item()}
         if needs_depth:

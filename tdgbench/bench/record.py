@@ -20,7 +20,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
-from tdgbench.bench.reading import read_text
+from tdgbench.bench.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 

@@ -6,7 +6,7 @@ import csv
 import math
 from pathlib import Path
 
-from tdgbench.bench.reading import read_table
+from tdgbench.bench.read_files import read_table
 from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores

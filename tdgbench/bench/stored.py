@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 

@@ -15,10 +15,10 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.terminal import console, say
 
 

@@ -15,8 +15,8 @@ from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell
+from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import measure
-from tdgbench.tables.results import method_label
 
 CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians": "Gaussians"}
 

@@ -13,8 +13,8 @@ from tdgbench.bench.record import Record
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
+from tdgbench.tables.long_table import first_points, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
-from tdgbench.tables.results import first_points, split_notes
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
 SOURCES = {  # of depth priors, in words
@@ -67,7 +67,7 @@ def legend(tables: Tables) -> list[dict[str, str]]:
             "title": described.title,
             "meaning": described.meaning,
             "range": " to ".join("∞" if math.isinf(limit) else f"{limit:g}" for limit in described.limits),
-            "reads": getattr(described, "reads", "") or "nothing",
+            "fits_to_test_view": getattr(described, "fits_to_test_view", "") or "nothing",
             "needs": getattr(described, "needs", ""),
         }
         for name, described in MEASURES.items()

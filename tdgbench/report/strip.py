@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, error_map, middle_view, stored_mask

@@ -15,7 +15,7 @@ from PIL import Image
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply

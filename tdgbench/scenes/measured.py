@@ -128,7 +128,7 @@ def measured_images(
         )
     notes = [*_about_fillers(fillers, filled, bool(known), unit), _about_range(span, given, clipped / count, unit)]
     if unit is COUNTS:
-        return ThermalImages(images, channels, None, notes, counts=(round(span.min), round(span.max)))
+        return ThermalImages(images, channels, None, notes, raw_count_range=(round(span.min), round(span.max)))
     return ThermalImages(images, channels, span, notes)
 
 

@@ -92,7 +92,7 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
 
     return replace(
         scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],
-        temperature=images.temperature, counts=images.counts, channels=images.channels,
+        temperature=images.temperature, raw_count_range=images.raw_count_range, channels=images.channels,
         notes=[*scene.notes, *images.notes],
     )  # fmt: skip
 

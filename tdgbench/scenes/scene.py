@@ -159,7 +159,7 @@ class Scene:
     channels: int  # of the thermal images: 1 (gray) or 3 (pseudo-colour)
     notes: list[str] = field(default_factory=list)
     folder: Path | None = None  # of its files
-    counts: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
+    raw_count_range: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
 
     def fingerprint_with(self, *changes: bytes) -> str:
         """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""

@@ -39,13 +39,13 @@ class MaskedImage(NamedTuple):
 
 @dataclass(frozen=True)
 class ThermalImages:
-    """Thermal images of a scene, by view name. counts: raw counts of the image values 0 and 1, of images without °C."""
+    """Thermal images of a scene, by view name. raw_count_range: of image values 0 and 1, without °C."""
 
     images: Mapping[str, MaskedImage]
     channels: int
     temperature: TemperatureRange | None
     notes: list[str] = field(default_factory=list)
-    counts: tuple[int, int] | None = None
+    raw_count_range: tuple[int, int] | None = None
 
 
 def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:

@@ -19,7 +19,7 @@ class Metric(Measure, ABC):
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
-    reads: str = ""  # what is fitted to a test view before it is scored, such as gain and offset; empty: nothing
+    fits_to_test_view: str = ""  # what is fitted to a test view before it is scored; empty: nothing
     verified_to: float | None = None  # tolerance when `verify` recomputes it from a cell's files; None: it cannot
 
     @abstractmethod

@@ -89,7 +89,7 @@ class DensityChange:
     not_grown: int = 0  # above the gradient threshold, but rejected by another growth rule
 
 
-class Verdict(NamedTuple):
+class GrowthDecision(NamedTuple):
     """Which of N Gaussians to grow and to prune."""
 
     strength: Tensor  # (N,): if not all can grow, the strongest do
@@ -163,7 +163,7 @@ class DensityControl:
 
     @torch.no_grad()
     def update(
-        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: Verdict | None = None
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
     ) -> DensityChange:
         """Clone, split, prune and reset opacities as due at an iteration; children's positions are random.
 
@@ -188,7 +188,7 @@ class DensityControl:
         return change
 
     def _removed_and_added(
-        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: Verdict | None
+        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""
         rules, values = self.rules, self.state.values
@@ -219,10 +219,10 @@ class DensityControl:
         change.pruned += int(drop.sum())
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
-    def _by_gradients(self) -> Verdict:
+    def _by_gradients(self) -> GrowthDecision:
         """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large."""
         grads = torch.nan_to_num(self.grad_sum / self.view_counts)
-        return Verdict(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
+        return GrowthDecision(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

@@ -74,7 +74,7 @@ class Adam:
         """extent: of the scene, world units. field_rates: learning rates by field, which replace those of `rates`: a
         number (0 freezes the field), or the name of the parameter whose rate it has.
 
-        Raises ValueError for a field of `more` without a rate, and for the rate of an unknown field.
+        Raises ValueError for a field of `extra_fields` without a rate, and for the rate of an unknown field.
         """
         self.state, self.rates, self.extent, self.field_rates = state, rates, extent, dict(field_rates or {})
         self.slowdown = 1.0  # factor of all learning rates, at most 1

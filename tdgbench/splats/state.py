@@ -24,7 +24,7 @@ ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, more; a row fills cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, others; a row fills cache lines.
 
     `first` and `second` are Adam's moments in the same layout. The arrays have spare capacity, so that Gaussians can be
     added and removed without copying the others.
@@ -32,8 +32,8 @@ class TrainingState:
 
     def __init__(self, gaussians: Gaussians) -> None:
         count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
-        self._more = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.more)
-        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._more.values())])
+        self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
+        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])
         self.count = count
         like = gaussians.means.detach()
         shape = (max(count, 1), padded(self.columns))
@@ -80,7 +80,7 @@ class TrainingState:
             quats=rows[:, QUATS],
             opacity_logits=rows[:, OPACITY_AT],
             sh=rows[:, self.columns_of("sh")].unflatten(1, (self.bases, self.channels)),
-            more={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._more.items()},
+            extra_fields={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._extra.items()},
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
@@ -98,12 +98,12 @@ class TrainingState:
             "quats": QUATS,
             "opacity_logits": slice(OPACITY_AT, OPACITY_AT + 1),
             "sh": slice(COLORS_AT, COLORS_AT + self.bases * self.channels),
-            **{field: at for field, (at, _) in self._more.items()},
+            **{field: at for field, (at, _) in self._extra.items()},
         }[name]
 
     def channels_of(self, name: str) -> int:
         """Return the length of the last axis of a field: the channels of a colour set."""
-        return self.channels if name == "sh" else self._more[name][1][-1]
+        return self.channels if name == "sh" else self._extra[name][1][-1]
 
     def replace_rows(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
@@ -176,10 +176,10 @@ class TrainingState:
             free_buffers()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
-def _columns_after(first: int, more: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Return the columns of each field of `more`, which begin at `first`, and the shape of one Gaussian's value."""
+def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Return the columns of each of `extra_fields`, which begin at `first`, and the shape of one Gaussian's value."""
     found: dict[str, tuple[slice, tuple[int, ...]]] = {}
-    for name, tensor in more.items():
+    for name, tensor in extra_fields.items():
         shape = tuple(tensor.shape[1:]) or (1,)
         found[name] = slice(first, first + math.prod(shape)), shape
         first += math.prod(shape)

@@ -12,10 +12,10 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
+from tdgbench.tables.long_table import with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure
 from tdgbench.tables.methods import paper_pair
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
-from tdgbench.tables.results import with_averages
 
 PLACE = ["method", "dataset", "scene", "metric"]
 SHARED = "Average (shared scenes)"

@@ -20,11 +20,11 @@ from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
+from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_splits
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
-from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
 from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
 from tdgbench.tables.verdicts import ScoreVerdict, verdict
 

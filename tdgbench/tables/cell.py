@@ -11,9 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import Record
-from tdgbench.tables.results import method_label, planned_iterations
+from tdgbench.tables.long_table import method_label, planned_iterations
 
 
 @dataclass(frozen=True)

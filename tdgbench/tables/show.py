@@ -10,9 +10,9 @@ from rich.text import Text
 
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.long_table import first_points, mask_notes, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
-from tdgbench.tables.results import first_points, mask_notes, split_notes
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line

@@ -10,11 +10,11 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
-from tdgbench.thermal.explain import explain
-from tdgbench.thermal.fit import PATCHES, Data, Terms
+from tdgbench.thermal.error_priors import Drift, PriorStds, sequence_positions
+from tdgbench.thermal.fit import PATCHES, PointSamples, Terms
 from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
-from tdgbench.thermal.priors import Drift, Widths, places
+from tdgbench.thermal.select_terms import fit_selected_terms
 
 FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated
 FEWEST_TRAINING_VIEWS = 3
@@ -70,10 +70,10 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
     (name, scale, zero), train = unit, scene.train
     data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
-    widths = Widths.of(name, float(np.std(data.value)) or 1.0)
-    place = places([view.name for view in scene.views])
+    stds = PriorStds.of(name, float(np.std(data.value)) or 1.0)
+    place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
-    found, terms, drift = explain(data, widths, at)
+    found, terms, drift = fit_selected_terms(data, stds, at)
     response = normalized(found.fit.response)
     undetermined = max(0, found.fit.undetermined - terms.offsets - terms.gains)
     expected = {}
@@ -99,12 +99,12 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
     )
 
 
-def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> Data:
+def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> PointSamples:
     """Return values in the scene's unit. Views of several sizes have no common columns and rows."""
     sizes = np.array([(view.camera.width, view.camera.height) for view in train])
     shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
     across, down = (shares * PATCHES).astype(int).T
-    return Data(
+    return PointSamples(
         value=scale * seen.value + zero,
         detail=scale * seen.detail,
         point=seen.point,

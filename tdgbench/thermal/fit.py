@@ -22,7 +22,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import ViewResponses
-from tdgbench.thermal.priors import NORMAL
+from tdgbench.thermal.error_priors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
 SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
@@ -33,7 +33,7 @@ FEWEST_IN_PATCH = 4  # values, of a patch whose mean tells of the patches' own e
 
 
 @dataclass(frozen=True)
-class Data:
+class PointSamples:
     """S values (S,) of points (S,) in views (S,), and what is known of each.
 
     detail: (S,) original minus blurred value. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
@@ -54,7 +54,7 @@ class Data:
     points: int
     size: tuple[int, int]
 
-    def select(self, keep: np.ndarray) -> Data:
+    def select(self, keep: np.ndarray) -> PointSamples:
         """Return the values where `keep` (S,) is true; views and points keep their numbers."""
         arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
@@ -73,7 +73,7 @@ class Terms(NamedTuple):
     gains: bool = False
     pattern: bool = False
 
-    def free(self, data: Data) -> np.ndarray:
+    def free(self, data: PointSamples) -> np.ndarray:
         """Return which of the parameters (2 V + K,) are estimated."""
         return np.repeat([self.offsets, self.gains, self.vignette], [data.views, data.views, data.terms.shape[1]])
 
@@ -105,7 +105,7 @@ class Fit:
         return int(np.count_nonzero(self.known() < 1))
 
 
-def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
+def fit(data: PointSamples, terms: Terms, precision: np.ndarray) -> Fit:
     """Estimate the response. precision: (2 V + K, 2 V + K) of the prior of offsets, gains and coefficients."""
     reference = float(np.median(data.value))
     free = terms.free(data)
@@ -137,7 +137,7 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
     )
 
 
-def predict(data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
+def predict(data: PointSamples, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
     """Return values (S,) that the model gives. theta: offsets, gains and coefficients, (2 V + K,)."""
     offsets, gains, vignette = np.split(theta, [data.views, 2 * data.views])
     degC = temperatures[data.point]
@@ -148,7 +148,7 @@ class System:
     """Normal equations of one round, without the temperatures, which are eliminated."""
 
     def __init__(
-        self, data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
+        self, data: PointSamples, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
     ) -> None:
         count, rows = len(data.value), np.arange(len(data.value))
         gains = theta[data.views : 2 * data.views][data.view]
@@ -204,7 +204,7 @@ class System:
         return (self.by_point @ residuals - moved) / self.curvature
 
 
-def _means(data: Data) -> np.ndarray:
+def _means(data: PointSamples) -> np.ndarray:
     """Return the mean (P,) of the values of each point; 0 of points without values."""
     return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
 

@@ -99,7 +99,7 @@ class Budget:
         """Return the SH degree in use at an iteration (1-based)."""
         return min(self.sh_degree, iteration // self.sh_every)
 
-    def of_stage(self, share: float) -> Budget:
+    def for_stage(self, share: float) -> Budget:
         """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one."""
         if share == 1.0:
             return self

@@ -96,15 +96,15 @@ class Context:
             steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
         if budget.settling is not None:
             held_out = hold_out(budget.settling, views)
-        return self.keep("curriculum", Curriculum(steps, held_out))
+        return self.add_part("curriculum", Curriculum(steps, held_out))
 
-    def of_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
+    def for_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
-        stage = replace(self, budget=self.budget.of_stage(share), rig=rig)
+        stage = replace(self, budget=self.budget.for_stage(share), rig=rig)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         _ = stage.curriculum  # the first part, which the others follow
         if rig is not None:
-            stage.keep("rig", rig)
+            stage.add_part("rig", rig)
         return stage
 
     @cached_property
@@ -121,7 +121,7 @@ class Context:
         """Device on which the backend trains."""
         return training_device(self.backend)
 
-    def keep(self, name: str, part: P) -> P:
+    def add_part(self, name: str, part: P) -> P:
         """Add a part, new or of an earlier stage, under a name, and return it. Raises ValueError for a name in use."""
         if name in self.parts:
             raise ValueError(f"two parts have the name {name!r}; give one of them another name")
@@ -134,40 +134,43 @@ class Context:
         *,
         name: str | None = None,
         start: Gaussians | None = None,
-        more: Mapping[str, torch.Tensor] | None = None,
-        rates: Mapping[str, float | str] | None = None,
+        extra_fields: Mapping[str, torch.Tensor] | None = None,
+        learning_rates: Mapping[str, float | str] | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
-        start: by default Gaussians at the initial points. more: further fields (N, ...) of these. rates: of fields, in
-        the place of the budget's: a number (0: frozen), or the parameter that has the rate. Fields of `more` need one.
+        start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
+        learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
+        rate it shares.
         """
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
-        start = replace(start, more={**start.more, **(more or {})})
+        start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         significance = self._significance(images, background, rig)
-        options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}))
+        options = ModelOptions(name or modality, rig, significance, background, dict(learning_rates or {}))
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
-        return self.keep(options.name, model)
+        return self.add_part(options.name, model)
 
     def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:
         """Make a random order of the training views, or of some of them."""
-        return self.keep(name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum))
+        return self.add_part(
+            name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum)
+        )
 
     def network(self, name: str, module: torch.nn.Module, rate: float) -> Network:
         """Make a network with Adam at a learning rate. torch draws its weights when `module` is made:
         call `torch.manual_seed(self.seed)` before.
         """
-        return self.keep(name, Network(module.to(self.device), rate))
+        return self.add_part(name, Network(module.to(self.device), rate))
 
     def random(self, name: str) -> torch.Generator:
         """Make a stream of random numbers; equal seeds give equal streams in the order of the calls."""
-        return self.keep(name, RandomStream(self._seed())).generator
+        return self.add_part(name, RandomStream(self._seed())).generator
 
     def _seed(self) -> int:
         self._streams += 1

@@ -20,7 +20,7 @@ from torch import Tensor
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.density import Verdict
+from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.budget import GrowthRule
@@ -60,7 +60,7 @@ class Significance:
         return typical_noise((self.modality.array(view), self.modality.valid(view)) for view in self.views)
 
     @torch.no_grad()
-    def decide(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
+    def decide(self, gaussians: Gaussians, degree: int, turn: int) -> GrowthDecision:
         """Return which Gaussians to grow and prune. degree: of the harmonics in use; turn: number of the round."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
@@ -72,7 +72,7 @@ class Significance:
         is_known = (views >= FEWEST_VIEWS) & (weight > 0)
         strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
         strength = torch.where(is_known, strength, 0.0)
-        return Verdict(strength, strength > self.rule.z, self.prunable(views, weight))
+        return GrowthDecision(strength, strength > self.rule.z, self.prunable(views, weight))
 
     def prunable(self, views: Tensor, weight: Tensor) -> Tensor:
         """Return a mask (N,) of Gaussians with little weight (N,), px, in the views that show them (N,)."""
@@ -90,7 +90,7 @@ class Significance:
         camera = Pinhole.of(taken_by).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        target, valid = self.modality.of(view, image.device)
+        target, valid = self.modality.tensors_of(view, image.device)
         return footprints(gaussians, taken_by, target - image, valid, self.backend)
 
 

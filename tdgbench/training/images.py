@@ -51,7 +51,7 @@ class Modality:
         """Return the mask (H, W) bool of a view; None if every pixel counts."""
         return view.valid if self.name == modalities.THERMAL else None
 
-    def of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
+    def tensors_of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
         """Return image and mask of a view as tensors; on the CPU they share the view's memory.
 
         Later calls return the same tensors, for which losses cache intermediate results.

@@ -69,7 +69,7 @@ def thermal_loss(
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
 
     >>> image = torch.full((8, 8, 1), 0.5)
-    >>> round(thermal_loss(image, image - 0.25, 0.0, 0.6, "paper").item(), 4)
+    >>> round(thermal_loss(image, image - 0.25, 0.0, 0.6, "written").item(), 4)
     0.25
     """
     if not _is_fused(image):
@@ -132,12 +132,12 @@ def _valid_values(image: Tensor, valid: Tensor | None) -> int:
 def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tensor:
     """Return the mean difference of neighbouring pixels of an image (H, W, C), in one of two readings.
 
-    `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
-    `reference` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
+    `written` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
+    `released` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
     With a mask, the sum is over neighbours that are both valid, and M counts valid pixels.
 
     >>> image = torch.tensor([[[0.0], [1.0]]])
-    >>> smoothness(image, "paper").item(), smoothness(image, "reference").item()
+    >>> smoothness(image, "written").item(), smoothness(image, "released").item()
     (0.25, 2.0)
     """
     _check_reading(reading)
@@ -145,15 +145,15 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tens
 
 
 def _check_reading(reading: str) -> None:
-    if reading not in ("paper", "reference"):
-        raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    if reading not in ("written", "released"):
+        raise ValueError(f"smoothness reading is {reading!r}; it must be 'written' or 'released'")
 
 
 def _smoothness_scales(image: Tensor, reading: str, valid: Tensor | None) -> Smoothness:
     """Return the factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
     _check_reading(reading)
     count = _valid_values(image, valid)
-    if reading == "reference":
+    if reading == "released":
         return Smoothness(True, 2 / count, 1 / count)
     return Smoothness(False, 2 / (4 * count), 2 / (4 * count))
 

@@ -13,7 +13,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import DensityControl, Verdict
+from tdgbench.splats.density import DensityControl, GrowthDecision
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -155,13 +155,13 @@ class SplatModel(Part):
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
-    def _decide_growth(self, iteration: int) -> Verdict | None:
+    def _decide_growth(self, iteration: int) -> GrowthDecision | None:
         """Apply the budget's growth rule; None without one, or if no round of density control is due."""
         if self.significance is None or not self.density.is_round(iteration):
             return None
         return self.significance.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
     def step(self, iteration: int) -> str | None:

@@ -30,7 +30,7 @@ class Part:
         """
         return None
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         """Set the factor of all learning rates, at most 1; it replaces an earlier one."""
 
     def stop_growth(self, iteration: int) -> None:
@@ -99,7 +99,7 @@ class Network(Part):
         self.optimizer.step()
         return None
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         for group in self.optimizer.param_groups:
             group["lr"] = factor * self.rate
 

@@ -82,7 +82,7 @@ class Settling(Stopping):
         length = max(1, round(self.rule.tail * curriculum.settled_at))
         progress = min(1.0, (iteration - curriculum.settled_at) / length)
         for part in self.parts.values():
-            part.slow_down(self.rule.slowdown**progress)
+            part.scale_learning_rates(self.rule.slowdown**progress)
         return progress == 1.0
 
     def _stop_growth(self) -> None:

@@ -34,7 +34,7 @@ class Trainer:
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole_context.of_stage(self.stage_number, self.stage.share, self._rig)
+        self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
         self.stopping = self._stopping()

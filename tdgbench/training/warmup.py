@@ -43,9 +43,9 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
             for _ in range(1 + depth):  # the gradients of two views take other kernels than those of one
                 render = model.render(camera, depth=depth)
                 black = torch.zeros_like(render.image)
-                loss = thermal_loss(render.image, black, 0.2, 0.1, "paper")
+                loss = thermal_loss(render.image, black, 0.2, 0.1, "written")
                 if masked:
-                    loss = loss + thermal_loss(render.image, black, 0.2, 0.1, "paper", black[..., 0] == 0)
+                    loss = loss + thermal_loss(render.image, black, 0.2, 0.1, "written", black[..., 0] == 0)
                 if render.depth is not None:
                     loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
                 loss.backward()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import read_table, read_text
+from tdgbench.bench.read_files import read_table, read_text
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import finite_field, read_views
 from tdgbench.bench.stored import cell_files, file_problems

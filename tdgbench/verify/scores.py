@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.bench.masks import masked_share
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scenes import Scene

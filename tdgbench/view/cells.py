@@ -12,7 +12,7 @@ import numpy as np
 from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
 from tdgbench.bench.stored import file_problems

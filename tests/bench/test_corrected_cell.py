@@ -10,10 +10,10 @@ from hydra.utils import instantiate
 from PIL import Image
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.bench.renders import background_of, render_model, response_of
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.scored_view import to_8bit
 from tdgbench.splats.ply import load_ply

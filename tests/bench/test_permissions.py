@@ -8,8 +8,8 @@ import stat
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.tables.build import build_tables
 from tdgbench.training.checkpoint import Checkpoint
 from tests.helpers.configs import SMALL, config

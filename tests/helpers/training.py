@@ -66,8 +66,8 @@ def train_killed(make: Callable[[], Trainer], path: Path, stops: Sequence[int]) 
 
         if stop is not None:
             with pytest.raises(KilledError):
-                train(trainer, on_step=write, log=log)
-    return trainer, train(trainer, on_step=write, log=log)
+                train(trainer, after_iteration=write, log=log)
+    return trainer, train(trainer, after_iteration=write, log=log)
 
 
 def digest(trainer: Trainer) -> str:

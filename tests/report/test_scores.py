@@ -45,7 +45,7 @@ class Finder:
 
 sys.meta_path.insert(0, Finder)
 from rich.console import Console
-from tdgbench.bench.cell import run_cell
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables

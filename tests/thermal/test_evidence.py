@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.explain import shrink_towards_ideal
 from tdgbench.thermal.fit import Terms, fit
 from tdgbench.thermal.maps import TERMS as POLYNOMIALS
 from tdgbench.thermal.maps import evaluate
+from tdgbench.thermal.select_terms import shrink_towards_ideal
 from tests.helpers.observations import along_a_line, loose, observations
 
 TERMS = Terms(vignette=True, offsets=True)

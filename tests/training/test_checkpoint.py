@@ -59,7 +59,7 @@ def test_writing_changes_nothing(small_gray_scene, tmp_path):
         trainer = set_up(small_gray_scene, "tdg")
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, seconds)
         log = checkpoint.resume(trainer)
-        train(trainer, on_step=checkpoint.write_if_due, log=log)
+        train(trainer, after_iteration=checkpoint.write_if_due, log=log)
         digests.append(digest(trainer))
         assert checkpoint.path.exists() == (seconds is not None)
     assert digests[0] == digests[1]
@@ -74,7 +74,7 @@ def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):
         trainer, checkpoint = set_up(small_gray_scene, "splat", *soon), Checkpoint(tmp_path / "a.pt", {}, 0.0)
         log = checkpoint.resume(trainer)
         checkpoint._next = 0.0
-        log = train(trainer, on_step=checkpoint.write_if_due, log=log)
+        log = train(trainer, after_iteration=checkpoint.write_if_due, log=log)
         assert log.iterations == 10 + 2 * len(small_gray_scene.train)
 
 
@@ -85,7 +85,7 @@ def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
         return checkpoint, checkpoint.resume(trainer), trainer
 
     checkpoint, log, trainer = resumed_with({"key": "k", "cpu": "A"})
-    train(trainer, on_step=checkpoint.write_if_due, log=log)
+    train(trainer, after_iteration=checkpoint.write_if_due, log=log)
     checkpoint, log, _ = resumed_with({"key": "k", "cpu": "B"})
     assert log.iterations == 0 and "not used: other cpu" in checkpoint.notes[0]
     checkpoint.path.write_bytes(b"no such thing")
@@ -101,7 +101,7 @@ def test_a_full_disk_is_told_and_training_goes_on(small_gray_scene, tmp_path, mo
 
     save = torch.save
     monkeypatch.setattr(torch, "save", lambda content, _: save(content, "/dev/full"))
-    assert train(trainer, on_step=checkpoint.write_if_due, log=log).iterations == 2
+    assert train(trainer, after_iteration=checkpoint.write_if_due, log=log).iterations == 2
     assert checkpoint.notes[0].startswith(f"no checkpoint at iteration 1 in {tmp_path}: ")
     assert not list(tmp_path.iterdir())
 
@@ -130,7 +130,7 @@ def stored(small_gray_scene, tmp_path):
             raise KilledError
 
     with pytest.raises(KilledError):
-        train(trainer, on_step=killed)
+        train(trainer, after_iteration=killed)
     trainer = set_up(small_gray_scene, "msmg")
     fresh = digest(trainer)
 
@@ -214,7 +214,7 @@ def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene
         checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
         log = checkpoint.resume(trainer)
         assert len(checkpoint.notes) == number
-        train(trainer, on_step=checkpoint.write_if_due, log=log)
+        train(trainer, after_iteration=checkpoint.write_if_due, log=log)
         wanted.append(digest(trainer))
         change(tmp_path / "a.pt", "parts.views.generator", lambda state: torch.full_like(state, 255))
     assert wanted[0] == wanted[1]

@@ -33,7 +33,7 @@ def saved_at(scene, iteration: int) -> str:
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(trainer, on_model=look)
+        train(trainer, before_update=look)
     return digests[0]
 
 
@@ -94,7 +94,7 @@ def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, 
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(trainer, on_step=killed, log=log)
+        train(trainer, after_iteration=killed, log=log)
     trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
     log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).resume(trainer)
     assert log.iterations == 59

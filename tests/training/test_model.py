@@ -125,7 +125,7 @@ def take_step(model, view, channels: int, iteration: int) -> str | None:
     model.begin(iteration)
     render = model.render(view.camera, depth=iteration % 3 == 0)
     target = torch.from_numpy(view.thermal[..., :1]).expand(-1, -1, channels).contiguous()
-    loss = thermal_loss(render.image, target, 0.2, 0.1, "paper")
+    loss = thermal_loss(render.image, target, 0.2, 0.1, "written")
     (loss + (0.0 if render.depth is None else 1e-2 * render.depth.mean())).backward()
     return model.step(iteration)
 

@@ -46,7 +46,7 @@ class CoarseToFine(Method):
     def set_up_fine(self, context) -> None:
         self.start = self.model.copy()
         self.model = context.gaussians(start=self.start)
-        self.views = context.keep("views", self.views)
+        self.views = context.add_part("views", self.views)
         self.exposure = context.network("exposure", self.exposure_module(), 1e-2)
 
     def exposure_module(self) -> torch.nn.Module:
@@ -62,7 +62,7 @@ class CoarseToFine(Method):
         return self.compared(render, view)
 
     def compared(self, render, view) -> Step:
-        target, valid = THERMAL.of(view, render.image.device)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = (render.image - target).square().mean()
         return Step(loss, {"thermal": loss.item()}, render, target, valid)
 
@@ -86,7 +86,7 @@ def test_a_stage_starts_from_the_gaussians_of_the_one_before(small_gray_scene):
         seen[log.iterations] = trainer.stage.name, trainer.gaussians["thermal"].copy()
 
     before = len(trainer.gaussians["thermal"])
-    log = train(trainer, on_model=look)
+    log = train(trainer, before_update=look)
     assert log.iterations == ITERATIONS and log.ended
     assert [seen[i][0] for i in (1, 20, 21, 60)] == ["coarse", "coarse", "fine", "fine"]
     coarse, fine, last = (seen[i][1] for i in (20, 21, 60))

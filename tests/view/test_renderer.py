@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells

@@ -147,7 +147,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
     check.points = None if scene.points is None else len(scene.points.points)
     span = scene.temperature
     check.temperature_degC = None if span is None or scene.channels != 1 else (span.min, span.max)
-    check.counts = scene.counts
+    check.counts = scene.raw_count_range
     check.masked_share = float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views]))
     check.views_with_rgb = sum(view.load_rgb is not None for view in views)
     check.notes += scene.notes

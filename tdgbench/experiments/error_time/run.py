@@ -163,7 +163,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )
 
-    train(trainer, on_model=sample)
+    train(trainer, before_update=sample)
     return pd.DataFrame(rows)
 
 

@@ -55,6 +55,6 @@ METRIC = ImageMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset",
+    fits_to_test_view="gain and offset",
     of_images=lambda pair: psnr_affine(*pair.pixels),
 )

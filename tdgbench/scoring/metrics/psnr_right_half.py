@@ -40,7 +40,7 @@ METRIC = ImageMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset, to the left half",
+    fits_to_test_view="gain and offset, to the left half",
     needs="valid pixels in both halves",
     of_images=lambda pair: psnr_right_half(pair.image, pair.target, pair.valid),
 )

@@ -83,7 +83,7 @@ METRIC = ViewMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset, common to all test views",
+    fits_to_test_view="gain and offset, common to all test views",
     needs="true temperatures, gray images",
     of_view=psnr_true,
 )

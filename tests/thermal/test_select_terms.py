@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.thermal.explain import choose_terms, explain, held_out_errors, prior
+from tdgbench.thermal.error_priors import Drift
 from tdgbench.thermal.fit import Terms
 from tdgbench.thermal.maps import TERMS
-from tdgbench.thermal.priors import Drift
+from tdgbench.thermal.select_terms import choose_terms, fit_selected_terms, held_out_errors, prior
 from tests.helpers.observations import DEGC, NOWHERE, along_a_line, loose, observations
 
 STILL, EVEN, ORDER = np.zeros(12), np.ones(12), np.arange(12.0)
@@ -67,16 +67,19 @@ def test_no_value_of_a_held_out_view_is_read():
 @pytest.mark.parametrize("seed", range(3))
 def test_what_parts_of_a_scene_contradict_each_other_about_does_not_wander(seed):
     """Without holding back, the largest coefficient of the vignette is 1.8 to 3.1 °C."""
-    found, _, _ = explain(along_a_line(0.01, 0.2, seed=seed), DEGC, NOWHERE)
+    found, _, _ = fit_selected_terms(along_a_line(0.01, 0.2, seed=seed), DEGC, NOWHERE)
     assert np.abs(found.fit.vignette).max() < 1.5
 
 
 def test_a_drift_is_found_in_the_order_of_the_views():
     data, _ = observations(DRIFT, EVEN)
-    found, terms, drift = explain(data, DEGC, ORDER)
+    found, terms, drift = fit_selected_terms(data, DEGC, ORDER)
     assert terms.offsets and drift.jitter < 0.1 and drift.variance <= DEGC.offsets**2
     assert np.abs(found.fit.response.offsets - found.fit.response.offsets.mean() - DRIFT).max() < 0.05
-    assert explain(data, DEGC, NOWHERE)[2] is None and explain(observations(STILL, EVEN)[0], DEGC, ORDER)[2] is None
+    assert (
+        fit_selected_terms(data, DEGC, NOWHERE)[2] is None
+        and fit_selected_terms(observations(STILL, EVEN)[0], DEGC, ORDER)[2] is None
+    )
 
 
 def test_the_prior_of_a_drift_joins_neighbours():
@@ -89,7 +92,7 @@ def test_the_prior_of_a_drift_joins_neighbours():
 
 def test_a_pattern_of_columns_is_found_and_noise_is_none():
     columns = np.random.default_rng(3).normal(0, 0.3, 64)
-    found, terms, _ = explain(observations(STILL, EVEN, columns=columns, points=2000)[0], DEGC, ORDER)
+    found, terms, _ = fit_selected_terms(observations(STILL, EVEN, columns=columns, points=2000)[0], DEGC, ORDER)
     assert terms.pattern and np.corrcoef(found.columns, columns)[0, 1] > 0.95
-    plain, terms, _ = explain(observations(STILL, EVEN, points=2000)[0], DEGC, ORDER)
+    plain, terms, _ = fit_selected_terms(observations(STILL, EVEN, points=2000)[0], DEGC, ORDER)
     assert not terms.pattern and plain.columns is None and plain.rows is None

@@ -23,12 +23,12 @@ LENGTHS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # views, over which the rest of it 
 FEWEST = 6  # views with an offset, to tell whether it changes smoothly
 
 
-def places(names: Sequence[str]) -> dict[str, float]:
+def sequence_positions(names: Sequence[str]) -> dict[str, float]:
     """Return the positions of views in the sequence, sorted by the numbers in their names; NaN if a name has none.
 
     Time stamps and counters in names give the order of capture. `fit_drift` tests whether offsets follow it.
 
-    >>> places(["img_10", "img_9"])
+    >>> sequence_positions(["img_10", "img_9"])
     {'img_10': 1.0, 'img_9': 0.0}
     """
     if not all(re.search(r"[0-9]", name) for name in names):
@@ -38,7 +38,7 @@ def places(names: Sequence[str]) -> dict[str, float]:
     return {name: place[name] for name in names}
 
 
-class Widths(NamedTuple):
+class PriorStds(NamedTuple):
     """Standard deviations of a camera's errors, in the scene's unit, but of gains.
 
     vignette: of its quadratic terms, over the image; of linear ones half as much, of each degree above half of that
@@ -50,8 +50,8 @@ class Widths(NamedTuple):
     vignette: float
 
     @classmethod
-    def of(cls, unit: str, spread: float) -> Widths:
-        """Return the widths for a unit. spread: standard deviation of the scene's values.
+    def of(cls, unit: str, spread: float) -> PriorStds:
+        """Return them for a unit. spread: standard deviation of the scene's values.
 
         In °C: uncooled cameras are off by up to ±5 °C in a flight (Kelly et al. 2019), and exact to some 5 % (FLIR
         Lepton Engineering Datasheet 500-0659-00-09). Images of automatic gain control are stretched by any factor.
@@ -72,29 +72,30 @@ class Drift(NamedTuple):
     variance: float
     jitter: float  # share of the variance that is independent from view to view
     length: float  # views
-    events: tuple[float, ...] = ()  # places between views at which the shutter closed
+    events: tuple[float, ...] = ()  # positions between views at which the shutter closed
 
     def covariance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the covariance (A, B) of the smooth part of the offsets at places (A,) and (B,): Matérn, ν = 3/2."""
+        """Return the covariance (A, B) of the smooth part of offsets at positions (A,) and (B,): Matérn, ν = 3/2."""
         far = np.sqrt(3) * np.abs(a[:, None] - b[None]) / self.length
         same = np.searchsorted(self.events, a)[:, None] == np.searchsorted(self.events, b)[None]
         return np.asarray(self.variance * (1 - self.jitter) * (1 + far) * np.exp(-far) * same)
 
-    def prior(self, places: np.ndarray) -> np.ndarray:
-        """Return the covariance (V, V) of the offsets at places (V,)."""
-        return self.covariance(places, places) + self.variance * max(self.jitter, JITTERS[0]) * np.eye(len(places))
+    def prior(self, positions: np.ndarray) -> np.ndarray:
+        """Return the covariance (V, V) of the offsets at positions (V,)."""
+        jitter = self.variance * max(self.jitter, JITTERS[0])
+        return self.covariance(positions, positions) + jitter * np.eye(len(positions))
 
-    def expected(self, at: np.ndarray, places: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """Interpolate the offsets (V,) of views at places (V,) at other places (A,) (Gaussian-process mean)."""
-        return np.asarray(self.covariance(at, places) @ np.linalg.solve(self.prior(places), offsets))
+    def expected(self, at: np.ndarray, positions: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """Interpolate the offsets (V,) of views at positions (V,) at other positions (A,) (Gaussian-process mean)."""
+        return np.asarray(self.covariance(at, positions) @ np.linalg.solve(self.prior(positions), offsets))
 
 
-def fit_drift(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
-    """Fit the drift to estimated offsets (V,) at places (V,) by maximum likelihood.
+def fit_drift(positions: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
+    """Fit the drift to estimated offsets (V,) at positions (V,) by maximum likelihood.
 
     known: (V,) mask of views whose offset was estimated. width: upper bound of the standard deviation of offsets.
     """
-    x, y = places[known], offsets[known]
+    x, y = positions[known], offsets[known]
     variance = float(np.mean(y**2))
     if len(x) < FEWEST or variance <= 0:
         return Drift(width**2, 1.0, LENGTHS[0])
@@ -104,10 +105,10 @@ def fit_drift(places: np.ndarray, offsets: np.ndarray, known: np.ndarray, width:
     return best._replace(variance=min(variance, width**2))
 
 
-def shutter_events(places: np.ndarray, offsets: np.ndarray) -> tuple[float, ...]:
-    """Return the places between successive views at which the offset jumps by far more than usual."""
-    order = np.argsort(places)
-    x, steps = places[order], np.diff(offsets[order])
+def shutter_events(positions: np.ndarray, offsets: np.ndarray) -> tuple[float, ...]:
+    """Return the positions between successive views at which the offset jumps by far more than usual."""
+    order = np.argsort(positions)
+    x, steps = positions[order], np.diff(offsets[order])
     usual = NORMAL * float(np.median(np.abs(steps - np.median(steps))))
     jumps = np.abs(steps - np.median(steps)) > SHUTTER * max(usual, 1e-12)
     return tuple(float(place) for place in ((x[1:] + x[:-1]) / 2)[jumps])

@@ -7,11 +7,11 @@ from PIL import Image
 from rich.console import Console
 
 from methods.splat import Splat
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.stored import hashes_of_content
 from tdgbench.scenes import view_images
 from tdgbench.scenes.images import read_image

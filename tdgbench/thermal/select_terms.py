@@ -14,10 +14,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from tdgbench.thermal.camera import ViewResponses
-from tdgbench.thermal.fit import HUBER, Data, Fit, System, Terms, deviation, fit, predict
+from tdgbench.thermal.error_priors import NORMAL, Drift, PriorStds, fit_drift
+from tdgbench.thermal.fit import HUBER, Fit, PointSamples, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
 from tdgbench.thermal.observations import BLUR
-from tdgbench.thermal.priors import NORMAL, Drift, Widths, fit_drift
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
@@ -34,34 +34,36 @@ FIT_ROUNDS = 10
 RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
 
 Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
-LEAST = 1e-9  # variance of a direction, in those of the prior
+MIN_VARIANCE = 1e-9  # variance of a direction, in those of the prior
 
 
 @dataclass(frozen=True)
-class Explained:
+class ResponseFit:
     """A fit; columns (W,) and rows (H,) of the fixed pattern, None where there is none."""
 
     fit: Fit
     columns: np.ndarray | None = None
     rows: np.ndarray | None = None
 
-    def blurred(self, data: Data) -> np.ndarray:
+    def blurred(self, data: PointSamples) -> np.ndarray:
         """Return fixed pattern (S,) in the blurred values."""
         return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
-def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, Terms, Drift | None]:
+def fit_selected_terms(
+    data: PointSamples, stds: PriorStds, positions: np.ndarray
+) -> tuple[ResponseFit, Terms, Drift | None]:
     """Fit the terms that held-out views support, alternating between response and fixed pattern.
 
-    places: (V,) positions of the views in the sequence, NaN if unknown.
+    positions: (V,) positions of the views in the sequence, NaN if unknown.
     """
-    terms = choose_terms(data, widths, places)
-    found = fit(data, terms, prior(data, widths))
-    drift = _drift(found, data, terms, widths, places)
-    precision = prior(data, widths, drift, places)
+    terms = choose_terms(data, stds, positions)
+    found = fit(data, terms, prior(data, stds))
+    drift = _drift(found, data, terms, stds, positions)
+    precision = prior(data, stds, drift, positions)
     if drift is not None:
         found = fit(data, terms, precision)
-    best = Explained(shrink_towards_ideal(data, found, terms, precision))
+    best = ResponseFit(shrink_towards_ideal(data, found, terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
@@ -73,13 +75,13 @@ def explain(data: Data, widths: Widths, places: np.ndarray) -> tuple[Explained, 
             terms = terms._replace(pattern=_size(remaining, without) < BETTER * _size(without, without))
         if not terms.pattern:
             break
-        cleaned = replace(data, value=data.value - Explained(best.fit, *lines).blurred(data))
+        cleaned = replace(data, value=data.value - ResponseFit(best.fit, *lines).blurred(data))
         again = shrink_towards_ideal(cleaned, fit(cleaned, terms, precision), terms, precision)
-        best = Explained(replace(again, before=best.fit.before), *lines)
+        best = ResponseFit(replace(again, before=best.fit.before), *lines)
     return best, terms, drift
 
 
-def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
+def choose_terms(data: PointSamples, stds: PriorStds, positions: np.ndarray) -> Terms:
     """Choose the simplest terms that clearly improve the prediction of held-out views.
 
     A drift outside the model, or a reflection, can look like a gain; held-out views show that correcting it does not
@@ -87,9 +89,9 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     view, and after the gain and offset fitted to its other half. Terms must lower one of them, and their product.
     """
     some = data.select(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
-    best, least = LADDER[0], held_out_errors(some, LADDER[0], widths, places)
+    best, least = LADDER[0], held_out_errors(some, LADDER[0], stds, positions)
     for terms in LADDER[1:]:
-        errors = held_out_errors(some, terms, widths, places)
+        errors = held_out_errors(some, terms, stds, positions)
         change = [_size(b, a) / _size(a, a) for a, b in zip(least, errors, strict=True)]
         needed = BETTER_WITH_GAINS if terms.gains and not best.gains else BETTER
         if min(change) < needed and change[0] * change[1] < needed:
@@ -97,37 +99,39 @@ def choose_terms(data: Data, widths: Widths, places: np.ndarray) -> Terms:
     return best
 
 
-def prior(data: Data, widths: Widths, drift: Drift | None = None, places: np.ndarray | None = None) -> np.ndarray:
-    """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has the width."""
-    variances = np.r_[np.full(data.views, widths.gains**2), widths.of_vignette() ** 2]
-    precision = np.diag(1 / np.r_[np.full(data.views, widths.offsets**2), variances])
-    if drift is not None and places is not None:
-        precision[: data.views, : data.views] = np.linalg.inv(drift.prior(places))
+def prior(
+    data: PointSamples, stds: PriorStds, drift: Drift | None = None, positions: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has its std."""
+    variances = np.r_[np.full(data.views, stds.gains**2), stds.of_vignette() ** 2]
+    precision = np.diag(1 / np.r_[np.full(data.views, stds.offsets**2), variances])
+    if drift is not None and positions is not None:
+        precision[: data.views, : data.views] = np.linalg.inv(drift.prior(positions))
     return precision
 
 
-def _drift(found: Fit, data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> Drift | None:
+def _drift(found: Fit, data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray) -> Drift | None:
     """Fit how the offsets change along the sequence; None if offsets are not estimated or there is no sequence."""
-    if not terms.offsets or np.isnan(places).any():
+    if not terms.offsets or np.isnan(positions).any():
         return None
     offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
-    return fit_drift(places, offsets - offsets[known].mean(), known, widths.offsets)
+    return fit_drift(positions, offsets - offsets[known].mean(), known, stds.offsets)
 
 
-def _within_points(values: np.ndarray, weights: np.ndarray, data: Data) -> np.ndarray:
+def _within_points(values: np.ndarray, weights: np.ndarray, data: PointSamples) -> np.ndarray:
     """Return values (S,) less the weighted mean of their point."""
     total = np.maximum(np.bincount(data.point, weights, data.points), 1e-12)
     return values - (np.bincount(data.point, weights * values, data.points) / total)[data.point]
 
 
-def _lines(data: Data, left: np.ndarray, weights: np.ndarray) -> Lines:
+def _lines(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> Lines:
     """Return patterns of columns and rows of what is left (S,) of the values."""
     columns = line_pattern(left, weights, data.column, data.size[0])
     rows = line_pattern(left - _at(columns, None, data), weights, data.row, data.size[1])
     return columns, rows
 
 
-def _held_out_pattern(data: Data, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _held_out_pattern(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return fixed pattern (S,) at values, each from views of other folds."""
     pattern, fold = np.zeros(len(left)), data.view % FOLDS
     for number in range(FOLDS):
@@ -143,7 +147,9 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
 
 
-def held_out_errors(data: Data, terms: Terms, widths: Widths, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held_out_errors(
+    data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Predict the values of views, held out in turn, from the points' temperatures in other views; return two errors.
 
     The first use no value of the view: its offset is interpolated from its neighbours in the sequence, its gain is 1.
@@ -155,12 +161,12 @@ def held_out_errors(data: Data, terms: Terms, widths: Widths, places: np.ndarray
         held = np.isin(data.view, present[fold::FOLDS])
         rest = data.select(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
-        found = fit(rest, terms, prior(data, widths))
-        drift = _drift(found, rest, terms, widths, places)
+        found = fit(rest, terms, prior(data, stds))
+        drift = _drift(found, rest, terms, stds, positions)
         expected = np.zeros(data.views)
         if drift is not None:
             known = np.unique(rest.view)
-            expected = drift.expected(places, places[known], found.response.offsets[known])
+            expected = drift.expected(positions, positions[known], found.response.offsets[known])
         test = data.select(held & seen[data.point])
         shown = test.value - test.terms @ found.vignette
         for view in np.unique(test.view):
@@ -198,13 +204,13 @@ def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
     return None if lines is None else gaussian_filter1d(lines, BLUR, mode="nearest")
 
 
-def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: Data) -> np.ndarray:
+def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: PointSamples) -> np.ndarray:
     """Return pattern (S,) of columns and rows at values."""
     across = 0.0 if columns is None else columns[data.column]
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
 
 
-def shrink_towards_ideal(data: Data, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
+def shrink_towards_ideal(data: PointSamples, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
     """Shrink each direction of a fit towards an ideal camera, by its variance under the jackknife."""
     free = terms.free(data)
     if not free.any():
@@ -218,9 +224,9 @@ def shrink_towards_ideal(data: Data, found: Fit, terms: Terms, precision: np.nda
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
     drawn = information / (information + 1)  # the share of a value that the prior leaves
-    known = np.minimum(information, drawn**2 / np.maximum(variance, LEAST))
+    known = np.minimum(information, drawn**2 / np.maximum(variance, MIN_VARIANCE))
     place = (theta - data.ideal)[free] @ given @ axes
-    kept = np.where(drawn > 0, place / np.maximum(drawn, LEAST), 0.0) * known / (known + 1)
+    kept = np.where(drawn > 0, place / np.maximum(drawn, MIN_VARIANCE), 0.0) * known / (known + 1)
     theta = data.ideal
     theta[free] += axes @ kept
     temperatures = _temperatures(data, theta, found)
@@ -233,7 +239,7 @@ def shrink_towards_ideal(data: Data, found: Fit, terms: Terms, precision: np.nda
 
 
 def _change_without(
-    data: Data, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
+    data: PointSamples, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
 ) -> np.ndarray:
     """Return the change (2 V + K,) of the parameters when a cluster of points is left out."""
     keep = data.cluster != cluster
@@ -242,7 +248,7 @@ def _change_without(
     return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
 
 
-def _temperatures(data: Data, theta: np.ndarray, found: Fit) -> np.ndarray:
+def _temperatures(data: PointSamples, theta: np.ndarray, found: Fit) -> np.ndarray:
     """Return temperatures (P,) that fit the values best, given the other parameters."""
     system = System(data, theta, found.temperatures, found.reference, found.weights)
     residuals = data.value - predict(data, theta, found.temperatures, found.reference)

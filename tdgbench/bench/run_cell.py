@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench import failures, stored
 from tdgbench.bench.backend_check.choose import training_backend
+from tdgbench.bench.cell_stages import CellRun
 from tdgbench.bench.environment import describe_environment
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
@@ -19,7 +20,6 @@ from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
-from tdgbench.bench.run import CellRun
 from tdgbench.files import settle
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError

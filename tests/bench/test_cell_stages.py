@@ -4,9 +4,9 @@ import pytest
 from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.stored import hashes_of_content
 from tdgbench.training import checkpoint as checkpoints
 from tests.helpers.configs import SMALL, config

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from tdgbench.thermal.error_priors import FEWEST, PriorStds, fit_drift, sequence_positions, shutter_events
 from tdgbench.thermal.maps import TERMS
-from tdgbench.thermal.priors import FEWEST, Widths, fit_drift, places, shutter_events
 
 PLACES = np.arange(60.0)
 ALL = np.ones(60, bool)
@@ -15,9 +15,9 @@ def smooth(seed, length=10.0):
 
 
 def test_places_are_in_the_order_of_counters_and_time_stamps():
-    assert places(["a_2", "b_1", "a_10"]) == {"a_2": 0, "a_10": 1, "b_1": 2}
-    assert places(["20240101_235959", "20240102_000001", "20240101_000000"])["20240101_235959"] == 1
-    assert all(np.isnan(place) for place in places(["view_1", "north"]).values())
+    assert sequence_positions(["a_2", "b_1", "a_10"]) == {"a_2": 0, "a_10": 1, "b_1": 2}
+    assert sequence_positions(["20240101_235959", "20240102_000001", "20240101_000000"])["20240101_235959"] == 1
+    assert all(np.isnan(place) for place in sequence_positions(["view_1", "north"]).values())
 
 
 def test_a_smooth_drift_lets_expect_views_between_others():
@@ -64,11 +64,11 @@ def test_no_drift_varies_more_than_cameras_do():
 
 
 def test_widths_of_images_without_temperatures_follow_their_contrast():
-    assert Widths.of("°C", 5.0) == Widths.of("°C", 0.1)
-    low, high = Widths.of("image", 0.1), Widths.of("image", 0.2)
+    assert PriorStds.of("°C", 5.0) == PriorStds.of("°C", 0.1)
+    low, high = PriorStds.of("image", 0.1), PriorStds.of("image", 0.2)
     assert (high.offsets, high.gains, high.vignette) == pytest.approx((2 * low.offsets, low.gains, 2 * low.vignette))
 
 
 def test_quadratic_terms_of_a_vignette_are_the_widest():
-    widths = dict(zip(TERMS, Widths(2.0, 0.05, 0.8).of_vignette(), strict=True))
+    widths = dict(zip(TERMS, PriorStds(2.0, 0.05, 0.8).of_vignette(), strict=True))
     assert [widths[term] for term in ((1, 0), (1, 1), (0, 3), (2, 2))] == pytest.approx([0.4, 0.8, 0.4, 0.2])
