@@ -89,7 +89,7 @@ def test_raw_counts_have_a_range_and_no_temperature(small_gray_scene, tmp_path, 
         assert np.allclose(
             view.thermal[..., 0], ((stored[view.name].astype(float) - low) / (high - low)).clip(0, 1), atol=1e-6
         )
-    low, high = load(folder, width=24).counts
+    low, high = load(folder, width=24).raw_count_range
     assert isinstance(low, int) and scene.raw_count_range[0] - 2 <= low < high <= scene.raw_count_range[1] + 2
 
 
@@ -98,13 +98,13 @@ def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_p
     stored = np.asarray(Image.open(folder / "thermal" / "view001.tiff"))
     state(folder, min=14.0, max=54.0)
     encoded = load(folder)
-    assert encoded.counts is None and encoded.temperature.max == 54
+    assert encoded.raw_count_range is None and encoded.temperature.max == 54
     assert np.array_equal(encoded.train[0].thermal[..., 0], (stored / 65535).astype(np.float32))
     (folder / "temperature.json").unlink()
     assert not any(differs(encoded, load(folder, temperature=[14.0, 54.0])))
     state(folder, min=14.0, max=54.0, degC_per_count=STEP, degC_at_zero=14 - LOWEST * STEP)
     scaled = load(folder)
-    assert scaled.counts is None
+    assert scaled.raw_count_range is None
     assert np.allclose(scaled.train[0].thermal[..., 0] * 40, (stored.astype(float) - LOWEST) * STEP, atol=1e-4)
 
 
@@ -113,7 +113,7 @@ def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
     assert abs(scene.raw_count_range[0] - whole.raw_count_range[0]) <= 2 and "filled with 0 counts" in scene.notes[-2]
     assert all(not view.valid[:, :7].any() and view.valid[:, 7:].all() for view in scene.views)
-    assert load(scene.folder, fillers=[]).counts[0] == 0
+    assert load(scene.folder, fillers=[]).raw_count_range[0] == 0
 
 
 def test_counts_that_are_all_equal(small_gray_scene, tmp_path):
