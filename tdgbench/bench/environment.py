@@ -53,10 +53,7 @@ def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
 
 
 def code_version(config: object = None) -> str:
-    """Return the hash of the source files that a result depends on.
-
-    config: a configuration, of whose plug-ins (`_target_`) the modules in other folders are hashed as well.
-    """
+    """Return the hash of the sources that a result depends on: our own, and those of a configuration's plug-ins."""
     digest = hashlib.sha256(_own_code())
     for path in sorted(set(_plug_in_files(config))):
         digest.update(path.name.encode() + path.read_bytes())

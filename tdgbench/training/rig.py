@@ -1,8 +1,7 @@
-"""The rig: where the thermal camera is, and its lens, against the poses of a scene; learnt with the Gaussians.
+"""The rig: pose and lens of the thermal camera relative to the scene's poses, learnt with the Gaussians.
 
-In most RGB-thermal captures the poses are those of the RGB camera. All thermal views share turn, shift, focal length,
-principal point and two coefficients of radial distortion: eleven numbers, found by the gradients of the Gaussians'
-means. Test views get the same numbers, without being read.
+In most RGB-thermal captures the poses are those of the RGB camera. All thermal views share the rig; test views get it
+without being read.
 """
 
 from __future__ import annotations

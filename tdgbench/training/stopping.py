@@ -1,8 +1,4 @@
-"""Rules that end a training early: by the PSNR of held-out training views, or by the loss of the others.
-
-`Settling` raises the resolution and ends the training once held-out views no longer improve. `Plateau` ends it once the
-loss, averaged over whole rounds of training views, no longer falls.
-"""
+"""Rules that end a training early: by the PSNR of held-out training views, or by the loss of the others."""
 
 from __future__ import annotations
 
