@@ -17,7 +17,7 @@ from tdgbench.training.trainer import Trainer
 ITERATIONS = 1000  # of either training, at most
 SHARE = 1 / 8  # of the training views that is held out
 FEWEST = 3  # held-out views; with less than four times as many training views there is no trial
-GAIN = 0.3  # dB that the rig gains at least
+GAIN = 0.5  # dB that the rig gains at least
 ERRORS = 2  # standard errors that the gain exceeds
 
 
