@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
-from tdgbench.training.part import Network, Part, RandomStream
+from tdgbench.training.part import Network, Part, RandomStream, Rate
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips
 from tdgbench.training.stopping import hold_out
@@ -136,11 +136,13 @@ class Context:
         start: Gaussians | None = None,
         more: Mapping[str, torch.Tensor] | None = None,
         rates: Mapping[str, float | str] | None = None,
+        position_unit: float | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
         start: by default Gaussians at the initial points. more: further fields (N, ...) of these. rates: of fields, in
         the place of the budget's: a number (0: frozen), or the parameter that has the rate. Fields of `more` need one.
+        position_unit: of the means' learning rate, world units; by default the scene's extent.
         """
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
@@ -150,7 +152,7 @@ class Context:
         start = replace(start, more={**start.more, **(more or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         significance = self._significance(images, background, rig)
-        options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}))
+        options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}), position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.keep(options.name, model)
@@ -159,9 +161,10 @@ class Context:
         """Make a random order of the training views, or of some of them."""
         return self.keep(name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum))
 
-    def network(self, name: str, module: torch.nn.Module, rate: float) -> Network:
-        """Make a network with Adam at a learning rate. torch draws its weights when `module` is made:
-        call `torch.manual_seed(self.seed)` before.
+    def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
+        """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).
+
+        torch draws its weights when `module` is made: call `torch.manual_seed(self.seed)` before.
         """
         return self.keep(name, Network(module.to(self.device), rate))
 

@@ -33,7 +33,8 @@ class ModelOptions:
 
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
     significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
-    black. rates: learning rates of fields, in the place of the budget's; see `Adam`.
+    black. rates: learning rates of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
+    means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
@@ -41,6 +42,7 @@ class ModelOptions:
     significance: Significance | None = None
     background: torch.Tensor | None = None
     rates: Mapping[str, float | str] = field(default_factory=dict)
+    position_unit: float | None = None
 
 
 class SplatModel(Part):
@@ -63,7 +65,7 @@ class SplatModel(Part):
         self.budget = budget
         self.backend = backend
         self.degree = 0
-        self.optimizer = Adam(self.state, budget.rates, extent, options.rates)
+        self.optimizer = Adam(self.state, budget.rates, options.position_unit or extent, options.rates)
         self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
@@ -147,8 +149,7 @@ class SplatModel(Part):
     def begin(self, iteration: int) -> None:
         """Raise the SH degree if it is due."""
         self._iteration = iteration
-        if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
-            self.degree += 1
+        self.degree = max(self.degree, self.budget.active_degree(iteration))
 
     def take_gradients(self) -> Gradients | None:
         """Sum of the gradients since the last step, which forgets them; None without a backward pass."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -72,20 +73,25 @@ class RandomStream(Part):
         self.generator.set_state(saved["generator"])
 
 
+Rate = float | Callable[[int], float]
+
+
 class Network(Part):
-    """A torch module with its optimiser, by default Adam."""
+    """A torch module with Adam."""
 
     needed_to_render = True
 
-    def __init__(
-        self, module: torch.nn.Module, rate: float, optimizer: type[torch.optim.Optimizer] = torch.optim.Adam
-    ) -> None:
-        """rate: learning rate of all parameters."""
-        self.module, self.rate = module, rate
-        self.optimizer = optimizer(module.parameters(), lr=rate)  # type: ignore[call-arg]
+    def __init__(self, module: torch.nn.Module, rate: Rate, eps: float = 1e-8) -> None:
+        """rate: learning rate of all parameters, or that at an iteration (1-based). eps: Adam's."""
+        self.module = module
+        self.rate: Callable[[int], float] = rate if callable(rate) else lambda iteration: rate
+        self.optimizer = torch.optim.Adam(module.parameters(), lr=self.rate(1), eps=eps)
+        self._slowdown = 1.0
 
     def begin(self, iteration: int) -> None:
         self.optimizer.zero_grad(set_to_none=True)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._slowdown * self.rate(iteration)
 
     def step(self, iteration: int) -> str | None:
         for name, parameter in self.module.named_parameters():
@@ -95,18 +101,19 @@ class Network(Part):
         return None
 
     def slow_down(self, factor: float) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = factor * self.rate
+        self._slowdown = factor
 
     def not_finite(self) -> str | None:
         return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"module": dict(self.module.state_dict()), "optimizer": self.optimizer.state_dict()}
+        module, optimizer = dict(self.module.state_dict()), self.optimizer.state_dict()
+        return {"module": module, "optimizer": optimizer, "slowdown": self._slowdown}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         self.module.load_state_dict(saved["module"])
         self.optimizer.load_state_dict(saved["optimizer"])
+        self._slowdown = saved["slowdown"]
 
     def report(self) -> dict[str, Any]:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}
