@@ -96,12 +96,20 @@ class SplatModel(Part):
         optimizer.flush()
         return state.split(state.values)
 
-    def render(self, camera: Camera | Pinhole, *, depth: bool = False, hook: Hook | None = None) -> Render:
+    def render(
+        self,
+        camera: Camera | Pinhole,
+        *,
+        depth: bool = False,
+        hook: Hook | None = None,
+        background: torch.Tensor | None = None,
+    ) -> Render:
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
         hook: changes what is rendered (means, turns, scales, opacities, colours), given the Gaussians and the degree;
         gradients go back through it, to Gaussians and whatever else it used. A camera's pose may ask for a gradient,
-        too. Both cost time: gradients of all Gaussians pass through torch then.
+        too. Both cost time: gradients of all Gaussians pass through torch then. background: (D,) behind the D channels
+        that a hook renders; by default the model's.
         """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
@@ -114,7 +122,8 @@ class SplatModel(Part):
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
         if self.rig is not None:
             hook, pinhole = self.rig.through(hook, pinhole)
-        options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
+        background = self.background if background is None else background
+        options = StateOptions(self.degree, depth, self.blending, tolerance, background, hook)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
     def state_dict(self) -> dict[str, Any]:
