@@ -7,6 +7,7 @@ half of its random starts, else a brightness of about 1/√height.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
@@ -24,7 +25,7 @@ from tdgbench.training.losses import l1_and_dssim
 from tdgbench.training.method import Frame, Method, Share, Step
 from tdgbench.training.part import Network
 
-EPS = 1e-15  # Adam's, for both networks
+ADAM = partial(torch.optim.Adam, eps=1e-15)  # of both networks
 HARRIS = 0.04  # find_corners
 
 
@@ -85,7 +86,7 @@ class ConductionPart(Network):
     """The conduction module in training; it reports whether it does anything."""
 
     def __init__(self, module: Conduction, rate: Any) -> None:
-        super().__init__(module, rate, EPS)
+        super().__init__(module, rate, ADAM)
         self.largest = 0.0  # that it added to the last image
 
     def added(self, image: Tensor) -> Tensor:
@@ -132,7 +133,7 @@ class Thermal3DGS(Method):
         if self.has_transmission:
             first, last = self.transmission_rates
             rate = _falling(first, last, steps)
-            self.transmission = context.keep("transmission", Network(Transmission().to(context.device), rate, EPS))
+            self.transmission = context.keep("transmission", Network(Transmission().to(context.device), rate, ADAM))
         if self.has_conduction:
             first, last = self.conduction_rates
             rate = _falling(first, last, steps)

@@ -151,6 +151,10 @@ class Adam:
         """Return the name of the first parameter with a marked column; bad (columns,)."""
         return next((name for name in self.steps if bad[self.state.column_of(name)].any()), None)
 
+    def position_rate(self, iteration: int) -> float:
+        """Return the learning rate of the means at an iteration, world units."""
+        return self.slowdown * float(self._rate_of("means", iteration))
+
     def stale(self) -> Stale:
         """Return all rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
         return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)

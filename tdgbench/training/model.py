@@ -14,7 +14,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import DensityControl, Verdict
+from tdgbench.splats.density import Verdict
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -66,7 +66,7 @@ class SplatModel(Part):
         self.backend = backend
         self.degree = 0
         self.optimizer = Adam(self.state, budget.rates, options.position_unit or extent, options.rates)
-        self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
+        self.density = budget.density.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
         self.significance, self.background = options.significance, options.background
@@ -148,7 +148,8 @@ class SplatModel(Part):
     def report(self) -> dict[str, Any]:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
-        return {**counts, "pruned": self.work.pruned, **behind}
+        moved = {"relocated": self.work.relocated} if self.work.relocated else {}
+        return {**counts, "pruned": self.work.pruned, **moved, **behind}
 
     def not_finite(self) -> str | None:
         if torch.isfinite(self.state.values.sum()):  # one pass in the usual case
@@ -197,11 +198,13 @@ class SplatModel(Part):
         self.work.add_change(change)
         bad = None
         if gradients is not None:
+            gradients = self.density.regularised(gradients)
             bad = self.optimizer.step(
                 gradients, iteration, "opacity_logits" if change.opacity_reset else None, statistics
             )
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
+        self.density.after_step(self.optimizer, iteration, self._generator)
         self._forget(views)
         if len(self) == 0:
             raise EmptyModelError(iteration, self.name)

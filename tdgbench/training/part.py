@@ -77,15 +77,17 @@ Rate = float | Callable[[int], float]
 
 
 class Network(Part):
-    """A torch module with Adam."""
+    """A torch module with its optimiser, by default Adam."""
 
     needed_to_render = True
 
-    def __init__(self, module: torch.nn.Module, rate: Rate, eps: float = 1e-8) -> None:
-        """rate: learning rate of all parameters, or that at an iteration (1-based). eps: Adam's."""
+    def __init__(
+        self, module: torch.nn.Module, rate: Rate, optimizer: Callable[..., torch.optim.Optimizer] = torch.optim.Adam
+    ) -> None:
+        """rate: learning rate of all parameters, or that at an iteration (1-based)."""
         self.module = module
         self.rate: Callable[[int], float] = rate if callable(rate) else lambda iteration: rate
-        self.optimizer = torch.optim.Adam(module.parameters(), lr=self.rate(1), eps=eps)
+        self.optimizer = optimizer(module.parameters(), lr=self.rate(1))
         self._slowdown = 1.0
 
     def begin(self, iteration: int) -> None:
