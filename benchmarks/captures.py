@@ -30,11 +30,11 @@ from PIL import Image
 
 from benchmarks.geometry.colmap import SEED, THREADS, from_motion, summary, triangulated
 from benchmarks.geometry.metashape import read_project
-from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.temperature import CountScale
 
 RGB_SIZE = 960, 540  # of fresco, half that of the files: thermal images have 640×512 px
 RGB_TO_THERMAL = "0.8916 0.0023 -122.53 -0.0028 0.8822 18.07 -5.5e-6 -6.5e-6 1"  # homography, px; to 1 px RMS

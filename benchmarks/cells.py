@@ -1,18 +1,13 @@
 """`python -m benchmarks.cells`: what a cell costs beside its training, in seconds and ratios.
 
-scoring   the test views of a scene, on one thread and on all, in turns; the scores must be equal
-again     a finished sweep of 28 small cells, run again: with its stamp, and without, so that each cell is checked and
-          tables and report are made anew, in turns
-
-Exits with 1 where scoring gains nothing from further threads, or a repeated sweep takes longer than NEEDED_SECONDS.
+It scores the test views of a scene on one thread and on all, in turns; the scores must be equal. Exits with 1 where
+scoring gains nothing from further threads.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,18 +18,12 @@ import numpy as np
 import torch
 
 from benchmarks.common.timing import interleave
-from tdgbench.experiments.stamp import FILE
-from tdgbench.resources import PACKAGE
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scoring import LPIPSOptions, RenderedImages, Scorer
 from tdgbench.scoring.backbones import make_trunk
 from tdgbench.splats.cpu import pool
 
-NEEDED_SECONDS = 3.0  # of a repeated sweep of 28 cells
 NEEDED_RATIO = 0.9  # of the time on all threads over that on one
-SWEEP = ("-m", "dataset=synthetic", "scene=orbit,night,turntable,facade", "seed=0,1,2,3,4,5,6", "method=splat",
-         "budget=demo", "budget.iterations=3", "metrics.lpips.download=false", "dataset.loader.width=48",
-         "dataset.loader.height=36", "dataset.loader.views=10", "dataset.loader.points=300")  # fmt: skip
 
 
 def random_scene(views: int, width: int, height: int) -> tuple[Scene, dict[str, RenderedImages]]:
@@ -84,60 +73,23 @@ def time_scoring(net: str, views: int, size: tuple[int, int], repetitions: int) 
     return times
 
 
-def time_again(repetitions: int) -> tuple[list[float], list[float]]:
-    """Seconds of a repeated sweep with its stamp and without, in turns."""
-    with tempfile.TemporaryDirectory() as folder:
-        stamp = Path(folder, "results", "single", FILE)
-        for _ in range(2):  # the first one writes the scenes
-            _run(folder)
-        told, checked = [], []
-        for _ in range(repetitions):
-            told.append(_run(folder))
-            stamp.unlink()
-            checked.append(_run(folder))
-    return told, checked
-
-
-def _run(folder: str) -> float:
-    """Seconds of the sweep in a new process. Raises CalledProcessError if it fails."""
-    start = time.perf_counter()
-    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
-    subprocess.run(
-        [sys.executable, "-m", "tdgbench", *SWEEP], cwd=folder, env=environment, check=True, capture_output=True
-    )  # fmt: skip
-    return time.perf_counter() - start
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cells", description=__doc__)
     parser.add_argument("--net", default="vgg", choices=("vgg", "alex", "squeeze"))
     parser.add_argument("--views", type=int, default=4)
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--repetitions", type=int, default=3)
-    parser.add_argument("--parts", nargs="+", default=["scoring", "again"], choices=("scoring", "again"))
     args = parser.parse_args()
     torch.set_num_threads(1)
-    failed = False
-    if "scoring" in args.parts:
-        width, height = map(int, args.size.split("x"))
-        times = time_scoring(args.net, args.views, (width, height), args.repetitions)
-        one, most = times[1], times[max(times)]
-        ratio = statistics.median(b / a for a, b in zip(one, most, strict=True))
-        print(
-            f"scoring {args.views} views of {args.size}, {args.net}: {statistics.median(one):.2f} s on one thread, "
-            f"{statistics.median(most):.2f} s on {max(times)}, ratio {ratio:.2f}; equal scores"
-        )
-        failed |= len(times) > 1 and ratio > NEEDED_RATIO
-    if "again" in args.parts:
-        told, checked = time_again(args.repetitions)
-        ratio = statistics.median(a / b for a, b in zip(told, checked, strict=True))
-        median, other = statistics.median(told), statistics.median(checked)
-        print(
-            f"28 cells again: {median:.2f} s where nothing changed, {other:.2f} s without a stamp, ratio {ratio:.2f}; "
-            f"{median / NEEDED_SECONDS:.2f} × {NEEDED_SECONDS:g} s"
-        )
-        failed |= median > NEEDED_SECONDS
-    if failed:
+    width, height = map(int, args.size.split("x"))
+    times = time_scoring(args.net, args.views, (width, height), args.repetitions)
+    one, most = times[1], times[max(times)]
+    ratio = statistics.median(b / a for a, b in zip(one, most, strict=True))
+    print(
+        f"scoring {args.views} views of {args.size}, {args.net}: {statistics.median(one):.2f} s on one thread, "
+        f"{statistics.median(most):.2f} s on {max(times)}, ratio {ratio:.2f}; equal scores"
+    )
+    if len(times) > 1 and ratio > NEEDED_RATIO:
         sys.exit(1)
 
 

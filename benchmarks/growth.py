@@ -83,7 +83,7 @@ def _run(cloud: Cloud, channels: int, views: int) -> Callable[[], float]:
 def _working_memory(run: Callable[[], float]) -> float:
     """Peak of NumPy's memory during a run, MB, starting with an empty workspace. A first run compiles."""
     run()
-    scratch.release()
+    scratch.free_buffers()
     tracemalloc.start()
     try:
         run()

@@ -142,7 +142,7 @@ def _timed(cloud: Cloud, setting: Setting, part: Literal["forward", "both"]) -> 
     run = time_pass(cloud, part, setting.backend, setting.blending)
 
     def with_threads() -> float:
-        before = pool.chosen_threads()
+        before = pool._threads
         pool.set_threads(setting.threads if setting.threads is not None else before)
         try:
             return run()

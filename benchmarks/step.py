@@ -24,7 +24,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool
 from tdgbench.training.budget import Budget
-from tdgbench.training.losses import thermal
+from tdgbench.training.losses import thermal_loss
 from tdgbench.training.model import SplatModel
 
 VIEWS = 16
@@ -93,7 +93,7 @@ def time_steps(model: SplatModel, views: list[Camera], channels: int, depth: boo
             start = time.process_time()
             model.begin(ITERATION)
             render = model.render(views[turn % len(views)], depth=depth)
-            loss = thermal(render.image, target, 0.2, 0.6, "reference")
+            loss = thermal_loss(render.image, target, 0.2, 0.6, "released")
             (loss if render.depth is None else loss + 1e-3 * render.depth.mean()).backward()
             model.step(ITERATION)
             whole = time.process_time() - start

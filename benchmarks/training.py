@@ -135,7 +135,9 @@ def _steps_and_renders(trainer: Trainer, steps: int) -> tuple[float, float]:
                 render = model.render(view.camera, depth=with_depth)
                 outputs = [render.image, *([render.depth] if render.depth is not None else [])]
                 torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
-                model.take_gradients()
+                for rendered in model._views:
+                    rendered.gradients.compute()
+                model._views.clear()
             end = time.perf_counter()
             if turn > 0 or steps < 2 * len(views):
                 seconds["step"] += middle - start

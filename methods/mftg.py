@@ -16,7 +16,7 @@ from pydantic import NonNegativeFloat
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal
+from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Stage, Step
 
 
@@ -53,7 +53,7 @@ class MFTG(Method):
     def _step_rgb(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.rgb.render(view.camera)
-        target, _ = RGB.of(view, render.image.device)
+        target, _ = RGB.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim)
         return Step(loss, {"rgb": loss.item()}, render, target)
 
@@ -69,8 +69,8 @@ class MFTG(Method):
     def _step_thermal(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.thermal.render(view.camera)
-        target, valid = THERMAL.of(view, render.image.device)
-        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         return Step(loss, {"thermal": loss.item()}, render, target, valid)
 
     @torch.no_grad()

@@ -12,7 +12,7 @@ from pydantic import NonNegativeFloat
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal
+from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
@@ -45,10 +45,10 @@ class MSMG(Method):
     def step(self, iteration: int) -> Step:
         rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
         image = self.rgb.render(rgb_view.camera).image
-        loss_rgb = photometric(image, RGB.of(rgb_view, image.device)[0], self.lambda_ssim)
+        loss_rgb = photometric(image, RGB.tensors_of(rgb_view, image.device)[0], self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
-        target, valid = THERMAL.of(thermal_view, render.image.device)
-        loss_thermal = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        target, valid = THERMAL.tensors_of(thermal_view, render.image.device)
+        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)

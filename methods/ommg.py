@@ -15,7 +15,7 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import GaussianTensors, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal
+from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 SH_RGB = "sh_rgb"  # the further field
@@ -29,7 +29,7 @@ class OMMG(Method):
 
     name = "ommg"
     modalities = ("thermal", "rgb")
-    plain = False
+    renders_plain_gaussians = False
 
     def __init__(
         self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
@@ -39,7 +39,7 @@ class OMMG(Method):
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree
         sh_rgb = gaussians_from_points(points.points, points.colors, 3, degree).sh
-        self.model = context.gaussians(more={SH_RGB: sh_rgb}, rates={SH_RGB: "sh"})
+        self.model = context.gaussians(extra_fields={SH_RGB: sh_rgb}, learning_rates={SH_RGB: "sh"})
         self.views = context.views()
 
     def step(self, iteration: int) -> Step:
@@ -47,9 +47,9 @@ class OMMG(Method):
         render = self.model.render(view.camera, hook=with_both, background=self._background())
         channels = self.model.state.channels
         image, rgb = render.image.split([channels, 3], dim=2)
-        target, valid = THERMAL.of(view, image.device)
-        loss_thermal = thermal(image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
-        loss_rgb = photometric(rgb, RGB.of(view, rgb.device)[0], self.lambda_ssim)
+        target, valid = THERMAL.tensors_of(view, image.device)
+        loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
         render.image = image
         terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
@@ -72,9 +72,9 @@ class OMMG(Method):
 
 def with_both(gaussians: Gaussians, degree: int) -> GaussianTensors:
     """Return the Gaussians with the channels of both colour sets, thermal ones first."""
-    return gaussians.activated(degree)._replace(colors=torch.cat([gaussians.sh, gaussians.more[SH_RGB]], dim=2))
+    return gaussians.activated(degree)._replace(colors=torch.cat([gaussians.sh, gaussians.extra_fields[SH_RGB]], dim=2))
 
 
 def with_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
     """Return the Gaussians with their RGB colours."""
-    return gaussians.activated(degree)._replace(colors=gaussians.more[SH_RGB])
+    return gaussians.activated(degree)._replace(colors=gaussians.extra_fields[SH_RGB])

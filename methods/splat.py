@@ -11,7 +11,7 @@ from pydantic import NonNegativeFloat
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
-from tdgbench.training.losses import thermal
+from tdgbench.training.losses import thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
@@ -35,8 +35,8 @@ class Splat(Method):
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         render = self.model.render(view.camera)
-        target, valid = THERMAL.of(view, render.image.device)
-        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
 
     @torch.no_grad()

@@ -5,7 +5,7 @@ Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimatio
 - eq. 2, estimated depth D: `tdgbench.priors`
 - eq. 3, rendered depth: `Render.depth`
 - eq. 4, depth loss: `depth_loss`
-- eqs. 5 and 6, thermal loss and smoothness: `tdgbench.training.losses.thermal`
+- eqs. 5 and 6, thermal loss and smoothness: `tdgbench.training.losses.thermal_loss`
 - eq. 7, progressive weight: `decay_weight`
 - eq. 8, total loss: `TDg.step`
 
@@ -28,7 +28,7 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
-from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal
+from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
@@ -70,8 +70,8 @@ class TDg(Method):
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
         render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
-        target, valid = THERMAL.of(view, render.image.device)
-        loss = thermal(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
         terms = {"thermal": loss.item()}
         if needs_depth:
             depth = self._depth_loss(view, render)

@@ -103,7 +103,7 @@ class Thermal3DGS(Method):
     """L = (1 − λ_ssim − λ_corner) L1 + λ_ssim (1 − SSIM) + λ_corner max(1 − t / corner_end, 0) L_corner."""
 
     name = "thermal3dgs"
-    plain = False
+    renders_plain_gaussians = False
 
     def __init__(
         self,
@@ -133,16 +133,16 @@ class Thermal3DGS(Method):
         if self.has_transmission:
             first, last = self.transmission_rates
             rate = _falling(first, last, steps)
-            self.transmission = context.keep("transmission", Network(Transmission().to(context.device), rate, ADAM))
+            self.transmission = context.add_part("transmission", Network(Transmission().to(context.device), rate, ADAM))
         if self.has_conduction:
             first, last = self.conduction_rates
             rate = _falling(first, last, steps)
-            self.conduction = context.keep("conduction", ConductionPart(Conduction().to(context.device), rate))
+            self.conduction = context.add_part("conduction", ConductionPart(Conduction().to(context.device), rate))
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         render = self._rendered(self.frame(view))
-        target, valid = THERMAL.of(view, render.image.device)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
         weight = self.lambda_corner * max(1 - iteration / max(self.corner_iterations, 1), 0.0)
         loss = l1_and_dssim(render.image, target, 1 - self.lambda_ssim - self.lambda_corner, self.lambda_ssim, valid)
         terms = {"thermal": loss.item()}

@@ -1,6 +1,6 @@
 """The command line: its first word chooses a tool; without one, Hydra composes a configuration and runs its job.
 
-What takes seconds to import is imported where it is needed: neither help nor a sweep that is finished needs it.
+What takes seconds to import is imported where it is needed: help does not need it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import hydra
 from omegaconf import DictConfig
 
 from tdgbench import __version__
-from tdgbench.experiments.callback import ExperimentCallback
 from tdgbench.resources import conf_folder
 from tdgbench.terminal import say
 from tdgbench.tools import TOOLS
@@ -23,16 +22,15 @@ DEMO = "+experiment=demo"
 FULL_ERROR = "HYDRA_FULL_ERROR"  # environment variable; Hydra raises its errors instead of printing tracebacks
 
 
-def run(words: list[str], on_loaded: Callable[[], None] | None = None) -> int:
-    """Run a command line; no words: the demo. Returns the exit status; errors are raised.
+def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
+    """Run a command line, by default the demo. Return the exit status; errors are raised.
 
     on_loaded: called once everything that the command needs is imported.
     """
     if words and words[0] in TOOLS:
-        from tdgbench.experiments import experiment  # noqa: F401 (what tools need, before `on_loaded`)
+        from tdgbench.experiments import experiment  # noqa: F401 (what tools need)
 
-        if on_loaded is not None:
-            on_loaded()
+        on_loaded()
         return TOOLS[words[0]].run(words[1:])
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
         say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
@@ -42,10 +40,12 @@ def run(words: list[str], on_loaded: Callable[[], None] | None = None) -> int:
     elif "--version" in words:
         say(f"tdgbench {__version__}")
     else:
+        from tdgbench.experiments import callback  # noqa: F401 (what experiments need)
+
+        on_loaded()
         sys.argv[1:] = words or [DEMO]  # where Hydra reads them
         before = os.environ.get(FULL_ERROR)
         os.environ[FULL_ERROR] = "1"
-        ExperimentCallback.on_loaded = on_loaded
         try:
             run_experiment()
         finally:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Callable
 from typing import Any, TextIO, cast
 
 from rich.console import Console
@@ -25,17 +24,6 @@ def console(stderr: bool = False) -> Console:
     if stream.is_terminal():
         return Console(file=cast(TextIO, stream), stderr=stderr)
     return Console(file=cast(TextIO, stream), stderr=stderr, width=UNLIMITED, force_interactive=False)
-
-
-def as_printed(write: Callable[[Console], None]) -> str:
-    """Return what `write` prints on a console, as where there is no terminal.
-
-    >>> as_printed(lambda console: console.print("[bold]a[/bold] b"))
-    'a b\\n'
-    """
-    buffer = io.StringIO()
-    write(Console(file=buffer, width=UNLIMITED, force_interactive=False, force_terminal=False))
-    return buffer.getvalue()
 
 
 def say(text: str, label: str = "", style: str = "red", stderr: bool = False) -> None:

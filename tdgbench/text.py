@@ -17,7 +17,7 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def shortened(text: str, most: int) -> str:
+def shortened(text: str, most: int = 300) -> str:
     """Return one line of at most `most` characters.
 
     >>> shortened("a very long name", 8)

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
 from tdgbench.bench.backend_check.choose import AutoBackend
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.scenes import Scene
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.synthetic import SyntheticDataset

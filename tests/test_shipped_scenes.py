@@ -77,9 +77,9 @@ def test_options_are_typed_as_data(small_gray_scene, tmp_path):
     (record,) = run(tmp_path, *words, "data.temperature=[16.8,48.3]", "data.principal_point=center", "data.fillers=[0]")
     assert record.temperature == [16.8, 48.3] and record.config["dataset"]["options"]["fillers"] == [0]
     for option, message in (
-        ("data.temperature=[1]", "data.temperature: must have 2 items"),
-        ("data.temperature=warm", "data.temperature=warm: must be a list"),
-        ("data.fillers=some", "data.fillers=some: must be a list, as [a,b]"),
+        ("data.temperature=[1]", "data.temperature: must have at least 2 items, not 1"),
+        ("data.temperature=warm", "data.temperature=warm: must be a valid list"),
+        ("data.fillers=some", "data.fillers=some: must be a valid list"),
         ("data.thermal=raw", "data.thermal=raw: must be shown or radiometric"),
         ("data.principal_point=left", "data.principal_point=left: must be model or center"),
     ):

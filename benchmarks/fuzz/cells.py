@@ -146,12 +146,12 @@ def _expect(status: int, ran: Ran) -> None:
 
 def _stopped(programs: Programs) -> int:
     """Train until a checkpoint of iteration STOP_AT is on disk; end as a killed process does."""
-    after_step = Checkpoint.after_step
+    write_if_due = Checkpoint.write_if_due
 
     def stop(self, log) -> None:
-        after_step(self, log)
+        write_if_due(self, log)
         if log.iterations == STOP_AT:
             os._exit(9)
 
-    Checkpoint.after_step = stop  # type: ignore[method-assign]
+    Checkpoint.write_if_due = stop  # type: ignore[method-assign]
     return command(programs, RESUMED)

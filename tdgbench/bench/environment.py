@@ -7,6 +7,9 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -49,15 +52,34 @@ def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
     return {name: environment[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
 
 
+def code_version(config: object = None) -> str:
+    """Return the hash of the sources that a result depends on: our own, and those of a configuration's plug-ins."""
+    digest = hashlib.sha256(_own_code())
+    for path in sorted(set(_plug_in_files(config))):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 @cache
-def code_version() -> str:
-    """Return the hash of the source files that a result depends on."""
+def _own_code() -> bytes:
     digest = hashlib.sha256()
     for name in HASHED:
         place = ROOT / name
         for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
             digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.digest()
+
+
+def _plug_in_files(config: object) -> Iterator[Path]:
+    """Yield the modules of a configuration's plug-ins that are neither tdgbench's own nor an installed package's."""
+    if isinstance(config, dict):
+        name = str(config.get("_target_", "")).rpartition(".")[0]
+        file = getattr(sys.modules.get(name), "__file__", None)
+        known = [ROOT / "tdgbench", ROOT / "methods", *(Path(sysconfig.get_path(n)) for n in ("purelib", "stdlib"))]
+        if file is not None and not any(Path(file).is_relative_to(folder) for folder in known):
+            yield Path(file)
+        for value in config.values():
+            yield from _plug_in_files(value)
 
 
 @cache

@@ -16,17 +16,6 @@ from tdgbench.training.part import TrainingError
 
 EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError)  # their message says enough without its type
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
-_TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
-_LOST = (
-    errno.EIO, errno.ENODEV, errno.ENXIO, errno.ENOTCONN, errno.ESTALE, errno.EREMOTEIO, errno.EHOSTDOWN,
-    errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH, errno.ETIMEDOUT, errno.ENOLCK, errno.EBUSY, errno.EAGAIN,
-)  # fmt: skip
-# RuntimeErrors of torch and of the standard library that have no type of their own.
-_MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "ALLOC_FAILED")
-_DEVICE_TEXTS = ("CUDA error", "CUDA driver", "cuDNN error", "CUBLAS_STATUS", "can't start new thread")
-
 REMEDIES = {
     "memory": "out of memory: use smaller images (data.width=…), a smaller budget, or fewer workers",
     "full": "the disk is full: free some space and run again",
@@ -34,6 +23,18 @@ REMEDIES = {
     "files": "too many open files: raise the limit (ulimit -n)",
     "lost": "the device, the disk or the network failed: run again",
 }
+ERROR_NUMBERS = {  # by the key of the remedy
+    "memory": "ENOMEM",
+    "full": "ENOSPC EDQUOT",
+    "read-only": "EROFS EACCES EPERM",
+    "files": "EMFILE ENFILE",
+    "lost": "EIO ENODEV ENXIO ENOTCONN ESTALE EREMOTEIO EHOSTDOWN EHOSTUNREACH ENETDOWN ENETUNREACH ETIMEDOUT ENOLCK "
+    "EBUSY EAGAIN",
+}
+_BY_NUMBER = {getattr(errno, name): kind for kind, names in ERROR_NUMBERS.items() for name in names.split()}
+# RuntimeErrors of torch and of the standard library that have no type of their own.
+_MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "ALLOC_FAILED")
+_DEVICE_TEXTS = ("CUDA error", "CUDA driver", "cuDNN error", "CUBLAS_STATUS", "can't start new thread")
 
 
 def of_environment(error: BaseException) -> bool:
@@ -93,12 +94,8 @@ def _kind(error: BaseException) -> str | None:
     if isinstance(error, MemoryError | torch.OutOfMemoryError):
         return "memory"
     if isinstance(error, OSError):
-        kinds = {"full": _FULL, "read-only": _READ_ONLY, "files": _TOO_MANY_FILES, "lost": _LOST}
-        known = [kind for kind, numbers in kinds.items() if error.errno in numbers]
-        if error.errno == errno.ENOMEM:
-            return "memory"
         is_network = isinstance(error, URLError | ConnectionError | TimeoutError)
-        return known[0] if known else "lost" if is_network else None
+        return _BY_NUMBER.get(error.errno or 0, "lost" if is_network else None)
     if isinstance(error, RuntimeError):
         if any(text in str(error) for text in _MEMORY_TEXTS):
             return "memory"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -11,25 +11,22 @@ from filelock import FileLock, Timeout
 from tdgbench.bench.paths import short_name
 
 
-@contextmanager
-def cell_lock(experiment: Path, folder: Path) -> Iterator[bool]:
-    """Try to lock the cell of `folder`; yield whether it worked.
+def cell_lock(experiment: Path, folder: Path) -> AbstractContextManager[bool]:
+    """Return a context that tries to lock the cell of `folder`, and tells whether it worked.
 
     The system releases a lock when its process ends, for whatever reason. Lock files are never removed: that would let
     a process that waits for the old file and one that makes a new file hold the lock at the same time.
     """
-    with file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock") as acquired:
-        yield acquired
+    return file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock")
 
 
 @contextmanager
-def file_lock(path: Path, mode: int | None = None) -> Iterator[bool]:
+def file_lock(path: Path) -> Iterator[bool]:
     """Try to lock a file; yield False at once if another process holds it.
 
-    mode: permissions of a new file, whatever the umask; None: those of a lock for its user alone to write.
     Raises OSError, with the path and the remedy, if the file cannot be made.
     """
-    lock = FileLock(path) if mode is None else FileLock(path, mode=mode)
+    lock = FileLock(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0)

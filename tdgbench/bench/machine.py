@@ -1,4 +1,4 @@
-"""What a cell uses of the machine: one GPU, which its process locks, and its peak memory, in RAM and on the GPU."""
+"""The GPU of a cell, which its process locks, and the cell's peak memory, in RAM and on the GPU."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import subprocess
 import tempfile
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -18,10 +17,9 @@ from typing import Any
 import torch
 
 from tdgbench.bench.lock import file_lock
-from tdgbench.splats.cpu.scratch import release
+from tdgbench.splats.cpu.scratch import free_buffers
 
-LOCKS = Path(tempfile.gettempdir()) / "tdgbench-gpus"  # shared by all users and results folders of a machine
-FOR_ALL = 0o666  # permissions of a lock that other users take as well
+LOCKS = Path(tempfile.gettempdir()) / f"tdgbench-gpus-{os.getuid()}"  # of all results folders of this user
 RETRY_SECONDS = 0.5
 STATUS = Path("/proc/self/status")
 SAMPLE_SECONDS = 0.02
@@ -30,37 +28,17 @@ ROUNDING_MB = 16.0
 
 @contextlib.contextmanager
 def exclusive_gpu(gpus: list[str], locks: Path = LOCKS) -> Iterator[int]:
-    """Lock one of the `gpus` (UUIDs) and yield its index; wait while other processes hold all of them.
+    """Lock one of the `gpus` (UUIDs) and yield its index; wait while this user's other processes hold all of them.
 
-    The system releases the lock when its process ends, for whatever reason. Where `locks` cannot be used, a folder of
-    this user takes its place, with a warning.
+    The system releases the lock when its process ends, for whatever reason.
     """
-    names = [f"{gpu}.lock" for gpu in gpus]
-    problem = _problem(locks, names)
-    if problem is not None:
-        warnings.warn(f"GPUs are not locked against other users: {problem}", stacklevel=3)
-        locks = locks.with_name(f"{locks.name}-{os.getuid()}")
     while True:
-        for index, name in enumerate(names):
-            with file_lock(locks / name, FOR_ALL) as acquired:
+        for index, gpu in enumerate(gpus):
+            with file_lock(locks / f"{gpu}.lock") as acquired:
                 if acquired:
                     yield index
                     return
         time.sleep(RETRY_SECONDS)
-
-
-def _problem(locks: Path, names: list[str]) -> OSError | None:
-    """Return why a folder cannot hold locks of these names, which all users can take; None if it can."""
-    try:
-        locks.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(PermissionError):
-            locks.chmod(0o1777)  # whatever the umask; only its owner may
-        for name in names:
-            with file_lock(locks / name, FOR_ALL):
-                pass
-    except OSError as error:
-        return error
-    return None
 
 
 def visible_gpus() -> list[str]:
@@ -92,7 +70,7 @@ def _driver() -> str | None:
 
 
 class PeakMemory:
-    """Context that measures peak memory. It begins by giving back what cells before it left.
+    """Context that measures peak memory. On entry it frees what earlier cells left.
 
     mb: largest resident size, MB; None where the platform does not report it. gpu_mb: most memory of the current GPU
     that torch reserved, MB; None unless `on_gpu`.
@@ -111,7 +89,7 @@ class PeakMemory:
 
     def __enter__(self) -> PeakMemory:
         gc.collect()
-        release()
+        free_buffers()
         if self._on_gpu:
             torch.cuda.reset_peak_memory_stats()
         with contextlib.suppress(OSError):

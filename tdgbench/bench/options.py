@@ -168,10 +168,6 @@ class _Camera(_PlugIn):
     rig: bool | Literal["auto"]
 
 
-class _Log(_PlugIn):
-    writer: dict[str, Any] | None
-
-
 class _Data(_Group):
     """Options of all data sets; their values are checked by the loader that they go to."""
 
@@ -203,7 +199,6 @@ class _Options(_Group):
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
     camera: _Camera
     contrast: _Contrast
-    log: _Log
     job: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]
     table: Literal["main", "ablation", "readings"]

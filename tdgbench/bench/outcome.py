@@ -1,4 +1,4 @@
-"""What became of a cell, and its line on the terminal."""
+"""The outcome of a cell, and its line on the terminal."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from tdgbench.bench.reading import read_text
+from tdgbench.bench.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Description
 
@@ -28,7 +28,7 @@ IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's 
 
 @dataclass
 class Plan:
-    """Kind of table; scenes, methods and inits of the sweep; other keys with several values."""
+    """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells without a result."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -37,6 +37,7 @@ class Plan:
     methods: list[str] = field(default_factory=list)
     inits: list[str] = field(default_factory=list)
     variant_keys: list[str] = field(default_factory=list)
+    cells_to_run: int = 0
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
@@ -97,13 +98,6 @@ def swept(config: DictConfig) -> dict[str, list[str]]:
 def number_of_jobs(config: DictConfig) -> int | None:
     """Return the number of jobs of a run or sweep; None if its sweeper decides."""
     return math.prod(len(values) for values in swept(config).values()) or None
-
-
-def compose_jobs(config: DictConfig) -> None:
-    """Compose the configuration of every job of a sweep, so that a wrong choice fails before the first one."""
-    loader = GlobalHydra.instance().config_loader()
-    for job in overrides_of_jobs(config):
-        loader.load_sweep_config(config, job)
 
 
 def overrides_of_jobs(config: DictConfig) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""What a cell is doing: stage, loss, PSNR, Gaussians, time left. A bar on a terminal, a few lines elsewhere."""
+"""Progress of a cell (stage, loss, PSNR, Gaussians, time left): a bar on a terminal, a few lines elsewhere."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -15,30 +15,19 @@ from pydantic import (
     Field,
     TypeAdapter,
     ValidationError,
-    ValidationInfo,
     with_config,
 )
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
-from tdgbench.bench.reading import read_text
+from tdgbench.bench.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
 FILE = "record.json"
 SCHEMA = 2
-ADDED_LATER = (
-    "camera",
-    "masked",
-    "of_environment",
-    "train_processor_seconds",
-)  # fields that records of this schema may lack
-SCORES_OF_A_RESULT = ("psnr", "ssim", "lpips")
-STAGES_OF_A_RESULT = ("load", "images", "init", "train", "render", "score", "write")
-DESCRIBES_MACHINE = ("python", "packages", "cpu", "cores", "threads", "git")
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
 READ_STAGE = "read"  # of the failure that stands for a record that cannot be read
-COMPLETE = {"complete": True}  # validation context that also demands fields that tables do without
 LARGEST = 2**63 - 1
 MOST_SHOWN = 60  # characters of a wrong value
 
@@ -46,31 +35,13 @@ Status = Literal["ok", "failed"]
 Text = Annotated[str, Field(min_length=1)]
 Integer = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=LARGEST)]
+Positive = Annotated[int, Field(ge=1, le=LARGEST)]
 Seconds = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Megabytes = Annotated[float, Field(ge=0)]
 Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Scores = dict[str, float | None]
-
-
-def _has(names: tuple[str, ...]) -> BeforeValidator:
-    """Return validator of an object that, to be complete, must have these fields, defaults notwithstanding."""
-
-    def check(content: Any, info: ValidationInfo) -> Any:
-        if info.context is not COMPLETE:
-            return content
-        missing = [name for name in names if name not in content] if isinstance(content, dict) else []
-        if missing:
-            raise PydanticCustomError("missing", "lacks {names}", {"names": ", ".join(missing)})
-        return content
-
-    return BeforeValidator(check)
-
-
-def _not_added_later(kind: type) -> tuple[str, ...]:
-    """Return fields that every record of this schema has."""
-    return tuple(f.name for f in fields(kind) if f.name not in ADDED_LATER)
 
 
 def _among(*values: int) -> AfterValidator:
@@ -141,9 +112,7 @@ class Record:
     split: str = ""
     convention: str = ""
     iterations: Count = 0
-    resumed: list[Annotated[int, Field(ge=1, le=LARGEST)]] = field(
-        default_factory=list
-    )  # iterations of the checkpoints used
+    resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
     channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
     temperature: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of image values 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
@@ -163,9 +132,9 @@ class Record:
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     hashes: dict[str, Sha256] = field(default_factory=dict)
-    environment: Annotated[dict[str, Any], _has(DESCRIBES_MACHINE)] = field(default_factory=dict)
+    environment: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
-    failure: Annotated[Failure, _has(_not_added_later(Failure))] | None = None
+    failure: Failure | None = None
     schema: Annotated[int, _among(SCHEMA)] = SCHEMA
 
     @property
@@ -211,14 +180,14 @@ class Record:
         write_text(folder / FILE, json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
-def read_record(folder: Path, *, complete: bool = False) -> Record | None:
-    """Read the record in a cell's folder; None without one. complete: it must also have what tables do without.
+def read_record(folder: Path) -> Record | None:
+    """Read the record in a cell's folder; None without one.
 
     Raises ValueError, naming the file, for anything else: types are checked, and whether status and failure agree.
     """
     path = folder / FILE
     try:
-        return _validator().validate_json(read_text(path), strict=True, context=COMPLETE if complete else None)
+        return _validator().validate_json(read_text(path), strict=True)
     except FileNotFoundError:
         return None
     except ValidationError as error:
@@ -269,11 +238,11 @@ def record_files(experiment: Path) -> list[Path]:
 def schema_problems(text: str) -> list[str]:
     """Return reasons why the JSON text of a record does not fit `Record`; none if it does.
 
-    >>> schema_problems('{"method": 1}')[0][:26]
-    '$: lacks dataset, scene, i'
+    >>> schema_problems('{"method": 1, "schema": 2, "failure": null}')[0]
+    '$.method: Input should be a valid string, not 1'
     """
     try:
-        _validator().validate_json(text, strict=True, context=COMPLETE)
+        _validator().validate_json(text, strict=True)
     except ValidationError as error:
         return [_describe(dict(problem)) for problem in error.errors(include_url=False)]
     return []
@@ -281,34 +250,26 @@ def schema_problems(text: str) -> list[str]:
 
 @cache
 def _validator() -> TypeAdapter[Record]:
-    required = _has(_not_added_later(Record))
-    return TypeAdapter(Annotated[Record, BeforeValidator(_check_schema), required, AfterValidator(_check_status)])
+    return TypeAdapter(Annotated[Record, BeforeValidator(_check_schema), AfterValidator(_check_status)])
 
 
-def _check_schema(content: Any, info: ValidationInfo) -> Any:
+def _check_schema(content: Any) -> Any:
     """Check that a record states its schema and its failure, if only as null."""
-    if info.context is COMPLETE or not isinstance(content, dict):
-        return content
-    if content.get("schema") != SCHEMA:
+    if isinstance(content, dict) and content.get("schema") != SCHEMA:
         problem = f"its schema is {content.get('schema')}, this version reads {SCHEMA}"
         raise PydanticCustomError("schema", "{problem}", {"problem": problem})
-    if "failure" not in content:
+    if isinstance(content, dict) and "failure" not in content:
         raise PydanticCustomError("missing", "lacks failure")
     return content
 
 
-def _check_status(record: Record, info: ValidationInfo) -> Record:
-    """Check that a failed cell has a failure, a finished one its training time and, to be complete, all it needs."""
-    if record.status == "failed":
-        problem = "" if record.failure is not None else "status is failed, but failure is null"
-    elif record.failure is not None:
-        problem = "status is ok, but failure is not null"
-    else:
-        complete = info.context is COMPLETE
-        lacking = [f"scores.{name}" for name in SCORES_OF_A_RESULT if complete and name not in record.scores]
-        stages = STAGES_OF_A_RESULT if complete else ("train",)
-        lacking += [f"seconds.{name}" for name in stages if name not in record.seconds]
-        problem = f"status is ok, but it lacks {', '.join(lacking)}" if lacking else ""
+def _check_status(record: Record) -> Record:
+    """Check that a failed cell has a failure, and a finished one its training time."""
+    problem = ""
+    if (record.status == "failed") != (record.failure is not None):
+        problem = f"status is {record.status}, but failure is {'' if record.failure is None else 'not '}null"
+    elif record.failure is None and "train" not in record.seconds:
+        problem = "status is ok, but it lacks seconds.train"
     if problem:
         raise PydanticCustomError("status", "{problem}", {"problem": problem})
     return record

@@ -1,4 +1,4 @@
-"""Scores of a method's views, and `views.csv`: the scores of each test view."""
+"""Scores of a method's views; `views.csv`: the scores of each test view; `log.csv`: lines of the training."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import csv
 import math
 from pathlib import Path
 
-from tdgbench.bench.reading import read_table
+from tdgbench.bench.read_files import read_table
 from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.thermal import IDEAL, ImageResponse
+from tdgbench.training.loop import TrainingLog
 from tdgbench.training.trainer import Trainer
 
 Row = dict[str, float | None]
@@ -74,6 +75,17 @@ def read_views(path: Path) -> dict[str, Row]:
         places = zip(rows[0][1:], row[1:], strict=True)
         found[name] = {m: None if text == "n/a" else finite_field(text, f"{m} of {name}") for m, text in places}
     return found
+
+
+def write_log(path: Path, log: TrainingLog) -> None:
+    """Write one row per logged iteration; one column per loss term."""
+    terms = sorted({term for line in log.lines for term in line.terms})
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["iteration", "seconds", "loss", "train_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
+        for line in log.lines:
+            values = [line.terms.get(term, "") for term in terms]
+            writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *values])
 
 
 def finite_field(text: str, what: str) -> float:

@@ -27,7 +27,7 @@ from tdgbench.training.trainer import Trainer
 from tdgbench.training.trial import RigTrial, try_rig
 from tdgbench.training.warmup import compile_kernels
 
-SPAN_SIZE = 64, 48  # px, of the vignette whose span is told
+SPAN_SIZE = 64, 48  # px, of the vignette whose span is recorded
 DIGITS = 6
 
 
@@ -88,17 +88,12 @@ def set_up(
     with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     camera: CameraOptions = instantiate(cfg.camera)
-    response, scored, is_changed = IDEAL, scene, cfg.contrast.training != "none"
-    if camera.estimate:
-        with observer.stage("camera"):
-            scene, facts, notes, response = correct_scene(scene)
-            if is_changed:  # the camera never showed the changed images
-                scene, response = in_one_range(scene, response), IDEAL
-        observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
-    before, scene = scene, with_contrast(scene, cfg.contrast.training)  # what it cannot change fails before priors
+    scored, is_changed = scene, cfg.contrast.training != "none"
+    corrected_scene, response = _correct_camera(scene, camera, is_changed, observer)
+    scene = with_contrast(corrected_scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
     if method.needs_prior:
-        priors = _estimate_priors(cfg, before, skips, prior_cache, observer)
+        priors = _estimate_priors(cfg, corrected_scene, skips, prior_cache, observer)
     backend = training_backend(cfg.backend.name)
     with observer.stage("init"):
         init: InitialPoints = instantiate(cfg.init.points)
@@ -114,7 +109,8 @@ def set_up(
             trial = try_rig(method, context)
         observer.note_rig(trial)
     context.learns_rig = trial.pays if camera.rig == "auto" else camera.rig
-    trainer = Trainer(method, context)
+    with observer.stage("init"):
+        trainer = Trainer(method, context)
     return Training(trainer, scene if is_changed else scored, response)
 
 
@@ -156,6 +152,23 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
 
 
+def _correct_camera(
+    scene: Scene, camera: CameraOptions, contrast_changes: bool, observer: SetupObserver
+) -> tuple[Scene, ImageResponse]:
+    """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
+
+    Where the contrast is changed as well, renders are those of an ideal camera: the camera never showed such images.
+    """
+    if not camera.estimate:
+        return scene, IDEAL
+    with observer.stage("camera"):
+        scene, facts, notes, response = correct_scene(scene)
+        if contrast_changes:
+            scene, response = in_one_range(scene, response), IDEAL
+    observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
+    return scene, response
+
+
 def _estimate_priors(
     cfg: DictConfig, scene: Scene, skips: Skips, cache: Path | None, observer: SetupObserver
 ) -> dict[str, DepthPrior]:
@@ -172,7 +185,7 @@ def _estimate_priors(
 
 
 def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
-    """Return the prior, unknown at masked pixels: it was made from an image that says nothing there.
+    """Return the prior without its depths at masked pixels, where the image that it was made from has no values.
 
     Raises PriorError if it is known nowhere else.
     """

@@ -25,8 +25,6 @@ from tdgbench.resources import conf_folder
 
 SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-
-
 UNKNOWN = "is no option"
 NO_OPTIONS = ("experiment", "hydra")  # folders of conf/ whose files set options of others
 
@@ -82,7 +80,7 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
     """Return problems of a value that should be of an annotated type.
 
     >>> [str(problem) for problem in type_problems(int, 2.5, "seed")]
-    ['seed=2.5: must be a whole number']
+    ['seed=2.5: must be a valid integer']
     """
     if not _is_plain(hint):
         return [*_not_options(hint, value, name), *not_finite(value, name)]
@@ -101,7 +99,7 @@ def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
 def not_finite(value: Any, name: str) -> Iterator[Problem]:
     """Yield infinite numbers and NaN in a value, its lists and dictionaries included."""
     if isinstance(value, float) and not math.isfinite(value):
-        yield Problem(name, "must be finite", value)
+        yield Problem(name, "must be a finite number", value)
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
         yield from not_finite(item, _path(name, (key,)))
 
@@ -150,40 +148,33 @@ def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
 
 
 def _problem(error: ErrorDetails, name: str) -> Problem:
-    kind, value, limits = error["type"], error["input"], error.get("ctx", {})
-    what = MESSAGES[kind].format(**limits) if kind in MESSAGES else error["msg"].removeprefix("Value error, ")
-    if kind == "literal_error":
-        what = f"must be {limits['expected'].replace(chr(39), '')}"
-    elif kind == "greater_than" and isinstance(limits["gt"], int):
-        what = f"must be at least {limits['gt'] + 1}"
-    elif kind == "too_short" and limits["min_length"] > 1:
-        what = f"must have {limits['min_length']} items"
-    elif kind == "missing":
-        value = None
+    """Return an error of pydantic in the words of options."""
+    kind, value, option = error["type"], error["input"], _path(name, error["loc"])
+    what = error["msg"].removeprefix("Value error, ")
+    for phrase, shorter in PHRASES.items():
+        what = what.replace(phrase, shorter)
+    if kind in WORDS:
+        what = WORDS[kind]
+    elif kind == "literal_error":
+        what = what.replace("'", "")
     elif kind == "string_type" and isinstance(value, int | float):
-        what += f"; put it in quotes: \"{_path(name, error['loc'])}='TEXT'\""
-    return Problem(_path(name, error["loc"]), what, value)
+        what = f"must be text; put it in quotes: \"{option}='TEXT'\""
+    return Problem(option, what, None if kind == "missing" else value)
 
 
-MESSAGES = {  # by pydantic's type of error
+WORDS = {  # by pydantic's type of error, where its own message does not name options
     "missing": "is missing",
-    "string_too_short": "must not be empty",
     "extra_forbidden": UNKNOWN,
-    "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
-    "float_type": "must be a number",
-    "finite_number": "must be finite",
-    "bool_type": "must be true or false",
-    "string_type": "must be text",
-    "list_type": "must be a list, as [a,b]",
+    "string_too_short": "must not be empty",
     "dict_type": "must be a group of options",
     "model_type": "must be a group of options",
-    "greater_than_equal": "must be at least {ge}",
-    "greater_than": "must be above {gt:g}",
-    "less_than_equal": "must be at most {le}",
-    "less_than": "must be below {lt}",
-    "too_short": "must not be empty",
-    "too_long": "must have {max_length} items at most",
+}
+PHRASES = {  # of its messages, and what replaces them
+    "Input should": "must",
+    "List should": "must",
+    " after validation": "",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
 }
 
 
@@ -204,6 +195,8 @@ def option_meant(option: str) -> str:
     '; did you mean budget.iterations?'
     >>> option_meant("budget.growth.z")
     '; it belongs to budget=lean'
+    >>> option_meant("methd")
+    '; did you mean method?'
     >>> option_meant("colour")
     ''
     """
@@ -211,6 +204,9 @@ def option_meant(option: str) -> str:
     if known.get(option):
         return f"; it belongs to {', '.join(known[option])}"
     alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
+    groups = {name.partition(".")[0] for name in known}
+    if "." not in option and not alike and (group := meant(option, groups)):
+        return group
     return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
 
 

@@ -1,7 +1,4 @@
-"""What is stored of a cell and of a run.
-
-The hashes of a cell's files, its readable record, the record of a failure, and a result that a failure hid.
-"""
+"""A cell's folder on disk: hashes of its files, its record or that of a failure, and a result that a failure hid."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from pathlib import Path
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 
@@ -23,16 +20,16 @@ OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainin
 def readable_record(folder: Path) -> Record | None:
     """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
-        return read_record(folder, complete=True)
+        return read_record(folder)
     except (ValueError, OSError, RecursionError):
         return None
 
 
 def write_failure(folder: Path, record: Record, failure: Failure) -> None:
-    """Put the record of a failure in the place of what is in a cell's folder; a finished result is hidden beside it.
+    """Replace the content of a cell's folder by the record of its failure; move a finished result to a hidden folder.
 
-    A finished result stays where it is if the environment failed and settings, data and code may be those of the
-    result. The caller must hold the cell's lock.
+    A finished result stays in its place if the environment failed and the key is unknown or that of the result. The
+    caller must hold the cell's lock.
     """
     record.status, record.failure = "failed", Failure(**as_json(asdict(failure)))
     existing = readable_record(folder)

@@ -18,13 +18,14 @@ from hydra.errors import (
     MissingConfigException,
     OverrideParseException,
 )
-from hydra.utils import get_class
+from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
 from tdgbench.bench.signature import Problem, meant, option_meant
+from tdgbench.priors import prepare
 from tdgbench.terminal import guard_streams
 
 
@@ -87,6 +88,12 @@ def run_job(cfg: DictConfig) -> None:
     """Do one job of the configured experiment."""
     guard_streams()  # of a launcher's process
     experiment_of(cfg).run(names_to_text(cfg))
+
+
+def prepare_prior(cfg: DictConfig) -> None:
+    """Get what the depth prior of a cell needs, if its method needs a prior. Raises PriorUnavailableError."""
+    if instantiate(cfg.method.method).needs_prior:
+        prepare(instantiate(cfg.prior.estimator))
 
 
 def check_results_folder(folder: Path) -> None:

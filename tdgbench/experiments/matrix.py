@@ -15,10 +15,10 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.terminal import console, say
 
 
@@ -62,8 +62,8 @@ def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
 def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[AxisValue]:
     """Return an axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
 
-    >>> groups_of("camera", {"ideal": {"estimate": []}}, variant="camera")
-    [AxisValue(label='ideal', options={'camera': {'estimate': []}}, variant='camera=ideal')]
+    >>> groups_of("camera", {"ideal": {"estimate": False}}, variant="camera")
+    [AxisValue(label='ideal', options={'camera': {'estimate': False}}, variant='camera=ideal')]
     """
     return [
         AxisValue(str(name), {option: config}, f"{variant}={name}" if variant else "")

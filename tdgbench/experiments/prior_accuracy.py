@@ -22,7 +22,7 @@ from scipy.stats import spearmanr
 
 from tdgbench.priors import DepthPrior, PriorError, estimate_all, prepare
 from tdgbench.priors.prior import Kind
-from tdgbench.priors.visible import visible_points
+from tdgbench.priors.sfm_points import visible_points
 from tdgbench.scenes import PointCloud, Scene, View
 
 DELTA = 1.25
@@ -102,16 +102,15 @@ def split_points(scene: Scene) -> tuple[Scene, np.ndarray]:
 
 def known_depth(view: View, points: np.ndarray) -> KnownDepth | None:
     """Return the known depth in a view's measured pixels; None below MIN_POINTS. points: (N, 3), the truth."""
-    known = _of_points(view, points) if view.true_depth is None else _of_map(view.true_depth)
-    valid = view.valid
+    depth, valid = view.true_depth, view.valid
+    if depth is None:
+        known = _of_points(view, points)
+    else:
+        rows, columns = np.nonzero(depth > 0)
+        known = KnownDepth(rows, columns, depth[rows, columns].astype(np.float64))
     if valid is not None:
         known = KnownDepth(*(array[valid[known.rows, known.columns]] for array in known))
     return known if len(known.z) >= MIN_POINTS else None
-
-
-def _of_map(depth: np.ndarray) -> KnownDepth:
-    rows, columns = np.nonzero(depth > 0)
-    return KnownDepth(rows, columns, depth[rows, columns].astype(np.float64))
 
 
 def _of_points(view: View, points: np.ndarray) -> KnownDepth:

@@ -29,13 +29,12 @@ from tdgbench.files import write_text
 from tdgbench.scenes import SceneError
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.latex import comment, escape
 from tdgbench.terminal import console, say
 
 NONE = "none"  # TDg without its depth loss
 SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
-WORDS = {name: (name.replace("_", " "), "{}") for name in ("scene", "prior", "made_from")}
-SHOWN = {  # numbers on the terminal and in LaTeX: title, format
+SHOWN = {  # on the terminal: title, format
+    "prior": ("prior", "{}"),
     "abs_rel": ("AbsRel", "{:.3f}"), "delta": ("δ<1.25", "{:.3f}"), "rank": ("rank", "{:.2f}"),
     "psnr": ("PSNR", "{:.2f}"), "psnr_gain": ("gain", "{:+.2f}"), "ssim": ("SSIM", "{:.3f}"),
     "lpips": ("LPIPS", "{:.3f}"),
@@ -150,21 +149,6 @@ def reasons(table: pd.DataFrame) -> list[str]:
     return [f"{', '.join(where)}: {reason}" for reason, where in places.items()]
 
 
-def latex(table: pd.DataFrame) -> str:
-    """Return the table as LaTeX; needs the package booktabs. Reasons of missing numbers are comments."""
-    shown = format_columns(table, WORDS | SHOWN)
-    titles = [r"$\delta<1.25$" if title.startswith("δ") else escape(title) for title in shown.columns]
-    lines = [
-        *(comment(reason) for reason in reasons(table)),
-        rf"\begin{{tabular}}{{{'l' * len(WORDS)}{'r' * len(SHOWN)}}}",
-        r"\toprule",
-        f"{' & '.join(titles)} \\\\",
-    ]
-    for _, group in shown.groupby("scene", sort=False):
-        lines += [r"\midrule", *(f"{' & '.join(map(escape, row))} \\\\" for row in group.itertuples(index=False))]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-
-
 def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     """Write and print the tables."""
     table = pd.DataFrame([row for scene in tables for row in scene.priors])
@@ -172,11 +156,10 @@ def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     view_table = pd.DataFrame(views, columns=["scene", "prior", "view", *Accuracy._fields])
     write_text(folder / "priors.csv", as_csv(table, na_rep="n/a"))
     write_text(folder / "priors_views.csv", as_csv(view_table, na_rep="n/a"))
-    write_text(folder / "priors.tex", latex(table))
     for scene, rows in table.groupby("scene", sort=False):
         truth = next((text for text in rows["truth"] if text), "nothing")
-        shown = format_columns(rows, {"prior": WORDS["prior"], **SHOWN})
+        shown = format_columns(rows, SHOWN)
         show_table(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
     for reason in reasons(table):
         say(reason, "n/a:", "yellow")
-    say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}, {folder / 'priors.tex'}")
+    say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}")

@@ -9,16 +9,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from omegaconf import DictConfig
 
 from tdgbench.bench.record import Record
-from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
-from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
-from tdgbench.report.figures import save_figure
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
 from tdgbench.training.skips import RULES, SWITCHES
@@ -27,6 +24,7 @@ NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
+BEFORE = ("load", "images", "camera", "prior", "init", "compile", "rig")  # training
 QUALITY = ("psnr", "ssim", "lpips")
 SHOWN = {  # on the terminal: title, format
     "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
@@ -50,7 +48,7 @@ class SkipAblation(Experiment):
     sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]"}
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if the cells' prior is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if the cells' prior is not available."""
         prepare_prior(cfg)
 
     def run(self, cfg: DictConfig) -> None:
@@ -62,7 +60,6 @@ class SkipAblation(Experiment):
             folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.job.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))
             write_text(folder / "skips.csv", as_csv(table))
-            draw_ratios(table, folder / "skips.png")
             show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
             say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
         check_all_ran(cells)
@@ -106,7 +103,7 @@ def numbers(record: Record) -> dict[str, Any]:
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
         "train_seconds": record.seconds["train"],
-        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in ("load", "images", "prior", "init")),
+        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in BEFORE),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
         "peak_rss_mb": record.peak_rss_mb,
@@ -174,19 +171,3 @@ def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
     cells = table[table["variant"] == variant]
     taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
     return ", ".join(dict.fromkeys(taken["scene"])) or "none"
-
-
-def draw_ratios(table: pd.DataFrame, target: Path) -> None:
-    """Draw how much faster training is with each skip alone, and how much slower without it."""
-    figure = Figure(figsize=(8, 0.5 * len(table) + 1.2), layout="constrained")
-    panel = figure.subplots()
-    rows = range(len(table))
-    panel.barh([r - 0.2 for r in rows], table["faster_alone"], height=0.38, label="none → this one: times faster")
-    panel.barh([r + 0.2 for r in rows], table["slower_without"], height=0.38, label="all → without it: times slower")
-    labels = [f"{r.skip} (worst PSNR {r.psnr_worst:+.2f} dB)" for r in table.itertuples()]
-    panel.set_yticks(list(rows), labels)
-    panel.invert_yaxis()
-    panel.axvline(1.0, color="black", linewidth=0.8)
-    panel.set_xlabel("ratio of training times (geometric mean over scenes)")
-    panel.legend(fontsize=8)
-    save_figure(figure, target)

@@ -10,14 +10,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
-from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.record import Record
-from tdgbench.experiments.camera_response import ERRORS, CameraComparison, compare_camera, draw_cameras
-from tdgbench.experiments.experiment import Experiment
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import (
     Axes,
     AxisValue,
@@ -29,21 +27,22 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
-from tdgbench.experiments.preparation import prepare_prior
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
-from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import console, say
+from tdgbench.thermal.accuracy import normalized_truth
+from tdgbench.thermal.camera import ViewResponses, normalized
+from tdgbench.thermal.maps import TERMS, evaluate
 
 SCORES = (
     "psnr", "ssim", "lpips", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC", "mae_degC_without_offset",
 )  # fmt: skip
 PLACE = ["scene", "capture", "method", "camera"]
 JUDGED = "psnr_true"  # by which what is lost and recovered is measured
-FALLBACK = "psnr_affine"  # drawn where there are no true temperatures
+ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 LOST = 0.5  # dB; of a smaller loss no share is given
 SHOWN = {  # on the terminal: title, format
     "capture": ("capture", "{}"), "method": ("method", "{}"), "camera": ("camera", "{}"), "psnr": ("PSNR", "{:.2f}"),
@@ -69,7 +68,7 @@ class ThermalCameraOptions(MatrixOptions):
 
 
 class ThermalCameraExperiment(Experiment):
-    """Cells of all combinations, their tables and pictures."""
+    """Cells of all combinations, and their tables."""
 
     options = ThermalCameraOptions
     sets: ClassVar[Mapping[str, str]] = {
@@ -77,7 +76,7 @@ class ThermalCameraExperiment(Experiment):
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if a method needs a prior that is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
         for method in cfg.job.methods.values():
             cell = cfg.copy()
             cell.method = method
@@ -87,14 +86,12 @@ class ThermalCameraExperiment(Experiment):
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
         self.check(cfg)
         folder, cells = Path(cfg.results) / cfg.name, run_cells(cfg, axes(cfg))
-        compared = comparisons(cells)
-        rows = table_of(cells, lambda record: numbers(record, compared.get(record.title)))
+        errors = response_errors(cells)
+        rows = table_of(cells, lambda record: numbers(record, errors.get(record.title, {})))
         if not rows.empty:
             table = summary(rows, *baseline(cfg))
             write_text(folder / "thermal_camera_cells.csv", as_csv(rows, na_rep="n/a"))
             write_text(folder / "thermal_camera.csv", as_csv(table, na_rep="n/a"))
-            draw_scores(table, folder / "scores.png")
-            draw_cameras(list(compared.values()), folder / "cameras.png")
             for scene, of_scene in table.groupby("scene", sort=False):
                 title = f"{scene}: what the thermal camera costs, and what comes back"
                 show_table(format_columns(of_scene, SHOWN), console(), title)
@@ -134,8 +131,8 @@ def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
     return next(clean, None), next(ideal, None)
 
 
-def comparisons(cells: Sequence[MatrixCell]) -> dict[str, CameraComparison]:
-    """Return the true and estimated responses of the finished cells that have temperatures, by the cell's title."""
+def response_errors(cells: Sequence[MatrixCell]) -> dict[str, dict[str, float]]:
+    """Return the `camera_errors` of the finished cells that have temperatures, by the cell's title."""
     truths: dict[tuple[Any, ...], tuple[CameraTruth, list[str]]] = {}
     found = {}
     for cell in cells:
@@ -146,10 +143,33 @@ def comparisons(cells: Sequence[MatrixCell]) -> dict[str, CameraComparison]:
             dataset: DriftingDataset = instantiate(cell.cfg.dataset.loader)
             train = [view.name for view in dataset.outline(cell.record.scene).scene.train]
             truths[key] = dataset.truth(cell.record.scene), train
-        comparison = compare_camera(cell.record, cell.labels, *truths[key])
-        if comparison is not None:
-            found[cell.record.title] = comparison
+        found[cell.record.title] = camera_errors(cell.record, *truths[key])
     return found
+
+
+def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> dict[str, float]:
+    """Return the errors of a cell's estimated thermal camera, named as in ERRORS: root mean squares and largest ones.
+
+    Empty for a scene without temperatures, or a true camera that stretches images. A cell without an estimate has the
+    errors of an ideal camera, which are the drift itself. train: names of the training views.
+    """
+    if record.temperature is None or truth.camera.limits is not None:
+        return {}
+    facts = record.camera.get("estimated", {})
+    if "offsets" not in facts:
+        nothing = {"offsets": np.zeros(len(train)), "gains": np.ones(len(train)), "vignette": np.zeros(len(TERMS))}
+        facts = {"views": train, "reference": truth.camera.reference, **nothing}
+    offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
+    true = normalized_truth(truth, list(facts["views"]), float(facts["reference"]))
+    height, width = true.vignette.shape
+    found = normalized(ViewResponses(offsets, gains))
+    parts = (
+        found.offsets - true.response.offsets,
+        found.gains - true.response.gains,
+        evaluate(vignette, width, height) - true.vignette,
+    )
+    values = [float(value) for part in parts for value in (np.sqrt(np.mean(part**2)), np.abs(part).max())]
+    return dict(zip(ERRORS, values, strict=True))
 
 
 def _has_errors(record: Record, loader: DictConfig) -> bool:
@@ -158,9 +178,8 @@ def _has_errors(record: Record, loader: DictConfig) -> bool:
     return all(record.setting(f"dataset.{name}") == options[name] for name in ("errors", "noise_degC", "seed"))
 
 
-def numbers(record: Record, compared: CameraComparison | None) -> dict[str, Any]:
-    """Return the numbers of a cell: scores, seconds, errors of the camera's parameters; NaN where there is none."""
-    errors = {} if compared is None else compared.errors
+def numbers(record: Record, errors: Mapping[str, float]) -> dict[str, Any]:
+    """Return the numbers of a cell: scores, seconds, `camera_errors`; NaN where there is none."""
     scores = {name: record.scores.get(name) for name in SCORES}
     return {
         **{name: np.nan if score is None else score for name, score in scores.items()},
@@ -197,24 +216,3 @@ def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> lis
         is_known = best - without >= LOST and row.capture != clean and row.camera != ideal
         found.append((getattr(row, JUDGED) - without) / (best - without) if is_known else np.nan)
     return found
-
-
-def draw_scores(table: pd.DataFrame, target: Path) -> None:
-    """Draw bars: a group per capture, a bar per camera, a panel per scene and method."""
-    score = JUDGED if table[JUDGED].notna().any() else FALLBACK
-    panels = list(table.groupby(["scene", "method"], sort=False))
-    cameras = list(dict.fromkeys(table["camera"]))
-    figure = Figure(figsize=(9, 2.6 * len(panels) + 0.4), layout="constrained")
-    axes = figure.subplots(len(panels), squeeze=False)[:, 0]
-    for panel, ((scene, method), rows) in zip(axes, panels, strict=True):
-        captures = list(dict.fromkeys(rows["capture"]))
-        for index, camera in enumerate(cameras):
-            values = rows[rows["camera"] == camera].set_index("capture")[score].reindex(captures)
-            places = np.arange(len(captures)) + (index - (len(cameras) - 1) / 2) * 0.8 / len(cameras)
-            panel.bar(places, values, width=0.8 / len(cameras), label=plain(camera))
-        panel.set_xticks(range(len(captures)), [plain(name) for name in captures])
-        panel.set_title(plain(f"{scene}, {method}"), fontsize=9)
-        panel.set_ylabel("PSNR to true T, dB" if score == JUDGED else "PSNR after gain and offset, dB", fontsize=8)
-        panel.set_ylim(bottom=max(0.0, float(np.nan_to_num(rows[score].min())) - 3))
-    axes[0].legend(fontsize=8, ncols=len(cameras))
-    save_figure(figure, target)

@@ -5,6 +5,7 @@ Needs the extra `depth`; downloads its weights from the Hugging Face hub at firs
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
 from tdgbench.scenes import Scene, View
 
 
+@dataclass
 class DepthAnythingPrior:
     """Prior of kind `disparity`: larger is nearer. It has no seed: equal images give equal maps on one machine.
 
@@ -22,8 +24,8 @@ class DepthAnythingPrior:
     The model's own processor resizes and normalises the image, as 8-bit colours.
     """
 
-    def __init__(self, model: str, device: str) -> None:
-        self.model, self.device = model, device
+    model: str
+    device: str
 
     def prepare(self) -> None:
         _ = self._network

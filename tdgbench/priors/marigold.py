@@ -6,6 +6,7 @@ Needs the extra `depth`; downloads its weights from the Hugging Face hub at firs
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
 from tdgbench.scenes import Scene, View
 
 
+@dataclass
 class MarigoldPrior:
     """Prior of kind `depth`: 0 is near, 1 is far. Equal seeds and images give equal maps on one machine.
 
@@ -24,17 +26,12 @@ class MarigoldPrior:
     to average. resolution: longest side in px at which the network runs; None means the model's default.
     """
 
-    def __init__(
-        self,
-        model: str,
-        steps: PositiveInt | None,
-        ensemble: PositiveInt,
-        resolution: PositiveInt | None,
-        device: str,
-        seed: NonNegativeInt,
-    ) -> None:
-        self.model, self.steps, self.ensemble, self.resolution = model, steps, ensemble, resolution
-        self.device, self.seed = device, seed
+    model: str
+    steps: PositiveInt | None
+    ensemble: PositiveInt
+    resolution: PositiveInt | None
+    device: str
+    seed: NonNegativeInt
 
     def identity(self, scene: Scene) -> dict[str, object]:
         names = ("model", "steps", "ensemble", "resolution", "seed")
@@ -58,20 +55,16 @@ class MarigoldPrior:
                 dtype=torch.float32 if self._variant is None else torch.float16,
             )
         pipeline.set_progress_bar_config(disable=True)
-        return pipeline.to(self._device)
-
-    @property
-    def _device(self) -> torch.device:
-        return chosen_device(self.device)
+        return pipeline.to(chosen_device(self.device))
 
     @property
     def _variant(self) -> str | None:
-        return "fp16" if self._device.type == "cuda" else None
+        return "fp16" if chosen_device(self.device).type == "cuda" else None
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         image = np.broadcast_to(view.thermal, (*view.thermal.shape[:2], 3)).copy()
         seed = int.from_bytes(hashlib.sha256(f"{self.seed}/{view.name}".encode()).digest()[:7], "big")
-        generator = torch.Generator(self._device).manual_seed(seed)
+        generator = torch.Generator(chosen_device(self.device)).manual_seed(seed)
         options = {} if self.resolution is None else {"processing_resolution": self.resolution}
         result = self._pipeline(
             image,

@@ -8,6 +8,7 @@ resized in the same way to the size of the image.
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -15,8 +16,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import PositiveInt
 
-from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError
-from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError, importing, unavailable
+from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
 from tdgbench.scenes.inputs import hash_of, listed, regular_file
 from tdgbench.splats.cpu import pool
@@ -24,15 +25,12 @@ from tdgbench.text import shortened
 
 IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # torchvision's, of images in [0, 1]
 IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
-TYPES: dict[str, type[np.floating[Any]]] = {  # of the input, by onnxruntime's name
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-}
 QUIET = 4  # onnxruntime's log level for fatal errors alone: others are raised
-EXPECTED = "one float input (1, C, H, W) or (1, H, W, C) with C = 1 or 3"
-LONGEST_REASON = 300  # characters
+NAME_A_FILE = "name a network's file: prior.estimator.model=FILE"
+EXPECTED = "it must take an image: one float32 input (1, C, H, W) with C = 1 or 3; export it so"
 
 
+@dataclass
 class OnnxPrior:
     """Prior of the kind that the network estimates. Equal images give equal maps, for any number of threads.
 
@@ -42,17 +40,12 @@ class OnnxPrior:
     that both sides are multiples of.
     """
 
-    def __init__(
-        self,
-        model: str | None,
-        kind: Kind,
-        normalization: Literal["none", "imagenet"],
-        output: str | None,
-        width: PositiveInt | None,
-        multiple: PositiveInt,
-    ) -> None:
-        self.model, self.kind, self.normalization, self.output = model, kind, normalization, output
-        self.width, self.multiple = width, multiple
+    model: str | None
+    kind: Kind
+    normalization: Literal["none", "imagenet"]
+    output: str | None
+    width: PositiveInt | None
+    multiple: PositiveInt
 
     def prepare(self) -> None:
         _ = self._network
@@ -68,11 +61,11 @@ class OnnxPrior:
         image = with_channels(resize(view.thermal, width, height), network.channels)
         if self.normalization == "imagenet":
             image = normalized(image)
-        tensor = np.ascontiguousarray(image if network.is_channels_last else image.transpose(2, 0, 1))
+        tensor = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)[None]
         try:
-            (found,) = network.session.run([network.output], {network.input: tensor[None].astype(network.dtype)})
+            (found,) = network.session.run([network.output], {network.input: tensor})
         except Exception as error:  # onnxruntime's errors have no common type
-            reason = shortened(str(error), LONGEST_REASON)
+            reason = shortened(str(error))
             raise PriorError(
                 f"view {view.name}: {self._path} cannot run at {width} × {height} px ({reason}); set "
                 "prior.estimator.width or prior.estimator.multiple to what the network takes"
@@ -95,48 +88,31 @@ class OnnxPrior:
     @property
     def _path(self) -> Path:
         if self.model is None:
-            raise PriorUnavailableError("onnx", "it has no network", "name its file: prior.estimator.model=FILE")
+            raise PriorUnavailableError("onnx", "it has no network", NAME_A_FILE)
         return Path(self.model)
 
     def _hash(self) -> str:
         """Return the hash of the model's file and of its weights beside it (`<model>.data`, `<model>_data`)."""
         digest = hashlib.sha256()
-        try:
-            regular_file(self._path)
-            for path in listed(self._path.parent):
+        with unavailable("onnx", "it has no network", NAME_A_FILE):
+            for path in listed(regular_file(self._path).parent):
                 if path.name.startswith(self._path.name):
                     digest.update(path.name.removeprefix(self._path.name).encode() + hash_of(path))
-        except SceneError as error:
-            raise self._no_file(error) from error
         return digest.hexdigest()[:16]
-
-    def _no_file(self, error: Exception) -> PriorUnavailableError:
-        return PriorUnavailableError("onnx", str(error), "name a network's file: prior.estimator.model=FILE")
 
     @cached_property
     def _network(self) -> OnnxNetwork:
-        try:
+        with unavailable("onnx", "it has no network", NAME_A_FILE):
             path = regular_file(self._path)
-        except SceneError as error:
-            raise self._no_file(error) from error
-        try:
+        with importing("onnx", "onnx"):
             import onnxruntime
-        except ImportError as error:
-            raise PriorUnavailableError(
-                "onnx", f"onnxruntime cannot be imported ({error})", "pip install -e '.[onnx]'"
-            ) from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads, options.inter_op_num_threads = pool.get_threads(), 1
         options.use_deterministic_compute, options.log_severity_level = True, QUIET
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
-        try:
+        remedy = "export the network again, for example with torch.onnx.export"
+        with unavailable("onnx", f"{path} cannot be read as an ONNX model", remedy):
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's errors have no common type
-            raise PriorUnavailableError(
-                "onnx",
-                f"{path} cannot be read as an ONNX model ({shortened(str(error), LONGEST_REASON)})",
-                "export the network again, for example with torch.onnx.export",
-            ) from error
         return network_of(session, path, self.output)
 
 
@@ -146,35 +122,25 @@ class OnnxNetwork(NamedTuple):
     session: Any  # onnxruntime.InferenceSession
     input: str
     output: str
-    channels: int
-    is_channels_last: bool
+    channels: int  # 1 or 3
     height: int | None  # px; None: open
     width: int | None
-    dtype: type[np.floating[Any]]
 
 
 def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
     inputs, outputs = session.get_inputs(), [found.name for found in session.get_outputs()]
-    described = ", ".join(f"{tensor.name}: {tensor.type} {list(tensor.shape)}" for tensor in inputs)
     shape = list(inputs[0].shape) if inputs else []
     sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
-    is_batch = len(sides) == 4 and sides[0] in (1, None)
-    places = [place for place in (1, 3) if is_batch and sides[place] in (1, 3)]
-    if len(inputs) != 1 or not places or inputs[0].type not in TYPES:
-        raise PriorUnavailableError(
-            "onnx", f"{path} takes {described or 'nothing'}", f"it must take an image: {EXPECTED}; export it so"
-        )
+    is_image = len(sides) == 4 and sides[0] in (1, None) and sides[1] in (1, 3) and inputs[0].type == "tensor(float)"
+    if len(inputs) != 1 or not is_image:
+        described = ", ".join(f"{tensor.name}: {tensor.type} {list(tensor.shape)}" for tensor in inputs)
+        raise PriorUnavailableError("onnx", f"{path} takes {described or 'nothing'}", EXPECTED)
     if (output is None and len(outputs) > 1) or (output is not None and output not in outputs):
         raise PriorUnavailableError(
             "onnx", f"{path} has the outputs {', '.join(outputs)}", "name one of them: prior.estimator.output=NAME"
         )
-    is_last = places[0] == 3
-    height, width = (sides[1], sides[2]) if is_last else (sides[2], sides[3])
-    channels = int(shape[places[0]])
-    return OnnxNetwork(
-        session, inputs[0].name, output or outputs[0], channels, is_last, height, width, TYPES[inputs[0].type]
-    )
+    return OnnxNetwork(session, inputs[0].name, output or outputs[0], int(shape[1]), sides[2], sides[3])
 
 
 def with_channels(image: np.ndarray, channels: int) -> np.ndarray:

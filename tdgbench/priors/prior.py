@@ -1,17 +1,24 @@
-"""Depth prior of a view, the protocol of estimators, and what those that need packages or weights share."""
+"""The contract of depth priors: maps, estimators, and the cache of their maps on disk by image and estimator."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import hashlib
+import json
+import logging
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 
+from tdgbench.files import whole_file
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
+from tdgbench.scenes.inputs import is_there, regular_file
 from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
@@ -23,7 +30,7 @@ ALTERNATIVES = {  # for real scenes: what to add to the command line, and what T
     "files": "prior.estimator.folder=DIR (maps made elsewhere)",
     "sfm_points": "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)",
 }
-LONGEST_REASON = 300  # characters of a library's message
+LOG = logging.getLogger(__name__)
 
 
 class PriorError(Exception):
@@ -116,28 +123,27 @@ def prepare(estimator: DepthEstimator) -> None:
 
 
 @contextmanager
-def importing(prior: str) -> Iterator[None]:
-    """Import libraries: what fails in this context becomes PriorUnavailableError."""
+def unavailable(prior: str, reason: str, remedy: str) -> Iterator[None]:
+    """Turn what fails in this context, in any library, into PriorUnavailableError."""
     try:
         yield
-    except MemoryError:
+    except (MemoryError, PriorError):
         raise
-    except Exception as error:  # a broken package raises many kinds
-        reason = f"a package is missing or broken ({shortened(str(error), LONGEST_REASON)})"
-        raise PriorUnavailableError(prior, reason, "pip install -e '.[depth]'") from error
+    except Exception as error:
+        raise PriorUnavailableError(
+            prior, f"{reason} ({type(error).__name__}: {shortened(str(error))})", remedy
+        ) from error
 
 
-@contextmanager
-def loading(prior: str, model: str) -> Iterator[None]:
-    """Get a model: what fails in this context becomes PriorUnavailableError."""
-    try:
-        yield
-    except MemoryError:
-        raise
-    except Exception as error:  # the libraries raise many kinds
-        reason = f"no weights of {model} ({type(error).__name__}: {shortened(str(error), LONGEST_REASON)})"
-        remedy = "connect to the Hugging Face hub once, or name a copy: HF_HOME=CACHE, or prior.estimator.model=FOLDER"
-        raise PriorUnavailableError(prior, reason, remedy) from error
+def importing(prior: str, extra: str = "depth") -> AbstractContextManager[None]:
+    """Turn errors of importing the packages of an extra into PriorUnavailableError."""
+    return unavailable(prior, "a package is missing or broken", f"pip install -e '.[{extra}]'")
+
+
+def loading(prior: str, model: str) -> AbstractContextManager[None]:
+    """Turn errors of getting a model from the Hugging Face hub into PriorUnavailableError."""
+    remedy = "connect to the Hugging Face hub once, or name a copy: HF_HOME=CACHE, or prior.estimator.model=FOLDER"
+    return unavailable(prior, f"no weights of {model}", remedy)
 
 
 def chosen_device(name: str) -> torch.device:
@@ -145,3 +151,62 @@ def chosen_device(name: str) -> torch.device:
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(name)
+
+
+def estimate_all(
+    estimator: DepthEstimator, scene: Scene, cache: Path | None, report: Callable[[int, int], None] | None = None
+) -> tuple[dict[str, DepthPrior], int]:
+    """Return priors of the training views by name, and how many of them were not in the cache.
+
+    cache: folder of the maps; None disables it. report: called with (views done, views).
+    """
+    priors, made = {}, 0
+    identity = json.dumps(estimator.identity(scene), sort_keys=True)
+    for index, view in enumerate(scene.train, start=1):
+        prior, is_new = _cached(estimator, identity, scene, view, cache)
+        priors[view.name], made = prior.check(view), made + is_new
+        if report is not None:
+            report(index, len(scene.train))
+    return priors, made
+
+
+def _cached(
+    estimator: DepthEstimator, identity: str, scene: Scene, view: View, cache: Path | None
+) -> tuple[DepthPrior, bool]:
+    """Return the prior of a view, and whether it is new."""
+    if cache is None:
+        return estimator.estimate(scene, view), True
+    digest = hashlib.sha256(identity.encode())
+    digest.update(f"{scene.fingerprint}/{view.name}/{view.camera.width}x{view.camera.height}".encode())
+    digest.update(np.ascontiguousarray(view.thermal).tobytes())
+    path = cache / f"{digest.hexdigest()[:32]}.npz"
+    stored = _read(path, view) if is_there(path) else None
+    if stored is not None:
+        return stored, False
+    prior = estimator.estimate(scene, view).check(view)
+    cache.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part:
+        np.savez_compressed(part, values=prior.values, kind=prior.kind)
+    return prior, True
+
+
+def _read(path: Path, view: View) -> DepthPrior | None:
+    """Return a stored prior; None, and a warning, for a file that is damaged: cut, changed, or of another shape.
+
+    The archive holds checksums of its members, so changed bytes are found.
+    """
+    try:
+        with zipfile.ZipFile(regular_file(path)) as archive:
+            largest = 4 * view.camera.width * view.camera.height + 4096  # bytes; before a header's shape is believed
+            if any(member.file_size > largest for member in archive.infolist()):
+                raise ValueError("it is larger than a prior of its view")
+        with np.load(path, allow_pickle=False) as stored:
+            values, kind = stored["values"], str(stored["kind"])
+        if values.dtype != np.float32:
+            raise ValueError(f"it holds {values.dtype}")
+        return DepthPrior(values, kind).check(view)  # type: ignore[arg-type]
+    except MemoryError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise many kinds
+        LOG.warning("the cached prior %s is damaged and made again: %s", path, error)
+        return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import NonNegativeFloat, NonNegativeInt
@@ -12,6 +13,7 @@ from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, View
 
 
+@dataclass
 class SyntheticPrior:
     """True depth or its inverse, blurred, with smooth and white noise and a random scale and shift per view.
 
@@ -19,17 +21,12 @@ class SyntheticPrior:
     white and smooth errors, as shares of the map's range.
     """
 
-    def __init__(
-        self,
-        kind: Kind,
-        blur_px: NonNegativeFloat,
-        noise: NonNegativeFloat,
-        bumps: NonNegativeFloat,
-        bump_px: NonNegativeFloat,
-        seed: NonNegativeInt,
-    ) -> None:
-        self.kind = kind
-        self.blur_px, self.noise, self.bumps, self.bump_px, self.seed = blur_px, noise, bumps, bump_px, seed
+    kind: Kind
+    blur_px: NonNegativeFloat
+    noise: NonNegativeFloat
+    bumps: NonNegativeFloat
+    bump_px: NonNegativeFloat
+    seed: NonNegativeInt
 
     def identity(self, scene: Scene) -> dict[str, object]:
         return {"estimator": "synthetic", **vars(self)}

@@ -13,8 +13,8 @@ from tdgbench.bench.record import Record
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
+from tdgbench.tables.long_table import first_points, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
-from tdgbench.tables.results import first_points, split_notes
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
 SOURCES = {  # of depth priors, in words
@@ -67,7 +67,7 @@ def legend(tables: Tables) -> list[dict[str, str]]:
             "title": described.title,
             "meaning": described.meaning,
             "range": " to ".join("∞" if math.isinf(limit) else f"{limit:g}" for limit in described.limits),
-            "reads": getattr(described, "reads", "") or "nothing",
+            "fits_to_test_view": getattr(described, "fits_to_test_view", "") or "nothing",
             "needs": getattr(described, "needs", ""),
         }
         for name, described in MEASURES.items()
@@ -148,13 +148,13 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
     ends = [getattr(row, end, np.nan) for end in ("low", "high")]
     span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
     interval = f"95 % interval over seeds and views: {span}" if span else ""
-    note, details = beside(published, row.scene)
+    note, details = difference_note(published, row.scene)
     title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
     return {"text": text, "sort": row.value, "bold": bool(row.bold), "title": title, "note": note, "verdict": verdict}
 
 
-def beside(published: Any, scene: str) -> tuple[str, str]:
+def difference_note(published: Any, scene: str) -> tuple[str, str]:
     """Return a number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
 
     published: a row of difference.csv, or None where nothing is published.

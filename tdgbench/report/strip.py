@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, stored_mask
+from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, error_map, middle_view, stored_mask
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
@@ -33,40 +32,29 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
         for m, method in enumerate(methods):
             group = [r for r in done if (r.dataset, r.scene, r.split, r.method) == (*place, method)]
             if group:
-                panels = _Panels(row[0], row[1 + m], row[1 + len(methods) + m])
-                panels.draw(group[0], cell_folder_of(experiment, group[0]), place_name(place, scenes))
+                axes_of_cell = row[0], row[1 + m], row[1 + len(methods) + m]
+                draw_cell(axes_of_cell, group[0], cell_folder_of(experiment, group[0]), place_name(place, scenes))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
 
 
-class _Panels(NamedTuple):
-    """Axes of one cell."""
-
-    truth: Axes
-    render: Axes
-    error: Axes
-
-    def draw(self, record: Record, folder: Path, name: str) -> None:
-        """Draw the middle test view of a cell; n/a where its pictures cannot be read."""
-        psnr = record.scores.get("psnr")
-        value = "n/a" if psnr is None else f"{psnr:.1f} dB"
-        self.render.set_title(f"{plain(record.method)} {value}", fontsize=8)
-        try:
-            truth, image, valid = _pair(folder)
-        except (OSError, ValueError):
-            self.render.set_title(f"{plain(record.method)} {value}: picture n/a", fontsize=8)
-            return
-        error = np.abs(image - truth)
-        error = error.mean(axis=2) if error.ndim == 3 else error
-        if valid is not None:
-            error, truth = error.copy(), truth.copy()
-            error[~valid], truth[~valid] = np.nan, np.nan if truth.ndim == 2 else 1.0  # all of them white
-        self.truth.imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
-        self.truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
-        self.render.imshow(image, vmin=0, vmax=1, cmap=THERMAL)
-        self.error.imshow(error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
-        self.error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", fontsize=8)
+def draw_cell(axes: tuple[Axes, Axes, Axes], record: Record, folder: Path, name: str) -> None:
+    """Draw ground truth, render and error of a cell's middle test view; n/a where its pictures cannot be read."""
+    on_truth, on_render, on_error = axes
+    psnr = record.scores.get("psnr")
+    title = f"{plain(record.method)} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
+    on_render.set_title(title, fontsize=8)
+    try:
+        truth, render, error = _pictures(folder)
+    except (OSError, ValueError):
+        on_render.set_title(f"{title}: picture n/a", fontsize=8)
+        return
+    on_truth.imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
+    on_truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
+    on_render.imshow(render, vmin=0, vmax=1, cmap=THERMAL)
+    on_error.imshow(error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
+    on_error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", fontsize=8)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:
@@ -79,15 +67,17 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
     return f"{place[1]} ({place[2]})" if len({split for *_, split in places}) > 1 else place[1]
 
 
-def _pair(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Read ground truth, render and mask of the middle test view, in [0, 1]. Raises ValueError where there is none."""
-    names = sorted(p.name for p in (folder / FILES.renders).glob("*.png"))
-    if not names:
-        raise ValueError(f"{folder / FILES.renders} holds no picture")
-    name = names[len(names) // 2]
-    truth, image = (
-        read_picture(folder / sub / name).squeeze().astype(np.float32) / 255 for sub in (FILES.targets, FILES.renders)
-    )
+def _pictures(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return ground truth, render and error of a cell's middle test view; masked pixels are white.
+
+    Raises ValueError where a picture is missing or unusable.
+    """
+    view = middle_view([folder])
+    truth, image = (read_picture(folder / sub / f"{view}.png") / 255 for sub in (FILES.targets, FILES.renders))
     if truth.shape != image.shape:
-        raise ValueError(f"{folder}: {FILES.targets}/{name} and {FILES.renders}/{name} differ in size")
-    return truth, image, stored_mask(folder, Path(name).stem, truth.shape)
+        raise ValueError(f"{folder}: {FILES.targets} and {FILES.renders} of {view} differ in size")
+    valid = stored_mask(folder, view, truth.shape)
+    error = error_map(image, truth, valid)
+    if valid is not None:
+        truth[~valid] = np.nan if truth.shape[2] == 1 else 1.0
+    return truth.squeeze(), image.squeeze(), error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib
@@ -14,7 +15,7 @@ from PIL import Image
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
@@ -23,6 +24,12 @@ FILES = files_of("thermal")  # the report shows thermal images
 THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
 ERROR_RANGE = 0.15  # upper end of the colour scale of errors
 MIN_ALPHA = 0.5  # below, a pixel shows no surface
+
+
+def middle_view(folders: Iterable[Path]) -> str:
+    """Return the name of the middle test view that any of these cells has a render of; empty without any."""
+    names = sorted({path.stem for folder in folders for path in (folder / FILES.renders).glob("*.png")})
+    return names[len(names) // 2] if names else ""
 
 
 def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
@@ -45,30 +52,30 @@ def embedded(pixels: np.ndarray) -> str:
 
 
 def thermal_picture(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """A stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
+    """Return a stored picture in colour, (H, W, 3) uint8, and its values (H, W, C) in [0, 1]."""
     stored = read_picture(path)
     values = stored.astype(np.float64) / 255
     return (stored if stored.shape[2] == 3 else colored(stored[..., 0] / 255, THERMAL, 0, 1)), values
 
 
 def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """A picture (H, W, 3) uint8, gray where the mask (H, W) is false."""
+    """Return a picture (H, W, 3) uint8 that is gray where the mask (H, W) is false."""
     return pixels if valid is None else np.where(valid[..., None], pixels, np.uint8(128))
 
 
 def error_map(image: np.ndarray, truth: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Mean absolute difference (H, W) over the channels of images (H, W, C) in [0, 1]; NaN where `valid` is false."""
+    """Return the mean absolute difference (H, W) over the channels of two images (H, W, C); NaN where not `valid`."""
     error = np.abs(image - truth).mean(axis=2)
     return error if valid is None else np.where(valid, error, np.nan)
 
 
 def stored_mask(folder: Path, view: str, shape: tuple[int, ...]) -> np.ndarray | None:
-    """The mask (H, W) of a test view whose pictures have this shape (H, W, …); None if all its pixels are valid."""
+    """Return the mask (H, W) of a test view with pictures of this shape (H, W, …); None if all pixels are valid."""
     return read_mask(folder, view, (shape[1], shape[0])) if has_mask(folder, view) else None
 
 
 def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
-    """Expected z (H, W) of a cell's model from a test camera, NaN without a surface; and that camera."""
+    """Return the expected z (H, W) of a cell's model in a test view, NaN without a surface, and the view's camera."""
     camera = read_cameras(folder)["test"][view]
     gaussians = load_ply(folder / FILES.model)
     render = render_model(gaussians, camera, depth=True)
@@ -77,7 +84,7 @@ def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
 
 
 def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:
-    """Number of other cameras whose picture contains each pixel's point (H, W), occluded or not; NaN without a point.
+    """Return the number of other cameras that see each pixel's point (H, W), occluded or not; NaN without a point.
 
     depth: z (H, W) in scene units. Few training views constrain a region of low coverage.
     """

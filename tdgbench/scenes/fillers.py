@@ -118,7 +118,7 @@ def find_fillers(views: Mapping[str, np.ndarray], known: Collection[str] = ()) -
     regions = [region for name, view in views.items() if name not in known for region in _filled_regions(view)]
     if not regions:
         return Fillers()
-    masked = [_Region.of(np.nan, connected_to_border(impossible(views[name]))) for name in known]
+    masked = [_Region(np.nan, connected_to_border(impossible(views[name]))) for name in known]
     placed = {region.value for region in _in_the_same_place(regions, masked, len(views))}
     low, high = _range_without(views.values(), {region.value for region in regions})
     values = sorted({r.value for r in regions if r.value in placed or (r.value == ZERO and not low <= ZERO <= high)})
@@ -126,19 +126,10 @@ def find_fillers(views: Mapping[str, np.ndarray], known: Collection[str] = ()) -
 
 
 class _Region(NamedTuple):
-    """Pixels of one value in one view that are connected to its border."""
+    """Pixels (H, W) bool of one value in one view that are connected to its border."""
 
     value: float
-    shape: tuple[int, int]
-    packed: np.ndarray  # of the pixels (H, W) bool, 8 in a byte
-
-    @classmethod
-    def of(cls, value: float, pixels: np.ndarray) -> _Region:
-        return cls(value, pixels.shape, np.packbits(pixels))
-
-    def pixels(self) -> np.ndarray:
-        height, width = self.shape
-        return np.unpackbits(self.packed, count=height * width).reshape(self.shape).astype(bool)
+    pixels: np.ndarray
 
 
 def _filled_regions(degC: np.ndarray) -> Iterator[_Region]:
@@ -149,24 +140,19 @@ def _filled_regions(degC: np.ndarray) -> Iterator[_Region]:
         if same.mean() >= SMALLEST:
             pixels = connected_to_border(same)
             if pixels.mean() >= SMALLEST:
-                yield _Region.of(float(value), pixels)
+                yield _Region(float(value), pixels)
 
 
 def _in_the_same_place(regions: list[_Region], masked: list[_Region], views: int) -> Iterator[_Region]:
     """Yield the regions that lie where most views have one. masked: regions of other views, which are known."""
-    shape = Counter(region.shape for region in [*regions, *masked]).most_common(1)[0][0]
-    count = np.zeros(shape, np.int32)
-    for region in [*regions, *masked]:  # those of one view do not overlap
-        if region.shape == shape:
-            count += region.pixels()
-    shared = count >= SAME_PLACE * views
+    shape = Counter(region.pixels.shape for region in [*regions, *masked]).most_common(1)[0][0]
+    count = sum((r.pixels for r in [*regions, *masked] if r.pixels.shape == shape), np.zeros(shape, np.int32))
+    shared = count >= SAME_PLACE * views  # the regions of one view do not overlap
     if views < FEWEST_VIEWS or shared.mean() < SMALLEST:
         return
     for region in regions:
-        if region.shape == shape:
-            pixels = region.pixels()
-            if (pixels & shared).sum() >= OVERLAP * pixels.sum():
-                yield region
+        if region.pixels.shape == shape and (region.pixels & shared).sum() >= OVERLAP * region.pixels.sum():
+            yield region
 
 
 def _range_without(views: Iterable[np.ndarray], values: set[float]) -> tuple[float, float]:

@@ -125,9 +125,9 @@ def read_image(path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
         return result
     if np.issubdtype(values.dtype, np.floating):
         raise SceneError(f"{path} holds float values, as thermal images in °C alone may; save it with 8 or 16 bits")
-    if radiometry is None or radiometry.degC_per_count is None:
+    if radiometry is None or not radiometry.scale.is_known:
         return (values / float(MOST_COUNTS)).astype(np.float32)
-    degC = values.astype(np.float64) * radiometry.degC_per_count + radiometry.degC_at_zero
+    degC = radiometry.scale.degC(values)
     wrong = ~((degC >= TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))
     if wrong.any():
         raise SceneError(

@@ -1,162 +1,204 @@
-"""Thermal images of a scene: decoded once, masked, undistorted, resized, cached until views take them."""
+"""Thermal images from measured values: arrays and float images in °C, gray images of known range, radiometric files of
+cameras, 16-bit images of raw counts.
+
+Pixels that were not measured are masked (`fillers`); the others are scaled so that the range of the values is 0 to 1.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import is_gray, read_image, resize
+from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers, impossible
+from tdgbench.scenes.images import read_pixels
+from tdgbench.scenes.inputs import read_array
+from tdgbench.scenes.options import ReadOptions
+from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import Radiometry
-
-ASPECT_TOLERANCE = 0.01
-UNMEASURED = 0.0  # image value of pixels that are not valid
+from tdgbench.scenes.temperature import PERCENTILES, CountScale, robust_range, sampled
+from tdgbench.scenes.validate import check_size
+from tdgbench.scenes.view_images import (
+    UNMEASURED,
+    ImageSource,
+    MaskedImage,
+    ThermalImages,
+    decide_channels,
+    read_hidden,
+    resample,
+    with_channels,
+)
 
 
 @dataclass(frozen=True)
-class ImageSource:
-    """Files of a view's thermal image, its camera, and the size that it is resampled to."""
+class Unit:
+    """The unit of a scene's thermal values.
 
-    path: Path
-    posed: RegisteredImage
-    width: int  # px
-    height: int  # px
-    mask: Path | None = None
-
-
-class Measured(NamedTuple):
-    """A thermal image, and where it was measured."""
-
-    image: np.ndarray  # (H, W, C) float32
-    valid: np.ndarray | None  # (H, W) bool; None: everywhere
-
-
-class CachedImage:
-    """What a view's image and mask were made into, each cached until it is taken. Taken again, they are made again.
-
-    So a scene reads each image once, although it must know all of them to tell its channels or its range of
-    temperatures, and holds none beside those that its views hold.
+    steps: the range of the values is rounded to 1 / steps of the unit. dtype: in which values are scaled to [0, 1].
     """
 
-    def __init__(self, made: Measured, make: Callable[[], Measured]) -> None:
-        self.channels = made.image.shape[2]
-        self.is_masked = made.valid is not None
-        self._image: np.ndarray | None = made.image
-        self._valid = made.valid
-        self._make = make
-
-    def image(self) -> np.ndarray:
-        image, self._image = self._image, None
-        return self._make().image if image is None else image
-
-    def valid(self) -> np.ndarray:
-        """Return the mask (H, W) bool of a view that is masked."""
-        valid, self._valid = self._valid, None
-        valid = self._make().valid if valid is None else valid
-        if valid is None:
-            raise ValueError("all pixels of this view are valid")
-        return valid
+    name: str
+    steps: int
+    dtype: type[np.floating] = np.float32
 
 
-@dataclass(frozen=True)
-class ThermalImages:
-    """Thermal images of a scene, by view name. counts: raw counts of the image values 0 and 1, of images without °C."""
-
-    cached: Mapping[str, CachedImage]
-    channels: int
-    temperature: TemperatureRange | None
-    notes: list[str] = field(default_factory=list)
-    counts: tuple[int, int] | None = None
-
-    def load(self, name: str) -> np.ndarray:
-        """Return the image (H, W, channels) float32 in [0, 1] of a view."""
-        image = self.cached[name].image()
-        if self.channels == 1 and image.shape[2] == 3:
-            image = image[..., :1] if is_gray(image) else image.mean(axis=2, keepdims=True)
-        if self.channels == 3 and image.shape[2] == 1:
-            image = np.repeat(image, 3, axis=2)
-        return np.ascontiguousarray(image, np.float32)
+CELSIUS = Unit("°C", 100)
+CELSIUS_OF_IMAGES = replace(CELSIUS, dtype=np.float64)
+COUNTS = Unit("counts", 1)
 
 
-def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
-    """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
-    cached = {}
+class Temperatures(NamedTuple):
+    """Temperatures of a view in °C, or raw counts, as a file has them.
+
+    values: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not
+    finite; else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours.
+    ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
+    """
+
+    values: np.ndarray
+    is_masked: bool = False
+    block: int = 1
+    ends: bool = False
+
+
+Reader = Callable[[Path], Temperatures]
+
+
+def read_counts(path: Path) -> Temperatures:
+    """Read a 16-bit image of raw counts."""
+    return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
+
+
+def read_radiometric(path: Path, scale: CountScale) -> Temperatures:
+    """Read a camera's radiometric file, in °C or counts."""
+    return Temperatures(read_celsius(path, scale).astype(np.float32))
+
+
+def read_npy(path: Path, scale: CountScale) -> Temperatures:
+    """Read an .npy file of °C, or of counts whose scale is known."""
+    values = read_array(path)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim != 2 or 0 in values.shape:
+        raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
+    check_size(values.shape[1], values.shape[0], str(path))
+    if values.dtype.kind in "iu" and scale.is_known:
+        values = scale.degC(values)
+    return Temperatures(values.astype(np.float32))
+
+
+def measured_images(
+    sources: Mapping[str, ImageSource],
+    read: Reader,
+    train: list[str],
+    options: ReadOptions,
+    given: TemperatureRange | None,
+    unit: Unit = CELSIUS,
+) -> ThermalImages:
+    """Read images of one channel, or of three equal ones. Raises SceneError.
+
+    train: views whose values give the range, unless it is given.
+    """
+    channels = decide_channels(options.channels, are_gray=True)
+    raw = {name: read(source.path) for name, source in sources.items()}
+    known = {name for name, view in raw.items() if view.is_masked}
+    fillers = _find_fillers(raw, known, unit) if options.fillers is None else given_fillers(options.fillers)
+    measured, filled = {}, []
     for name, source in sources.items():
-        make = partial(_read_shown, source, radiometry)
-        cached[name] = CachedImage(make(), make)
-    channels = decide_channels(wanted, all(view.channels == 1 for view in cached.values()))
-    return ThermalImages(cached, channels, None if radiometry is None else radiometry.range)
-
-
-def decide_channels(wanted: int | str, are_gray: bool) -> int:
-    """Return the number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
-    if wanted not in ("auto", 1, 3):
-        raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
-    return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
-
-
-def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> Measured:
-    image = read_image(source.path, radiometry)
-    if is_gray(image):
-        image = np.ascontiguousarray(image[..., :1])
-    image, valid = resample(image, read_hidden(source, image), source)
-    if valid is not None:
-        image[~valid] = UNMEASURED
-    return Measured(image, valid)
-
-
-def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
-    """Read the pixels (H, W) bool of an image (H, W, C) that the view's mask hides, or None. Raises SceneError.
-
-    A mask hides where all its channels are 0. One of another size is resized; a pixel that is partly hidden is hidden.
-    """
-    if source.mask is None:
-        return None
-    mask = read_image(source.mask)
-    check_aspect(source.mask, mask, source.posed)
-    hidden = (mask == 0).all(axis=2, keepdims=True).astype(np.float32)
-    return resize(hidden, image.shape[1], image.shape[0])[..., 0] > 0
-
-
-def resample(
-    image: np.ndarray, invalid: np.ndarray | None, source: ImageSource
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Undistort and resize an image (H, W, C) whose `invalid` pixels (H, W) bool count for nothing.
-
-    Returns the image (height, width, C) and its valid pixels (height, width) bool, those that are made of valid pixels
-    alone; None if all are. Raises SceneError if none is, or if image and camera have different aspect ratios.
-    """
-    check_aspect(source.path, image, source.posed)
-    if invalid is None or not invalid.any():
-        return _resample(image, source), None
-    spoiled = _resample(invalid[..., None].astype(np.float32), source)[..., 0] > 0  # weights are not negative
-    if spoiled.all():
+        view = raw.pop(name)
+        invalid = _invalid(view, fillers)
+        filled.append(invalid.mean())
+        measured[name] = _measure(view.values, invalid, source)
+    span = given or _range_of({name: measured[name] for name in train}, sources, unit)
+    images, clipped, count = {}, 0, 0
+    for name in sources:
+        values = _valid_values(measured[name])
+        clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
+        count += values.size
+        images[name] = with_channels(_scaled(measured.pop(name), span, unit.dtype), channels)
+    if clipped == count:
+        folder = next(iter(sources.values())).path.parent
         raise SceneError(
-            f"{source.path} has no valid pixel: all of them are masked, or not measured; correct its mask or its "
-            "values, or leave the view out"
+            f"{folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
+            "temperature.json"
         )
-    return _resample(np.where(invalid[..., None], np.float32(0), image), source), ~spoiled
+    notes = [*_about_fillers(fillers, filled, bool(known), unit), _about_range(span, given, clipped / count, unit)]
+    if unit is COUNTS:
+        return ThermalImages(images, channels, None, notes, raw_count_range=(round(span.min), round(span.max)))
+    return ThermalImages(images, channels, span, notes)
 
 
-def _resample(image: np.ndarray, source: ImageSource) -> np.ndarray:
-    if source.posed.undistortion is not None:
-        image = source.posed.undistortion.apply(image)
-    return resize(image, source.width, source.height)
+def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
+    values = {name: view.values for name, view in views.items()}
+    if unit is COUNTS:
+        return find_apart(values)
+    fillers = find_fillers(values, known)
+    if any(view.ends for view in views.values()):
+        return replace(fillers, beyond=())  # black inside an image may be the coldest object
+    return fillers
 
 
-def check_aspect(path: Path, image: np.ndarray, posed: RegisteredImage) -> None:
-    """Raise SceneError unless an image (H, W, ...) has the aspect ratio of its camera."""
-    height, width = image.shape[:2]
-    source = posed.source_size
-    if abs(width / height * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
+def _invalid(view: Temperatures, fillers: Fillers) -> np.ndarray:
+    """Return pixels (H, W) bool that were not measured."""
+    return impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
+
+
+def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> MaskedImage:
+    """Return values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
+    hidden = read_hidden(source, values[..., None])
+    return resample(values[..., None], invalid if hidden is None else invalid | hidden, source)
+
+
+def _range_of(measured: Mapping[str, MaskedImage], sources: Mapping[str, ImageSource], unit: Unit) -> TemperatureRange:
+    try:
+        samples = (sampled(_valid_values(image), len(measured)).copy() for image in measured.values())
+        return robust_range(samples, unit.steps)
+    except ValueError as error:
+        what = "raw counts" if unit is COUNTS else "temperatures"
+        remedy = "export the images again" if unit is COUNTS else "set data.temperature=[min,max] in °C"
         raise SceneError(
-            f"{path} is {width}×{height}, but its camera is {source[0]}×{source[1]}: the aspect ratios differ; "
-            "export the image again, or correct the camera"
-        )
+            f"{next(iter(sources.values())).path.parent}: the {what} of the training views give no range "
+            f"({error} {unit.name}); {remedy}"
+        ) from error
+
+
+def _valid_values(measured: MaskedImage) -> np.ndarray:
+    """Return values (N,) of the valid pixels."""
+    return measured.image.ravel() if measured.valid is None else measured.image[measured.valid].ravel()
+
+
+def _scaled(measured: MaskedImage, span: TemperatureRange, dtype: type[np.floating]) -> MaskedImage:
+    """Return the image in [0, 1], in place of the values."""
+    image = measured.image.astype(dtype, copy=False)
+    image -= dtype(span.min)
+    image /= dtype(span.max - span.min)
+    np.clip(image, 0, 1, out=image)
+    image = image.astype(np.float32, copy=False)
+    if measured.valid is not None:
+        image[~measured.valid] = UNMEASURED
+    return MaskedImage(image, measured.valid)
+
+
+def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool, unit: Unit) -> list[str]:
+    """Return a note on masked pixels. filled: their share of each view. are_known: whether a reader has masked them."""
+    if fillers.values:
+        values = ", ".join(f"{value:g}" for value in fillers.values[:3]) + (" …" if len(fillers.values) > 3 else "")
+        what = f"as not measured or filled with {values} {unit.name} (data.fillers=[] keeps them)"
+    elif are_known:
+        what = "as filler of the warp, darker than the image before it (data.fillers=[] keeps them, raised to that)"
+    else:
+        return [f"{np.mean(filled):.2%} of the pixels hold no temperature and are masked"] if any(filled) else []
+    return [f"{np.mean(filled):.1%} of the pixels are masked, {what}"]
+
+
+def _about_range(span: TemperatureRange, given: TemperatureRange | None, clipped: float, unit: Unit) -> str:
+    origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
+    if unit is COUNTS:
+        what = f"thermal values are raw counts: image values 0 and 1 are {span.min:.0f} and {span.max:.0f} counts"
+    else:
+        what = f"the image's range is {span.min:.2f} to {span.max:.2f} °C"
+    return f"{what}{origin}; {clipped:.2%} of the pixels are outside and clipped"

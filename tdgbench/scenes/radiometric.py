@@ -21,7 +21,7 @@ from PIL import Image
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
 from tdgbench.scenes.inputs import read_bytes, regular_file
-from tdgbench.scenes.temperature import TEMPERATURES
+from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 from tdgbench.scenes.validate import MAX_PIXELS
 
 JPEG_START, JPEG_SCAN, APP1, APP3 = b"\xff\xd8", 0xDA, 0xE1, 0xE3
@@ -29,6 +29,7 @@ FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
+NO_SCALE = CountScale()
 TIFF_STARTS = (b"II*\0", b"MM\0*")
 
 
@@ -70,11 +71,11 @@ def is_radiometric(path: Path) -> bool:
         return image.mode in (*COUNT_MODES, FLOAT_MODE)
 
 
-def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: float = 0.0) -> np.ndarray:
+def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     """Read temperatures (H, W) float64 in °C; NaN where the file holds none.
 
     FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
-    counts × degC_per_count + degC_at_zero. Raises SceneError naming the file.
+    counts, of which `scale` says the temperature. Raises SceneError naming the file.
     """
     with regular_file(path).open("rb") as file:
         is_jpeg = file.read(2) == JPEG_START
@@ -83,42 +84,44 @@ def read_celsius(path: Path, degC_per_count: float | None = None, degC_at_zero: 
     with opened_image(path) as image:
         mode, values = image.mode, np.asarray(image).astype(np.float64)
     if mode in COUNT_MODES:
-        if degC_per_count is None:
+        if not scale.is_known:
             raise SceneError(
                 f"{path} holds counts; say which temperature they mean: degC_per_count and degC_at_zero "
                 "(in temperature.json, or as options)"
             )
-        values = values * degC_per_count + degC_at_zero
+        values = scale.degC(values)
     elif mode != FLOAT_MODE:
         raise SceneError(f"{path} has mode {mode}; temperatures are one channel of 16-bit counts or of float °C")
     return _valid_or_nan(values, path)
 
 
 def read_thermogram(path: Path) -> Thermogram:
-    """Read temperatures, photo and settings of a FLIR radiometric JPEG. Raises SceneError naming the file."""
+    """Read temperatures, photo and settings of a radiometric JPEG. Raises SceneError naming the file."""
     content = read_bytes(path)
     maker = _maker(io.BytesIO(content))
-    if maker == "DJI":
-        raise SceneError(
-            f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
-            "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
-        )
     if maker is None:
         raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return _decode(content, path)
+            return DECODERS[maker](content, path)
     except (SceneError, MemoryError):
         raise
-    except Exception as error:  # flyr raises many kinds on damaged files
+    except Exception as error:  # decoders raise many kinds on damaged files
         raise SceneError(
-            f"{path} cannot be read as a FLIR radiometric JPEG: {type(error).__name__}: {error}; "
+            f"{path} cannot be read as a {maker} radiometric JPEG: {type(error).__name__}: {error}; "
             "copy it again from the camera, or leave it out"
         ) from error
 
 
-def _decode(content: bytes, path: Path) -> Thermogram:
+def _refuse_dji(content: bytes, path: Path) -> Thermogram:
+    raise SceneError(
+        f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
+        "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
+    )
+
+
+def _decode_flir(content: bytes, path: Path) -> Thermogram:
     from flyr.embedded_image import parse_embedded_image
     from flyr.picture_in_picture import parse_pip_info
     from flyr.records import RecordIndex, extract_flir_app1, parse_flir_records
@@ -144,6 +147,9 @@ def _decode(content: bytes, path: Path) -> Thermogram:
         mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
     celsius = _valid_or_nan(FlyrThermogram(counts, settings).celsius, path)
     return Thermogram(celsius, photo, mapping, {key: float(value) for key, value in settings.items()})
+
+
+DECODERS = {"FLIR": _decode_flir, "DJI": _refuse_dji}  # of radiometric JPEG, by what `_maker` returns
 
 
 def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:

@@ -16,12 +16,11 @@ from tdgbench.scenes.images import read_image
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
-from tdgbench.scenes.measured import ImageSource, ThermalImages, resample
-from tdgbench.scenes.options import Description, ReadOptions
+from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
-from tdgbench.scenes.splits import split_names
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, resample
 from tdgbench.text import some
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
@@ -33,8 +32,8 @@ LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 class Outline:
     """A scene whose images have not been decoded.
 
-    scene: all but what its images tell: its channels are 0, its temperature None, its views have neither images nor
-    masks. read: gives the whole scene; raises SceneError.
+    scene: without what only images tell: channels are 0, temperature is None, views have neither images nor masks.
+    read: returns the complete scene; raises SceneError.
     """
 
     scene: Scene
@@ -88,13 +87,12 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     def whole(view: View) -> View:
-        cached = images.cached[view.name]
-        valid = cached.valid if cached.is_masked else None
-        return replace(view, load_thermal=partial(images.load, view.name), load_valid=valid)
+        image, valid = images.images[view.name]
+        return replace(view, load_thermal=lambda: image, load_valid=None if valid is None else lambda: valid)
 
     return replace(
         scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],
-        temperature=images.temperature, counts=images.counts, channels=images.channels,
+        temperature=images.temperature, raw_count_range=images.raw_count_range, channels=images.channels,
         notes=[*scene.notes, *images.notes],
     )  # fmt: skip
 

@@ -34,7 +34,7 @@ class RegisteredScene:
 
     def matches(self, folder: str) -> bool:
         """Return whether a folder name is the name or an alias, ignoring case, spaces and punctuation."""
-        return _plain(folder) in {_plain(name) for name in (self.name, *self.aliases)}
+        return plain_name(folder) in {plain_name(name) for name in (self.name, *self.aliases)}
 
     def find(self, dataset_folder: Path) -> Path | None:
         """Find this scene's folder inside that of its data set, or None. Raises SceneError if there are two."""
@@ -46,7 +46,8 @@ class RegisteredScene:
         return found[0] if found else None
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """Return a name without case, spaces and punctuation."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 

@@ -92,9 +92,11 @@ class View:
 
     @cached_property
     def thermal(self) -> np.ndarray:
-        """(H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false, whatever was read there."""
+        """The thermal image, (H, W, 1) if gray, else (H, W, 3); 0 where `valid` is false."""
         image = self.load_thermal()
-        return image if self.valid is None else np.where(self.valid[..., None], image, np.float32(0))
+        if self.valid is None or not image[~self.valid].any():
+            return image
+        return np.where(self.valid[..., None], image, np.float32(0))
 
     @cached_property
     def rgb(self) -> np.ndarray:
@@ -157,7 +159,7 @@ class Scene:
     channels: int  # of the thermal images: 1 (gray) or 3 (pseudo-colour)
     notes: list[str] = field(default_factory=list)
     folder: Path | None = None  # of its files
-    counts: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
+    raw_count_range: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
 
     def fingerprint_with(self, *changes: bytes) -> str:
         """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""

@@ -22,12 +22,28 @@ MOST_SAMPLES = 1_000_000  # temperatures that percentiles are computed of
 
 
 @dataclass(frozen=True)
-class Radiometry:
-    """Temperatures of image values. 16-bit images: degC = counts × degC_per_count + degC_at_zero."""
+class CountScale:
+    """The meaning of 16-bit counts: degC = counts × degC_per_count + degC_at_zero. None: it is not known."""
 
-    range: TemperatureRange
     degC_per_count: float | None = None
     degC_at_zero: float = 0.0
+
+    @property
+    def is_known(self) -> bool:
+        return self.degC_per_count is not None
+
+    def degC(self, counts: np.ndarray) -> np.ndarray:
+        """Return the temperatures of counts, float64."""
+        assert self.degC_per_count is not None
+        return counts.astype(np.float64) * self.degC_per_count + self.degC_at_zero
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """Temperatures of the image values 0 and 1, and of 16-bit counts."""
+
+    range: TemperatureRange
+    scale: CountScale = CountScale()
 
 
 def read_radiometry(path: Path) -> Radiometry | None:
@@ -55,11 +71,8 @@ def _read(path: Path, lowest: str, highest: str) -> Radiometry | None:
         per_count = content.get("degC_per_count")
         if per_count is not None and finite_number(per_count) == 0:
             raise ValueError("degC_per_count is 0")
-        return Radiometry(
-            span,
-            None if per_count is None else finite_number(per_count),
-            finite_number(content.get("degC_at_zero", 0.0)),
-        )
+        per_count = None if per_count is None else finite_number(per_count)
+        return Radiometry(span, CountScale(per_count, finite_number(content.get("degC_at_zero", 0.0))))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise SceneError(f"{path} must hold finite numbers `{lowest}` < `{highest}` in °C: {error!r}") from error
 

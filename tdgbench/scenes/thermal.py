@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
-from tdgbench.scenes.celsius import (
-    CELSIUS_OF_IMAGES,
-    COUNTS,
-    array_reader,
-    file_reader,
-    measured_images,
-    read_counts,
-)
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import storage
 from tdgbench.scenes.layouts import SceneFiles
-from tdgbench.scenes.measured import ImageSource, ThermalImages, shown_images
+from tdgbench.scenes.measured import CELSIUS_OF_IMAGES, COUNTS, measured_images, read_counts, read_npy, read_radiometric
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import Radiometry, check_range
+from tdgbench.scenes.temperature import CountScale, Radiometry, check_range
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.warped import WarpedPictures, is_picture
 from tdgbench.text import some
 
@@ -42,13 +36,13 @@ def thermal_images(
             given = check_range(*options.temperature)
         except (ValueError, TypeError) as error:
             raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
-        scale = (None, 0.0) if radiometry is None else (radiometry.degC_per_count, radiometry.degC_at_zero)
-        radiometry = Radiometry(given, *scale)
+        radiometry = Radiometry(given) if radiometry is None else replace(radiometry, range=given)
     pictures = [name for name, source in sources.items() if is_picture(source.path)]
     if found.in_celsius and pictures:
         return _of_pictures(found, sources, pictures, train, options, radiometry, published)
     if found.in_celsius or options.thermal == "radiometric":
-        reader = array_reader(radiometry) if found.in_celsius else file_reader(radiometry)
+        scale = CountScale() if radiometry is None else radiometry.scale
+        reader = partial(read_npy if found.in_celsius else read_radiometric, scale=scale)
         return measured_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
     return _of_images(sources, train, options, radiometry)
 
@@ -69,7 +63,9 @@ def _of_images(
         )
     if "float" in stored:
         given = None if radiometry is None else radiometry.range
-        return measured_images(sources, file_reader(None), train, options, given, CELSIUS_OF_IMAGES)
+        return measured_images(
+            sources, partial(read_radiometric, scale=CountScale()), train, options, given, CELSIUS_OF_IMAGES
+        )
     if hold_counts:
         return measured_images(sources, read_counts, train, options, None, COUNTS)
     return shown_images(sources, radiometry, options.channels)
@@ -102,6 +98,6 @@ def _of_pictures(
         notes.append(
             f"{len(alone)} gray images have none from before the warp; only constant fillers are found: {some(alone)}"
         )
-    reader = WarpedPictures(radiometry, found.unwarped, options.fillers is None, array_reader(radiometry))
+    reader = WarpedPictures(radiometry, found.unwarped, options.fillers is None)
     images = measured_images(sources, reader, train, options, radiometry.range)
     return replace(images, notes=[*notes, *images.notes])

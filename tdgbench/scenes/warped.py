@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from tdgbench.scenes.celsius import Reader, Temperatures
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import grown
 from tdgbench.scenes.images import read_image
+from tdgbench.scenes.measured import Temperatures, read_npy
 from tdgbench.scenes.temperature import Radiometry
 
 PICTURES = (".jpg", ".jpeg", ".png")
@@ -39,18 +39,17 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R 601, as OpenCV reads
 class WarpedPictures:
     """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
 
-    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. arrays:
-    reader of .npy files, which some views may have.
+    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. Views may
+    have .npy files instead.
     """
 
     radiometry: Radiometry
     unwarped: Mapping[str, Path]
     mask: bool
-    arrays: Reader
 
     def __call__(self, path: Path) -> Temperatures:
         if not is_picture(path):
-            return self.arrays(path)
+            return read_npy(path, self.radiometry.scale)
         image, before = self._gray(path), self.unwarped.get(path.stem)
         block = BLOCK if path.suffix.lower() in JPEG else 1
         lowest = None if before is None else float(self._gray(before).min())

@@ -1,4 +1,4 @@
-"""Work on several views at once: one thread each, so that no result depends on their number."""
+"""Score several views in parallel, one thread each, so that scores do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -16,19 +16,11 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def views_at_once(pixels: int, threads: int) -> int:
-    """Return the number of views of so many pixels that threads work on at once: bounded by memory as well.
-
-    >>> views_at_once(640 * 480, threads=2), views_at_once(640 * 480, threads=64), views_at_once(4096 * 4096, threads=2)
-    (2, 8, 1)
-    """
-    return max(1, min(threads, PIXELS_AT_ONCE // max(1, pixels)))
-
-
 def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
-    """Return the results of a function of a view, in the order of the views; an idle thread takes the next one.
+    """Apply a function to views in parallel and return the results in their order.
 
-    pixels: of the largest view. torch has one thread for each view meanwhile. Raises what a call raises.
+    pixels: of the largest view; it limits the views in memory. torch uses one thread per view. An exception of the
+    function is raised.
     """
     results: dict[int, R] = {}
     waiting = iter(enumerate(views))
@@ -38,7 +30,8 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
         for number, view in waiting:
             results[number] = function(view)
 
-    workers = min(views_at_once(pixels, pool.get_threads()), len(views))
+    in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
+    workers = min(in_memory, pool.get_threads(), len(views))
     if workers > 0:
         with one_torch_thread():
             pool.run(work, [()] * workers)

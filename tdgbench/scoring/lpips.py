@@ -1,7 +1,7 @@
-"""LPIPS v0.1 (Zhang et al. 2018), through the `lpips` package where it can be imported.
+"""LPIPS v0.1 (Zhang et al. 2018), with the linear heads of the `lpips` package.
 
-`lpips` imports torchvision, which fails beside a CPU build of torch. The fallback is the same trunk from plain torch
-layers, with the linear heads that the package ships. The two agree to float rounding (tested).
+The package itself needs torchvision, which fails beside a CPU build of torch. The network here agrees with the
+package's to float rounding (tested).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class LPIPS:
     """
 
     def __init__(
-        self, net: Net, input_range: Range, weights: str | None = None, download: bool = True,
+        self,
+        net: Net,
+        input_range: Range,
+        weights: str | None = None,
+        download: bool = True,
         device: torch.device = CPU,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if net not in SPECS:
             raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
         self.input_range, self.device = input_range, device
-        state = trunk_weights(net, weights, download)
-        package = _package_model(net, state)
-        self.through_package = package is not None
-        self.model: nn.Module = _PlainLPIPS(net, state) if package is None else package
-        self.model.eval().requires_grad_(False).to(device)
+        self.model = Network(net, trunk_weights(net, weights, download)).eval().requires_grad_(False).to(device)
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
@@ -55,8 +55,8 @@ class LPIPS:
         return tensor * 2 - 1 if self.input_range == "signed" else tensor
 
 
-class _PlainLPIPS(nn.Module):
-    """Differences of unit-length features, weighted by the heads, averaged over the image."""
+class Network(nn.Module):
+    """LPIPS of images: differences of unit-length features, weighted by the heads, averaged over the image."""
 
     shift: Tensor
     scale: Tensor
@@ -108,16 +108,3 @@ def _heads(net: Net) -> list[Tensor]:
     path = Path(found.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
     state = torch.load(path, map_location="cpu", weights_only=True)
     return [state[f"lin{i}.model.1.weight"] for i in range(len(SPECS[net].ends))]
-
-
-def _package_model(net: Net, state: dict[str, Tensor]) -> nn.Module | None:
-    """Return lpips.LPIPS with our trunk weights, or None if the package cannot be imported."""
-    try:
-        import lpips
-    except Exception:  # torchvision beside a CPU torch raises RuntimeError, not ImportError
-        return None
-    model = lpips.LPIPS(net=net, pnet_rand=True, verbose=False)
-    with torch.no_grad():
-        for name, parameter in model.net.named_parameters():
-            parameter.copy_(state[name.split(".", 1)[1]])  # slice2.3.squeeze.weight → 3.squeeze.weight
-    return model

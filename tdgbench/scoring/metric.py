@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.measure import Measure
@@ -19,8 +19,8 @@ class Metric(Measure, ABC):
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
-    reads: str = ""  # numbers that are fitted to a test view before it is scored; empty: none
-    verified_to: float | None = None  # largest error when computed again from a cell's files; None: they do not suffice
+    fits_to_test_view: str = ""  # what is fitted to a test view before it is scored; empty: nothing
+    verified_to: float | None = None  # tolerance when `verify` recomputes it from a cell's files; None: it cannot
 
     @abstractmethod
     def score(self, shown: ScoredView) -> float:
@@ -50,12 +50,9 @@ class ImageMetric(Metric):
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:
-        """Return the description of the mean over the training views, which records keep apart."""
-        return Measure(
-            name=f"train_{self.name}", label=self.label, meaning=self.meaning, digits=self.digits,
-            overall_digits=self.overall_digits, unit=self.unit, higher_is_better=self.higher_is_better,
-            limits=self.limits, part="training views", latex=self.latex, ratio=self.ratio,
-        )  # fmt: skip
+        """Return the description of the mean over the training views."""
+        described = {field.name: getattr(self, field.name) for field in fields(Measure)}
+        return Measure(**described | {"name": f"train_{self.name}", "part": "training views", "published": False})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Input of a metric: one rendered view, its ground truth, its scene, and the convention of the scores."""
+"""Input of a metric: a rendered view, its ground truth, its scene, and the scoring convention."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ ConventionName = Literal["3dgs", "standard"]  # as a record names it
 
 
 class NotApplicableError(Exception):
-    """A view has no such score; the message is the reason that records and tables give."""
+    """A metric does not apply to a view; records and tables give the message as the reason."""
 
 
 @dataclass(frozen=True)
 class RenderedImages:
     """A method's renders of one view.
 
-    image: (H, W, C) float32 as the thermal camera shows it, not clipped. depth: (H, W) expected z in scene units, 0
-    where nothing was rendered. others: (H, W, C) float32 of the method's models of other modalities, by modality.
-    temperatures: (H, W, C) float32, what an ideal camera would show; None: `image`.
+    image: (H, W, C) float32 with the response of the thermal camera, not clipped. depth: (H, W) expected z in scene
+    units, 0 where nothing was rendered. others: (H, W, C) float32 of the method's models of other modalities, by
+    modality. temperatures: (H, W, C) float32 without that response; None: equal to `image`.
     """
 
     image: np.ndarray
@@ -36,7 +36,7 @@ class RenderedImages:
 
     @property
     def ideal(self) -> np.ndarray:
-        """(H, W, C), what a camera without a response of its own would show."""
+        """(H, W, C), the render as an ideal camera would show it."""
         return self.image if self.temperatures is None else self.temperatures
 
 
@@ -70,8 +70,8 @@ class ImagePair:
 class ScoredView:
     """One view with its render.
 
-    scene, renders: all test views and their renders by name; None for a training view. common: what metrics have found
-    out about all of them, by the metric's name; the views of one scoring share it.
+    scene, renders: all test views and their renders by name; None for a training view. common: cache of metrics for
+    results about all test views, by the metric's name; the views of one scoring share it.
     """
 
     view: View
@@ -96,7 +96,7 @@ class ScoredView:
 
     @cached_property
     def _pairs(self) -> dict[str, ImagePair]:
-        """What `pair` has returned, for the next metric."""
+        """Cache of `pair`."""
         return {}
 
     def _thermal(self) -> ImagePair:
@@ -127,7 +127,7 @@ class ScoredView:
         truth = self.true_depth()
         return at_valid(self.valid, self.rendered.depth), at_valid(self.valid, truth)
 
-    def nearest(self) -> View:
+    def nearest_test_view(self) -> View:
         """Return the test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""
         others = [] if self.scene is None else [view for view in self.scene.test if view.name != self.view.name]
         if not others:

@@ -70,7 +70,7 @@ class Scorer:
     def score_train(
         self, views: Sequence[View], renders: Mapping[str, RenderedImages]
     ) -> dict[str, dict[str, float | None]]:
-        """Return the cheap metrics of training views, which suffice to show overfitting, by the views' names."""
+        """Return the metrics of TRAIN_METRICS of training views by name, to detect overfitting."""
 
         def score(view: View) -> _Scored:
             return _scored(ScoredView(view, renders[view.name], self.settings), TRAIN_METRICS.values())
@@ -78,7 +78,7 @@ class Scorer:
         return self._collected(views, map_views(score, views, _most_pixels(views)))
 
     def _collected(self, views: Sequence[View], scored: list[_Scored]) -> dict[str, dict[str, float | None]]:
-        """Return scores by view, and put the reasons for missing ones into `missing`."""
+        """Return the scores by view, and add the reasons for missing ones to `missing`."""
         for scores in scored:
             self.missing |= scores.missing
         return {view.name: of_view.scores for view, of_view in zip(views, scored, strict=True)}

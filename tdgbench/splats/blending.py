@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Blending:
-    """The first three change the image, the others only the work.
+    """Thresholds of alpha blending, which change the image, and two switches that change only speed.
 
     Args:
         max_alpha: cap of alpha.
@@ -37,7 +37,9 @@ class Blending:
             raise ValueError(f"min_transmittance is {self.min_transmittance}; it must be in [0, 1)")
 
     def moved(self, factor: float) -> Blending:
-        """Return both thresholds moved by a factor: pixels that then differ are those that a rounding error could flip.
+        """Multiply the alpha threshold and divide the transmittance threshold by a factor.
+
+        Pixels that differ between factors slightly below and above 1 are those that rounding errors can change.
 
         >>> AS_3DGS.moved(2.0).min_transmittance
         5e-05

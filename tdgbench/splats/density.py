@@ -17,7 +17,7 @@ from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.scratch import release
+from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.cpu.statistics import GradientStatistics, observe_visible
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
@@ -91,15 +91,15 @@ class DensityChange:
     split: int = 0
     pruned: int = 0
     relocated: int = 0
-    not_grown: int = 0  # that the gradients' threshold would have grown, and other evidence did not
+    not_grown: int = 0  # above the gradient threshold, but rejected by another growth rule
 
 
-class Verdict(NamedTuple):
-    """Which of N Gaussians to grow and to remove, decided by other evidence than the gradients of 3DGS."""
+class GrowthDecision(NamedTuple):
+    """Which of N Gaussians to grow and to prune."""
 
     strength: Tensor  # (N,): if not all can grow, the strongest do
     grow: Tensor  # (N,) bool
-    useless: Tensor  # (N,) bool
+    prune: Tensor  # (N,) bool
 
 
 class DensityControl:
@@ -121,7 +121,7 @@ class DensityControl:
             rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
             pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans])
             return
-        index, visible = view.computed().visible()
+        index, visible = view.compute().visible()
         self.view_counts[index] += 1
         self.max_radii[index] = torch.maximum(self.max_radii[index], visible.to(self.max_radii))
 
@@ -175,11 +175,11 @@ class DensityControl:
 
     @torch.no_grad()
     def update(
-        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: Verdict | None = None
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
     ) -> DensityChange:
         """Clone, split, prune and reset opacities as due at an iteration; children's positions are random.
 
-        verdict: on the current Gaussians, in the place of the gradients' threshold.
+        verdict: replaces the gradient threshold of 3DGS.
         """
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
@@ -189,18 +189,18 @@ class DensityControl:
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
-            release()  # the renders' memory makes room for the new Gaussians, and the memory of these for the renders
-            self.state.exchange(*self._removed_and_added(change, iteration, generator, verdict))
+            free_buffers()  # of renders: the new Gaussians need the memory
+            self.state.replace_rows(*self._removed_and_added(change, iteration, generator, verdict))
             self._clear()
-            release()
+            free_buffers()
         if change.opacity_reset:
             ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
-            self.state.values[:, self.state.column_of("opacity_logits")].clamp_max_(ceiling)
+            self.state.values[:, self.state.columns_of("opacity_logits")].clamp_max_(ceiling)
             optimizer.reset_moments("opacity_logits")
         return change
 
     def _removed_and_added(
-        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: Verdict | None
+        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""
         rules, values = self.rules, self.state.values
@@ -210,13 +210,13 @@ class DensityControl:
         change.not_grown = int((by_gradients.grow & ~verdict.grow).sum())
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
-        hot = verdict.grow
+        grow = verdict.grow
         if rules.max_gaussians is not None:
-            hot = _strongest(hot, verdict.strength, rules.max_gaussians - len(old))
-        clone, split = (hot & small).nonzero().squeeze(1), (hot & ~small).nonzero().squeeze(1)
+            grow = _strongest(grow, verdict.strength, rules.max_gaussians - len(old))
+        clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        remove = (old.opacities < rules.min_opacity) | verdict.useless
+        remove = (old.opacities < rules.min_opacity) | verdict.prune
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -231,22 +231,21 @@ class DensityControl:
         change.pruned += int(drop.sum())
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
-    def _by_gradients(self) -> Verdict:
-        """Return the verdict of 3DGS: Gaussians whose centre has a large gradient in the image grow."""
+    def _by_gradients(self) -> GrowthDecision:
+        """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large."""
         grads = torch.nan_to_num(self.grad_sum / self.view_counts)
-        return Verdict(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
+        return GrowthDecision(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
-        """Return smaller children (split_into · n, columns) of parents (n, columns), at points drawn from these."""
+        """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""
         n = self.rules.split_into
         children = parents.repeat(n, 1)
         many = self.state.split(children)
         scales = many.scales
         offsets = torch.randn(len(children), 3, generator=generator).to(scales) * scales
-        children[:, self.state.column_of("means")] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
-        children[:, self.state.column_of("log_scales")] -= math.log(
-            self.rules.split_shrink * n
-        )  # no exp: it may underflow
+        children[:, self.state.columns_of("means")] += (rotation_matrices(many.quats) @ offsets[..., None]).squeeze(-1)
+        shrink = math.log(self.rules.split_shrink * n)  # of the logarithms: exp may underflow
+        children[:, self.state.columns_of("log_scales")] -= shrink
         return children
 
 

@@ -28,16 +28,16 @@ class Gaussians:
     quats: Tensor  # (N, 4) wxyz, any length
     opacity_logits: Tensor  # (N,)
     sh: Tensor  # (N, K, C)
-    more: dict[str, Tensor] = field(default_factory=dict)  # (N, ...): further fields, such as a second colour set
+    extra_fields: dict[str, Tensor] = field(default_factory=dict)  # (N, ...), such as a second colour set
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """Return the names of the five parameters that all Gaussians have."""
-        return tuple(parameter.name for parameter in fields(cls) if parameter.name != "more")
+        return tuple(parameter.name for parameter in fields(cls) if parameter.name != "extra_fields")
 
     def items(self) -> Iterable[tuple[str, Tensor]]:
-        """Return the names and tensors of the parameters, those of `more` last."""
-        return [*((name, getattr(self, name)) for name in self.names()), *self.more.items()]
+        """Return the names and tensors of the parameters, those of `extra_fields` last."""
+        return [*((name, getattr(self, name)) for name in self.names()), *self.extra_fields.items()]
 
     def __len__(self) -> int:
         return len(self.means)
@@ -67,7 +67,8 @@ class Gaussians:
     def map(self, function: Callable[[Tensor], Tensor]) -> Gaussians:
         """Apply a function to every tensor."""
         parameters = {name: function(getattr(self, name)) for name in self.names()}
-        return Gaussians(**parameters, more={name: function(tensor) for name, tensor in self.more.items()})
+        extra = {name: function(tensor) for name, tensor in self.extra_fields.items()}
+        return Gaussians(**parameters, extra_fields=extra)
 
     def select(self, index: Tensor | slice) -> Gaussians:
         """Return the Gaussians at an index, in a slice or under a mask."""

@@ -1,4 +1,4 @@
-"""Result of a training step's backward pass: gradients of some Gaussians of a view, and its visible Gaussians."""
+"""Result of the backward pass of a training view: gradients of some Gaussians, and the visible Gaussians."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Gradients:
         """Number of rows: Gaussians with a gradient."""
         return sum(count for _, count in self.spans)
 
-    def computed(self) -> Gradients:
-        """These gradients; `PendingGradients` computes them here."""
+    def compute(self) -> Gradients:
+        """Return these gradients, as `PendingGradients.compute` does."""
         return self
 
     def observe(self, statistics: GradientStatistics) -> None:
@@ -56,8 +56,8 @@ class Gradients:
         """
         if statistics.active:
             self.observe(statistics)
-        spans = split_spans(self.spans)
-        bad = flags_of(len(spans), step)
+        spans = spans_for_threads(self.spans)
+        bad = new_flags(len(spans), step)
         rows = (self.index.numpy(), self.values.numpy(), step)
         pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
         return bad.max(axis=0, initial=0)
@@ -100,9 +100,9 @@ class Gradients:
 
 
 class PendingGradients:
-    """Gradients of a view that nobody has read, with its visible Gaussians; to be used once.
+    """Gradients of a view that are not computed yet, with its visible Gaussians. Use `compute` or `take_step`, once.
 
-    They are computed as rows, or in the same pass as the step that they are for.
+    `take_step` computes the gradients and steps the Gaussians in one pass, without storing gradients.
     """
 
     def __init__(self, blended: Blended) -> None:
@@ -114,8 +114,8 @@ class PendingGradients:
         self.pairs, self.blended = done.count_pairs(), int(done.visits.counts.sum())
         self.touched = 0
 
-    def computed(self) -> Gradients:
-        """The gradients as rows."""
+    def compute(self) -> Gradients:
+        """Compute the gradients as rows."""
         rows = self._blended.rows()
         index, values, image = map(torch.from_numpy, rows.arrays)
         lease = (rows.workspace, self._blended.done.workspace)
@@ -125,24 +125,21 @@ class PendingGradients:
         )  # fmt: skip
 
     def take_step(self, step: AdamStep, statistics: GradientStatistics) -> np.ndarray:
-        """Take a step of Adam with these gradients and add to density control's statistics, in one pass.
-
-        Returns what `Gradients.take_step` does.
-        """
-        bad = flags_of(len(self._blended.done.splat_spans), step)
+        """Take a step of Adam and add to density control's statistics, as `Gradients.take_step`, in one pass."""
+        bad = new_flags(len(self._blended.done.splat_spans), step)
         self.touched = self._blended.step(step, statistics, bad)
         return bad.max(axis=0, initial=0)
 
 
-def flags_of(spans: int, step: AdamStep) -> np.ndarray:
-    """Return (spans, columns of the state) float32 zeros for what a step finds in each column."""
+def new_flags(spans: int, step: AdamStep) -> np.ndarray:
+    """Return (spans, columns of the state) float32 zeros, in which a step marks columns with bad gradients."""
     flags = empty_aligned((spans, step.rows.stride), np.float32)
     flags[:] = 0
     return flags
 
 
-def split_spans(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return spans (first, count) for the threads: a single one is split into one per thread."""
+def spans_for_threads(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the spans (first, count); a single span is split into one per thread."""
     if len(spans) > 1:
         return spans
     return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

@@ -43,13 +43,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
         values += [-C1 * y, C1 * z, -C1 * x]
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        values += [
-            C2[0] * x * y,
-            C2[1] * y * z,
-            C2[2] * (2 * zz - xx - yy),
-            C2[3] * x * z,
-            C2[4] * (xx - yy),
-        ]
+        values += [C2[0] * x * y, C2[1] * y * z, C2[2] * (2 * zz - xx - yy), C2[3] * x * z, C2[4] * (xx - yy)]
     if degree >= 3:
         values += [
             C3[0] * y * (3 * xx - yy),

@@ -13,7 +13,7 @@ from pydantic import NonNegativeFloat
 from torch import Tensor
 
 from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, Verdict
+from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
@@ -53,16 +53,16 @@ class Relocation(DensityControl):
 
     def regularised(self, gradients: Gradients | PendingGradients) -> Gradients:
         """Return the gradients of all Gaussians, with those of the mean opacity and the mean scale."""
-        state, computed = self.state, gradients.computed()
+        state, computed = self.state, gradients.compute()
         index, rows, image = computed.rows()
         values = torch.zeros_like(state.values)
         values[:, : rows.shape[1]].index_add_(0, index, rows)
         all_of = state.split(state.values)
         opacities, scales = all_of.opacities[:, None], all_of.scales
-        values[:, state.column_of("opacity_logits")] += (
+        values[:, state.columns_of("opacity_logits")] += (
             self.rules.opacity_weight / len(state) * opacities * (1 - opacities)
         )
-        values[:, state.column_of("log_scales")] += self.rules.scale_weight / (3 * len(state)) * scales
+        values[:, state.columns_of("log_scales")] += self.rules.scale_weight / (3 * len(state)) * scales
         on_image = values.new_zeros(len(state), 2).index_add_(0, index, image[:, :2])
         visible, view_radii = computed.visible()
         radii = torch.zeros(len(state), dtype=torch.int32, device=values.device)
@@ -71,7 +71,7 @@ class Relocation(DensityControl):
 
     @torch.no_grad()
     def update(
-        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: Verdict | None = None
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
     ) -> DensityChange:
         change = DensityChange()
         if not self.is_round(iteration):
@@ -89,7 +89,7 @@ class Relocation(DensityControl):
         if change.cloned:
             everywhere = torch.arange(count, device=dead.device)
             added = self._shared(everywhere[self._drawn(everywhere, change.cloned, generator)])
-            self.state.exchange(everywhere[:0], added)
+            self.state.replace_rows(everywhere[:0], added)
         self.state.refresh_bounds()
         self._clear()
         return change

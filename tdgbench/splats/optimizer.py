@@ -12,16 +12,7 @@ import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import (
-    AdamStep,
-    Decay,
-    Deferred,
-    Rows,
-    Stale,
-    Update,
-    flush_rows,
-    sum_displacements,
-)
+from tdgbench.splats.cpu.adam import AdamStep, Decay, Deferred, Rows, Stale, Update, flush_rows, sum_displacements
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
@@ -69,7 +60,7 @@ def log_linear(first: float, last: float, share: float) -> float:
 
 
 class Tolerance(NamedTuple):
-    """How far deferred steps can move a Gaussian from the bounds that culling tests."""
+    """Upper bounds of how far deferred steps move a Gaussian away from the bounds that culling tests."""
 
     mean: float  # world units
     log_scale: float
@@ -83,18 +74,22 @@ class Adam:
     """
 
     def __init__(
-        self, state: TrainingState, rates: LearningRates, extent: float, own: Mapping[str, float | str] | None = None
+        self,
+        state: TrainingState,
+        rates: LearningRates,
+        extent: float,
+        field_rates: Mapping[str, float | str] | None = None,
     ) -> None:
-        """extent: of the scene, world units. own: rates of fields, in the place of those in `rates`, 0 for a
-        frozen one; the name of one of the five parameters stands for that one's rate.
+        """extent: of the scene, world units. field_rates: learning rates by field, which replace those of `rates`: a
+        number (0 freezes the field), or the name of the parameter whose rate it has.
 
-        Raises ValueError for a further field without a rate, and for the rate of a field that is not there.
+        Raises ValueError for a field of `extra_fields` without a rate, and for the rate of an unknown field.
         """
-        self.state, self.rates, self.extent, self.own = state, rates, extent, dict(own or {})
+        self.state, self.rates, self.extent, self.field_rates = state, rates, extent, dict(field_rates or {})
         self.slowdown = 1.0  # factor of all learning rates, at most 1
         names = [name for name, _ in state.split(state.values[:0]).items()]
-        if not {*names[len(Gaussians.names()) :]} <= {*self.own} <= {*names}:
-            raise ValueError(f"there are rates for {[*self.own]}; the fields are {', '.join(names)}")
+        if not {*names[len(Gaussians.names()) :]} <= {*self.field_rates} <= {*names}:
+            raise ValueError(f"there are rates for {[*self.field_rates]}; the fields are {', '.join(names)}")
         self.steps = dict.fromkeys(names, 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
@@ -113,21 +108,21 @@ class Adam:
         without: str | None = None,
         statistics: GradientStatistics = NO_STATISTICS,
     ) -> str | None:
-        """Take one step at an iteration (1-based); the parameter `without` has no gradient, in torch's sense.
+        """Take one step at an iteration (1-based); the parameter `without` is treated as if its `.grad` were None.
 
         Pending gradients are computed in the same pass, which adds to `statistics`. Return the name of a parameter
         whose gradient is not finite, or None.
         """
         state = self.state
         if without is not None:
-            gradients = gradients.computed()
-            gradients.values[:, state.column_of(without)] = 0
+            gradients = gradients.compute()
+            gradients.values[:, state.columns_of(without)] = 0
         for name in self.steps:
             self.steps[name] += name != without
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
-            values = gradients.computed().values
+            values = gradients.compute().values
             self._step_all(values, rates / bias1, np.sqrt(bias2))
             return None if bool(torch.isfinite(values.sum())) else self._not_finite(values)
         self._used = max(self._used, gradients.columns)
@@ -141,22 +136,22 @@ class Adam:
         sum_displacements(deferred, state.now, self._coefficients, np.float32(RHO), self._displacements)
         if deferred >= FLUSH_EVERY - 1:
             self.flush()
-        return self._first_in(bad) if bad.any() else None
+        return self._first_marked(bad) if bad.any() else None
 
     def _not_finite(self, rows: torch.Tensor) -> str | None:
         """Return the name of the first parameter with a gradient that is not finite; rows (n, columns)."""
-        return self._first_in((~torch.isfinite(rows)).any(dim=0).numpy(force=True))
+        return self._first_marked((~torch.isfinite(rows)).any(dim=0).numpy(force=True))
 
-    def _first_in(self, bad: np.ndarray) -> str | None:
-        """Return the name of the first parameter with a marked column; bad (columns,)."""
-        return next((name for name in self.steps if bad[self.state.column_of(name)].any()), None)
+    def _first_marked(self, bad: np.ndarray) -> str | None:
+        """Return the name of the first parameter with a nonzero column in `bad` (columns,)."""
+        return next((name for name in self.steps if bad[self.state.columns_of(name)].any()), None)
 
     def position_rate(self, iteration: int) -> float:
         """Return the learning rate of the means at an iteration, world units."""
         return self.slowdown * float(self._rate_of("means", iteration))
 
     def stale(self) -> Stale:
-        """Return all rows with the steps that are due to them; a kernel applies those of a row before it reads it."""
+        """Return all rows with their deferred steps, which a kernel applies to a row before it reads the row."""
         return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)
 
     def flush(self) -> None:
@@ -170,18 +165,18 @@ class Adam:
         self._flushed = state.now
 
     def tolerance(self, iteration: int) -> Tolerance:
-        """Return how far rows can be from their bounds at an iteration."""
+        """Return the largest distance of rows from their culling bounds at an iteration."""
         means, log_scales = (self._rate_of(name, max(iteration - FLUSH_EVERY, 0)) for name in ("means", "log_scales"))
         return Tolerance(MAX_DEFERRED * float(means), MAX_DEFERRED * float(log_scales))
 
     def reset_moments(self, name: str) -> None:
         """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); `flush` first."""
-        columns = self.state.column_of(name)
+        columns = self.state.columns_of(name)
         self.state.first[:, columns] = 0
         self.state.second[:, columns] = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a step depends on beside the rows, as `torch.save` takes it."""
+        """Return the state besides the rows, as `torch.save` takes it."""
         return {
             "steps": dict(self.steps),
             "flushed": self._flushed,
@@ -214,17 +209,17 @@ class Adam:
         width = self.state.values.shape[1]
         rates, steps = np.zeros(width), np.ones(width)
         for name, count in self.steps.items():
-            columns = self.state.column_of(name)
+            columns = self.state.columns_of(name)
             rates[columns], steps[columns] = self._rate_of(name, iteration), max(count, 1)
         return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
 
     def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
         """Return the learning rate of a field, or those of its columns."""
-        rate = self.own.get(name, name)
+        rate = self.field_rates.get(name, name)
         if not isinstance(rate, str):
             return rate
         if rate == "sh":
-            columns, channels = self.state.column_of(name), self.state.channels_of(name)
+            columns, channels = self.state.columns_of(name), self.state.channels_of(name)
             return np.where(np.arange(columns.stop - columns.start) < channels, self.rates.sh_dc, self.rates.sh_rest)
         return {
             "means": self.rates.position(iteration) * self.extent,

@@ -46,8 +46,8 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
     (1, 1, 1)
     """
     rest = gaussians.sh.shape[1] - 1
-    more = [_column(name, at) for name, field in gaussians.more.items() for at in np.ndindex(*field.shape[1:])]
-    kind = np.dtype([(name, "<f4") for name in [*_columns(rest), *more]])
+    extra = [_column(name, at) for name, field in gaussians.extra_fields.items() for at in np.ndindex(*field.shape[1:])]
+    kind = np.dtype([(name, "<f4") for name in [*_columns(rest), *extra]])
     shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # for the header; stores one row
     header = PlyData([PlyElement.describe(shape_only, "vertex")], byte_order="<").header
     with whole_file(path) as part, part.open("wb") as file:
@@ -62,7 +62,7 @@ def _rows(g: Gaussians) -> torch.Tensor:
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
     harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as in 3DGS
     parts = [g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats]
-    return torch.cat([*parts, *(field.flatten(1) for field in g.more.values())], dim=1).float()
+    return torch.cat([*parts, *(field.flatten(1) for field in g.extra_fields.values())], dim=1).float()
 
 
 def _column(name: str, at: tuple[int, ...]) -> str:
@@ -70,18 +70,18 @@ def _column(name: str, at: tuple[int, ...]) -> str:
     return "_".join([name, *map(str, at)])
 
 
-def _more_of(vertex: PlyElement, names: list[str]) -> dict[str, torch.Tensor]:
+def _extra_fields_of(vertex: PlyElement, names: list[str]) -> dict[str, torch.Tensor]:
     """Return the further fields that columns of the file hold in full; other columns are ignored."""
     found: dict[str, list[tuple[int, ...]]] = {}
     for match in filter(None, (re.fullmatch(r"(\w*?[^\W\d_])((?:_\d+){1,2})", name) for name in names)):
         found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
-    more = {}
+    extra_fields = {}
     for name, places in found.items():
         shape = tuple(1 + int(axis) for axis in np.max(places, axis=0)) if len({*map(len, places)}) == 1 else ()
         if sorted(places) == [*np.ndindex(*shape)]:
             values = np.stack([_finite(vertex, _column(name, at)) for at in sorted(places)], axis=-1)
-            more[name] = torch.from_numpy(values.reshape(-1, *shape))
-    return more
+            extra_fields[name] = torch.from_numpy(values.reshape(-1, *shape))
+    return extra_fields
 
 
 def load_ply(path: Path) -> Gaussians:
@@ -101,7 +101,7 @@ def load_ply(path: Path) -> Gaussians:
         if round((rest + 1) ** 0.5) ** 2 != rest + 1:
             raise ValueError(f"{rest} f_rest coefficients per channel are no whole SH degree")
         columns = {name: _finite(vertex, name) for name in _columns(rest) if name not in ("nx", "ny", "nz")}
-        more = _more_of(vertex, [p.name for p in vertex.properties if p.name not in _columns(rest)])
+        extra_fields = _extra_fields_of(vertex, [p.name for p in vertex.properties if p.name not in _columns(rest)])
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
@@ -121,7 +121,7 @@ def load_ply(path: Path) -> Gaussians:
         quats=stack(*(f"rot_{i}" for i in range(4))),
         opacity_logits=torch.from_numpy(columns["opacity"]),
         sh=sh.contiguous(),
-        more=more,
+        extra_fields=extra_fields,
     )
 
 

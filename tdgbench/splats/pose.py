@@ -1,4 +1,4 @@
-"""Gradients by a camera's pose: the Gaussians move instead, with gradients through their means and rotations."""
+"""Gradients of a camera's pose: the Gaussians are moved into camera space by differentiable operations."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from tdgbench.splats.view import GaussianTensors, Pinhole
 
 
 def with_pose_gradient(gaussians: GaussianTensors, camera: Pinhole) -> tuple[GaussianTensors, Pinhole]:
-    """Return Gaussians and camera that render the same; where the pose asks for a gradient, they hand it on."""
+    """Return Gaussians and a camera that render the same image, and pass gradients on to a pose that requires them."""
     if not camera.viewmat.requires_grad:
         return gaussians, camera
     viewmat = camera.viewmat.to(gaussians.means)
-    return in_camera(gaussians, viewmat), camera._replace(viewmat=torch.eye(4).to(viewmat))
+    return to_camera_space(gaussians, viewmat), camera._replace(viewmat=torch.eye(4).to(viewmat))
 
 
-def in_camera(gaussians: GaussianTensors, viewmat: Tensor) -> GaussianTensors:
-    """Return the Gaussians in the coordinates of a camera, viewmat (4, 4), with gradients by the Gaussians and by it.
+def to_camera_space(gaussians: GaussianTensors, viewmat: Tensor) -> GaussianTensors:
+    """Transform the Gaussians to the camera space of viewmat (4, 4), with gradients for both.
 
-    Harmonics become colours: their direction depends on the camera's centre.
+    Spherical harmonics are evaluated to colours first, as their direction depends on the camera's centre.
     """
     means, quats, _, _, colors, degree = gaussians
     turn, shift = viewmat[:3, :3], viewmat[:3, 3]
     if degree is not None:
         colors = colors_from_sh(colors, torch.nn.functional.normalize(means + turn.T @ shift, dim=1), degree)
-    quats = product(quaternion(turn), quats)
+    quats = multiply_quaternions(quaternion_of_rotation(turn), quats)
     return gaussians._replace(means=means @ turn.T + shift, quats=quats, colors=colors, sh_degree=None)
 
 
-def product(a: Tensor, b: Tensor) -> Tensor:
+def multiply_quaternions(a: Tensor, b: Tensor) -> Tensor:
     """Return the quaternion (..., 4) wxyz of the rotation b followed by a.
 
-    >>> product(torch.tensor([0.0, 1, 0, 0]), torch.tensor([0.0, 0, 1, 0])).tolist()
+    >>> multiply_quaternions(torch.tensor([0.0, 1, 0, 0]), torch.tensor([0.0, 0, 1, 0])).tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
     (aw, ax, ay, az), (bw, bx, by, bz) = a.unbind(-1), b.unbind(-1)
@@ -44,12 +44,12 @@ def product(a: Tensor, b: Tensor) -> Tensor:
     return torch.stack(parts, dim=-1)
 
 
-def quaternion(rotation: Tensor) -> Tensor:
+def quaternion_of_rotation(rotation: Tensor) -> Tensor:
     """Return the quaternion (4,) wxyz of a rotation matrix (3, 3), with a gradient everywhere.
 
-    Of the four formulas, each of which divides by one component, it takes that with the largest.
+    Each of four formulas divides by one component; the one with the largest component is used.
 
-    >>> quaternion(torch.diag(torch.tensor([1.0, -1.0, -1.0]))).tolist()
+    >>> quaternion_of_rotation(torch.diag(torch.tensor([1.0, -1.0, -1.0]))).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
     a, b, c, d, e, f, g, h, i = rotation.flatten()

@@ -22,7 +22,7 @@ def render_view(
     blending: Blending = AS_3DGS,
     backend: str = "auto",
 ) -> Render:
-    """Render one view; the options are those of `RenderOptions`. The camera's pose gets a gradient if it asks for one.
+    """Render one view; the options are those of `RenderOptions`. A pose that requires a gradient gets one.
 
     Raises ValueError for what the backend cannot render.
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.rows import permute_rows
-from tdgbench.splats.cpu.scratch import empty_aligned, release
+from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
@@ -24,7 +24,7 @@ ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, more; a row fills cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, others; a row fills cache lines.
 
     `first` and `second` are Adam's moments in the same layout. The arrays have spare capacity, so that Gaussians can be
     added and removed without copying the others.
@@ -32,8 +32,8 @@ class TrainingState:
 
     def __init__(self, gaussians: Gaussians) -> None:
         count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
-        self._more = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.more)
-        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._more.values())])
+        self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
+        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])
         self.count = count
         like = gaussians.means.detach()
         shape = (max(count, 1), padded(self.columns))
@@ -79,18 +79,18 @@ class TrainingState:
             log_scales=rows[:, SCALES],
             quats=rows[:, QUATS],
             opacity_logits=rows[:, OPACITY_AT],
-            sh=rows[:, self.column_of("sh")].unflatten(1, (self.bases, self.channels)),
-            more={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._more.items()},
+            sh=rows[:, self.columns_of("sh")].unflatten(1, (self.bases, self.channels)),
+            extra_fields={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._extra.items()},
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
-        """Return Gaussians as new rows (n, columns) of this layout."""
+        """Convert Gaussians to new rows (n, columns)."""
         rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
         for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
             part[1].copy_(given[1].detach().reshape(part[1].shape))
         return rows
 
-    def column_of(self, name: str) -> slice:
+    def columns_of(self, name: str) -> slice:
         """Return the columns of a parameter."""
         return {
             "means": MEANS,
@@ -98,18 +98,18 @@ class TrainingState:
             "quats": QUATS,
             "opacity_logits": slice(OPACITY_AT, OPACITY_AT + 1),
             "sh": slice(COLORS_AT, COLORS_AT + self.bases * self.channels),
-            **{field: at for field, (at, _) in self._more.items()},
+            **{field: at for field, (at, _) in self._extra.items()},
         }[name]
 
     def channels_of(self, name: str) -> int:
         """Return the length of the last axis of a field: the channels of a colour set."""
-        return self.channels if name == "sh" else self._more[name][1][-1]
+        return self.channels if name == "sh" else self._extra[name][1][-1]
 
-    def exchange(self, removed: Tensor, added: Tensor) -> None:
+    def replace_rows(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
 
-        All rows must be current. Added rows replace removed ones first. The remaining ones are appended, or rows from
-        the end fill the remaining holes.
+        All rows must be current. Added rows take the places of removed ones; the rest is appended, or rows from the end
+        fill the remaining places.
         """
         n_removed, n_added = len(removed), len(added)
         self._reserve(self.count + max(n_added - n_removed, 0))
@@ -133,7 +133,7 @@ class TrainingState:
             self.order_in_space()
 
     def order_in_space(self) -> None:
-        """Sort rows along a Z-order curve, so that the visible rows of a camera are close in memory.
+        """Sort rows along a Z-order curve, so that the Gaussians of a view are close in memory.
 
         All rows must be current.
         """
@@ -150,7 +150,7 @@ class TrainingState:
         self._bounds[: self.count] = _bounds_of(self.values)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all rows, with their deferred steps still due; the tensors share memory where they can."""
+        """Return all rows, deferred steps not applied; the tensors share memory with the state where possible."""
         return {
             **{name: compact(getattr(self, name)[: self.count]) for name in ROWS},
             "now": self.now,
@@ -177,13 +177,13 @@ class TrainingState:
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
-            release()  # C's allocator may hold the old array: it is not always a mapping of its own
+            free_buffers()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
-def _columns_after(first: int, more: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Return columns and shape of one Gaussian's value for each further field, from a first column on."""
+def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Return the columns of each of `extra_fields`, which begin at `first`, and the shape of one Gaussian's value."""
     found: dict[str, tuple[slice, tuple[int, ...]]] = {}
-    for name, tensor in more.items():
+    for name, tensor in extra_fields.items():
         shape = tuple(tensor.shape[1:]) or (1,)
         found[name] = slice(first, first + math.prod(shape)), shape
         first += math.prod(shape)

@@ -2,7 +2,7 @@
 
 Papers differ in splits, training lengths, seeds and code. A gain inside one paper must exceed their spread before it
 can be told from the choice of setup. Averages are compared over the scenes that the papers share, never as printed:
-papers average over different scenes. Whether printed averages follow from the rows above them is checked here, too.
+papers average over different scenes.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, half_unit, measure
+from tdgbench.tables.long_table import with_averages
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure
 from tdgbench.tables.methods import paper_pair
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
-from tdgbench.tables.results import with_averages
 
 PLACE = ["method", "dataset", "scene", "metric"]
 SHARED = "Average (shared scenes)"
@@ -41,7 +41,7 @@ def between_papers() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def with_others(differences: pd.DataFrame) -> pd.DataFrame:
+def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     """Return the table with others_low, others_high (NaN without another paper's number), and the number of papers."""
     others = _numbers().query("source != @PAPER").groupby(PLACE)["value"]
     ranges = others.agg(others_low="min", others_high="max", papers="count").reset_index()
@@ -74,18 +74,6 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> st
         else:
             sentences.append(_by_scene(gains, places, metric))
     return "; ".join(text for text in sentences if text)
-
-
-def all_averages() -> pd.DataFrame:
-    """Return the averages of every source, checked: source, and the columns of `check_averages`."""
-    paper = published_main()
-    places = zip(paper["metric"], paper["scene"], strict=True)
-    paper["half_unit"] = [half_unit(metric, scene) for metric, scene in places]
-    parts = [check_averages(paper).assign(source=PAPER)]
-    for source, table in published_elsewhere().groupby("source", sort=False):
-        parts.append(check_averages(table.assign(method=table["printed_as"])).assign(source=source))
-    found = pd.concat(parts, ignore_index=True)
-    return found[["source", "method", "dataset", "scene", "metric", "printed", "mean", "tolerance", "verdict"]]
 
 
 def check_averages(table: pd.DataFrame) -> pd.DataFrame:

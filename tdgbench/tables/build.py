@@ -1,4 +1,4 @@
-"""Build an experiment's tables: main.{csv,tex}; with published numbers difference.csv and between_papers.{csv,tex}.
+"""Build an experiment's tables: main.{csv,tex}; with published numbers difference.csv and between_papers.csv.
 
 findings.txt says in sentences what they hold.
 """
@@ -17,14 +17,14 @@ from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
-from tdgbench.tables.between_papers import between_papers, with_others
+from tdgbench.tables.between_papers import between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
-from tdgbench.tables.latex import ablation_table, main_table, papers_table, readings_table
+from tdgbench.tables.latex import ablation_table, main_table
+from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_splits
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
-from tdgbench.tables.results import scene_rows, with_averages, with_bold, with_splits
 from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
 from tdgbench.tables.verdicts import ScoreVerdict, verdict
 
@@ -101,12 +101,10 @@ def _write(tables: Tables) -> None:
     files = {"main.csv": to_csv(tables.main), "main.tex": tables.latex}
     if tables.readings is not None and tables.effects is not None:
         files["readings.csv"], files["effects.csv"] = to_csv(tables.readings), to_csv(tables.effects)
-        files["readings.tex"] = readings_table(tables.readings, tables.effects)
     if tables.difference is not None:
         files["difference.csv"] = to_csv(tables.difference)
     if tables.papers is not None:
         files["between_papers.csv"] = to_csv(tables.papers)
-        files["between_papers.tex"] = papers_table(tables.papers)
     for pair, paired, speed in tables.comparisons:
         suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
         files |= {f"{name}{suffix}.csv": to_csv(t) for name, t in (("paired", paired), ("speed", speed)) if not t.empty}
@@ -144,7 +142,7 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
         columns={"word": "verdict"}
     )
     found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
-    return with_others(pd.concat([merged, found], axis=1))
+    return with_other_papers(pd.concat([merged, found], axis=1))
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""A finished cell: its record, its folder, and what comparisons ask about it."""
+"""A finished cell: its record, its folder, and the properties that comparisons need."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import Record
-from tdgbench.tables.results import method_label, planned_iterations
+from tdgbench.tables.long_table import method_label, planned_iterations
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """Its method's column, with the seed unless that is 0."""
+        """The label of the method's column, with the seed unless that is 0."""
         return method_label(self.record, with_init=True) + (f", seed {self.record.seed}" if self.record.seed else "")
 
     @property

@@ -1,7 +1,7 @@
 """`tdgbench tables DIR ...`: rebuild the tables of results/<experiment> from disk, without training.
 
 `tdgbench tables claims [DIR ...]`: test the paper's claims against its tables and against the cells of all these
-experiments together; test every paper's averages against their rows.
+experiments together.
 """
 
 from __future__ import annotations
@@ -12,14 +12,15 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.files import write_text
-from tdgbench.tables.as_csv import as_csv, to_csv
-from tdgbench.tables.between_papers import all_averages, between_papers
+from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.between_papers import between_papers
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.claims import ClaimEvidence, check_all, evidence_of, load_claims
+from tdgbench.tables.claims import check_all, load_claims
+from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show_averages, show_claims, show_findings, show_papers, show_problems, show_tables
+from tdgbench.tables.show import show_claims, show_findings, show_papers, show_problems, show_tables
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -51,7 +52,6 @@ def _claims(experiments: list[Path]) -> int:
         return _refused(error)
     show_claims(claims, console())
     show_papers(between_papers(), console())
-    show_averages(all_averages(), console())
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems, console())
     show_findings(claims_in_words(claims))
@@ -61,7 +61,7 @@ def _claims(experiments: list[Path]) -> int:
 def write_claims(experiments: list[Path]) -> pd.DataFrame:
     """Check the paper's claims against the published tables and against all cells of the experiments together.
 
-    Write them to each experiment, with the check of every paper's averages. Raises ValueError for an empty experiment.
+    Write them to each experiment. Raises ValueError for an empty experiment.
     """
     ours = evidence_of(experiments) if experiments else None
     found = check_all(load_claims(), ClaimEvidence(published_main(), published_ablation(), printed=True), ours)
@@ -69,7 +69,6 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
-        write_text(folder / "averages.csv", to_csv(all_averages()))
     return found
 
 

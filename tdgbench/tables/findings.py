@@ -10,11 +10,11 @@ from collections.abc import Iterable
 import pandas as pd
 
 from tdgbench.tables import methods
-from tdgbench.tables.claims import FAILS, HOLDS
-from tdgbench.tables.claims import UNDECIDED as UNDECIDED_CLAIM
+from tdgbench.tables.claims.evidence import FAILS, HOLDS
+from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
+from tdgbench.tables.long_table import NO_RECORD
 from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
-from tdgbench.tables.results import NO_RECORD
 from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line

@@ -85,7 +85,7 @@ def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
 
 
 def half_unit(name: str, scene: str = "") -> float:
-    """Return the half a unit of the last printed digit: how far a printed number may be from the number itself.
+    """Return half a unit of the last printed digit: how far a printed number may be from the number itself.
 
     >>> half_unit("psnr")
     0.005

@@ -18,7 +18,7 @@ LAST = 1000  # order of a method that names none
 
 
 class MethodEntry(NamedTuple):
-    """What a method's file says about its print."""
+    """How tables print a method, as its file says: label, order of its column, baseline."""
 
     label: str
     order: int

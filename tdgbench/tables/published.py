@@ -53,7 +53,7 @@ def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSou
 def published_elsewhere() -> pd.DataFrame:
     """Read numbers of other papers for the same scenes.
 
-    Columns: source, method, dataset, group, scene, metric, value, half_unit (of the last printed digit), printed_as.
+    Columns: source, method, dataset, group, scene, metric, value, printed_as.
     method is our name where sources.yaml has one, else the printed name (printed_as).
     Averages are rows with the scene `Average`. Raises ValueError for a source that sources.yaml lacks.
     """
@@ -62,19 +62,18 @@ def published_elsewhere() -> pd.DataFrame:
     unknown = set(table["source"]) - set(sources)
     if unknown:
         raise ValueError(f"{FOLDER / 'sources.yaml'} lacks {', '.join(sorted(unknown))}")
-    table["half_unit"] = table["value"].map(printed_half_unit)
     table["value"] = table["value"].astype(float)
     table["printed_as"] = table["method"]
     table["method"] = [
         sources[source].methods.get(method, {}).get("as", method)
         for source, method in zip(table["source"], table["method"], strict=True)
     ]
-    columns = ["source", "method", "dataset", "group", "scene", "metric", "value", "half_unit", "printed_as"]
+    columns = ["source", "method", "dataset", "group", "scene", "metric", "value", "printed_as"]
     return table.assign(group="")[columns]
 
 
 def printed_half_unit(printed: str) -> float:
-    """Return the half a unit of the last digit of a printed number: how far it may be from the number itself.
+    """Return half a unit of the last digit of a printed number: how far it may be from the number itself.
 
     >>> printed_half_unit("27.42")
     0.005

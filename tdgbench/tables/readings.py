@@ -15,6 +15,7 @@ import pandas as pd
 from tdgbench.bench.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
+from tdgbench.tables.long_table import metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
@@ -26,7 +27,6 @@ from tdgbench.tables.measures import (
     measure,
 )
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import metric_value, planned_iterations
 from tdgbench.tables.statistics import half_width
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables

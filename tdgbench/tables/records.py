@@ -1,9 +1,8 @@
-"""What tables are built from: an experiment's plan and records. What cannot be read is n/a and a problem in words."""
+"""An experiment's plan and records, from which tables are built; files that cannot be read are named."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tdgbench.bench.paths import cell_folder_of
@@ -29,7 +28,6 @@ def read_results(experiment: Path) -> Results:
     for folder, record in read_each(experiment):
         if record.failure is not None and record.failure.stage == READ_STAGE:
             problems.append(record.failure.error)
-            record = _with_planned_names(experiment, folder, record, plan)
         place = cell_folder_of(experiment, record)
         if place == folder:
             found[place] = record
@@ -50,22 +48,6 @@ def _read_plan(experiment: Path, problems: list[str]) -> Plan:
     except (OSError, ValueError) as error:
         problems.append(f"{error}; tables show the cells that have records")
         return Plan()
-
-
-def _with_planned_names(experiment: Path, folder: Path, record: Record, plan: Plan) -> Record:
-    """Return the record with the names of the planned cell whose folder it is; that folder's names may differ."""
-    for candidate in _planned(record, plan):
-        if cell_folder_of(experiment, candidate) == folder:
-            return candidate
-    return record
-
-
-def _planned(record: Record, plan: Plan) -> Iterator[Record]:
-    for scene in plan.scenes:
-        named = replace(record, **asdict(scene))
-        for method in (record.method, *plan.methods):
-            for init in (record.init, *plan.inits):
-                yield replace(named, method=method, init=init)
 
 
 def _view_problems(folder: Path, record: Record) -> list[str]:

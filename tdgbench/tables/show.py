@@ -8,12 +8,11 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from tdgbench.tables.between_papers import FOLLOWS, OFF, UNKNOWN
 from tdgbench.tables.build import Tables
-from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.long_table import first_points, mask_notes, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
-from tdgbench.tables.results import first_points, mask_notes, split_notes
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line
@@ -59,18 +58,6 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
         ]
         table.add_row(Text(str(row["said"])), *sides)
     console.print(table)
-
-
-def show_averages(averages: pd.DataFrame, console: Console) -> None:
-    """Print the papers' averages that do not follow from their rows. averages: from `all_averages`."""
-    for source, group in averages.groupby("source", sort=False):
-        counts = group["verdict"].value_counts()
-        text = ", ".join(f"{counts[v]} {v}" for v in (FOLLOWS, OFF, UNKNOWN) if v in counts)
-        _say(console, f"averages of {source}, held against their rows: {text}")
-        for row in group[group["verdict"] == OFF].itertuples():
-            mean = f"{row.mean:.4f} ± {row.tolerance:.4f}"
-            text = f"  {row.method} {row.metric}: printed {row.printed}, mean of the rows {mean}"
-            _say(console, text)
 
 
 def show_papers(papers: pd.DataFrame, console: Console) -> None:

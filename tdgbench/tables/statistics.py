@@ -13,10 +13,10 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import Record
 from tdgbench.bench.scores import read_views
+from tdgbench.tables.long_table import method_label, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.published import published_main
-from tdgbench.tables.results import method_label, scene_rows, with_averages
 
 REPLICATES = 1000
 SEED = 0

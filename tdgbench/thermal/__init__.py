@@ -3,7 +3,7 @@
 from tdgbench.thermal.camera import ThermalCamera, Unknown
 from tdgbench.thermal.correct import Corrected, correct_values, corrected
 from tdgbench.thermal.estimate import estimate_camera
-from tdgbench.thermal.shown import IDEAL, ImageResponse, read_response
+from tdgbench.thermal.response import IDEAL, ImageResponse, read_response
 
 __all__ = [
     "IDEAL", "Corrected", "ImageResponse", "ThermalCamera", "Unknown", "correct_values", "corrected", "estimate_camera",

@@ -1,4 +1,4 @@
-"""Errors of an estimated thermal camera, where the true one is known."""
+"""The true response of a synthetic thermal camera, to compare an estimate with."""
 
 from __future__ import annotations
 
@@ -8,22 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.camera import ThermalCamera, ViewResponses, normalized
+from tdgbench.thermal.camera import ViewResponses, normalized
 
 
 class Truth(NamedTuple):
     """The true camera, normalized as an estimated one is: offsets and gains (V,), what is shared (H, W), in °C."""
 
     response: ViewResponses
-    vignette: np.ndarray
-    pattern: np.ndarray
-
-
-class ThermalCameraErrors(NamedTuple):
-    """Estimated minus true: offsets (V,) in °C, gains (V,), vignette (H, W) in °C, fixed pattern (H, W) in °C."""
-
-    offsets: np.ndarray
-    gains: np.ndarray
     vignette: np.ndarray
     pattern: np.ndarray
 
@@ -35,15 +26,3 @@ def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float)
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
     response = normalized(ViewResponses(offsets + true.pattern.mean(), gains))
     return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
-
-
-def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
-    """Return the errors of an estimate in °C."""
-    true = normalized_truth(truth, camera.views, camera.reference)
-    height, width = true.vignette.shape
-    return ThermalCameraErrors(
-        camera.offsets - true.response.offsets,
-        camera.gains - true.response.gains,
-        camera.map(width, height) - true.vignette,
-        camera.pattern(width, height) - true.pattern,
-    )

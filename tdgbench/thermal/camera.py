@@ -1,9 +1,9 @@
-"""A thermal camera's response, as estimated from a scene.
+"""The response of a thermal camera, estimated from a scene.
 
 value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise: that is gain_v · T plus
 an offset of view v, written so that offsets are those at the reference temperature, where they do not depend on the
-gains. The scale and zero of T are not observable; they are such that the mean offset is 0 and the mean gain 1 over the
-training views, and that vignette and pattern have a mean of 0 over the image. So the scene's mean temperature stays.
+gains. Scale and zero of T are not observable. By convention the training views have a mean offset of 0 and a mean gain
+of 1, and vignette and pattern have a mean of 0 over the image, which keeps the mean temperature of the scene.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ class ThermalCamera:
     """Estimated response of V training views. Values are in °C, or in image units where a scene has no temperatures.
 
     vignette: (K,) coefficients of `maps`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
-    be told from noise. offset_errors, gain_errors: (V,) standard errors. residual_before, residual_after: robust
-    standard deviation of the values of a point in different views, slightly blurred, as they are and with the camera.
-    observations: (V,) points that a view sees. expected: offsets of other views by name, as their neighbours in the
-    sequence let expect; none of their pixels was read. terms: those that held-out views support, of vignette, offsets,
-    gains and pattern; the others are those of an ideal camera. undetermined: directions of the estimated numbers,
-    beside the mean offset and the mean gain, that the prior determines more than the images do.
+    be told from noise. residual_before, residual_after: robust standard deviation of the values of a point in different
+    views, slightly blurred, as they are and with the camera. expected: offsets of other views by name, interpolated
+    from their neighbours in the sequence; none of their pixels was read. terms: those that held-out views support, of
+    vignette, offsets, gains and pattern; the others are those of an ideal camera. undetermined: directions of the
+    estimated numbers, beside the mean offset and the mean gain, that the prior determines more than the images do.
     """
 
     unit: str  # "°C" or "image"
@@ -45,12 +44,8 @@ class ThermalCamera:
     vignette: np.ndarray
     columns: np.ndarray | None
     rows: np.ndarray | None
-    offset_errors: np.ndarray
-    gain_errors: np.ndarray
-    vignette_errors: np.ndarray
     residual_before: float
     residual_after: float
-    observations: np.ndarray
     expected: Mapping[str, float] = field(default_factory=dict)
     terms: tuple[str, ...] = ()
     undetermined: int = 0
@@ -82,21 +77,20 @@ class ThermalCamera:
         return line_map(self.columns, self.rows, width, height)
 
     def shared(self, width: int, height: int) -> np.ndarray:
-        """Return what the camera adds in all views, (height, width): vignette and fixed pattern."""
+        """Return vignette plus fixed pattern (height, width), which all views share."""
         return self.map(width, height) + self.pattern(width, height)
 
     @property
     def summary(self) -> str:
         """One line for notes and reports."""
         unit, corners = self.suffix, self.map(64, 48)
-        pattern = ", a fixed pattern by " + " and ".join(
-            name for name, lines in (("columns", self.columns), ("rows", self.rows)) if lines is not None
-        )
+        lines = [name for name in ("columns", "rows") if getattr(self, name) is not None]
+        pattern = f", a fixed pattern by {' and '.join(lines)}" if lines else ""
         return (
             f"offsets {self.offsets.min():+.2f} to {self.offsets.max():+.2f}{unit}, gains {self.gains.min():.3f} to "
             f"{self.gains.max():.3f}, vignette {np.ptp(corners):.2f}{unit} from end to end"
-            f"{pattern if self.columns is not None or self.rows is not None else ''}; values of a point differ by "
-            f"{self.residual_after:.3g}{unit} between views, {self.residual_before:.3g} before"
+            f"{pattern}; values of a point differ by {self.residual_after:.3g}{unit} between views, "
+            f"{self.residual_before:.3g} before"
         )
 
 
@@ -108,7 +102,7 @@ class Unknown:
 
 
 def normalized(response: ViewResponses) -> ViewResponses:
-    """Return the same response with mean offset 0 and mean gain 1; the scene's temperatures change instead.
+    """Normalise a response to mean offset 0 and mean gain 1, which changes scale and zero of the scene's temperatures.
 
     >>> normalized(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])

@@ -57,7 +57,8 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
 
     return replace(
         scene, train=[changed(view) for view in scene.train], test=[changed(view) for view in scene.test],
-        temperature=temperature, counts=None, fingerprint=scene.fingerprint_with(b"contrast", contrast.encode()),
+        temperature=temperature, raw_count_range=None,
+        fingerprint=scene.fingerprint_with(b"contrast", contrast.encode()),
     )  # fmt: skip
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.thermal.camera import ThermalCamera
 from tdgbench.thermal.estimate import units
-from tdgbench.thermal.shown import ImageResponse
+from tdgbench.thermal.response import ImageResponse
 
 DIGITS = 7  # of image values, in a record
 
 
 class Corrected(NamedTuple):
-    """A scene with corrected training views, and what the camera shows of renders of a model of them."""
+    """A scene with corrected training views, and the response to apply to renders."""
 
     scene: Scene
     response: ImageResponse
@@ -33,11 +33,11 @@ def correct_values(values: np.ndarray, view: str, camera: ThermalCamera) -> np.n
 
 
 def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
-    """Return the scene with corrected training views; test views stay as they are.
+    """Correct the training views of a scene; test views stay as they are.
 
-    Nothing is clipped: image values 0 and 1 of the training views are other values of the given scene where they have
-    to be, and a note says which. The fingerprint is another one, so that nothing made from the images before, like
-    depth priors, is taken for it. Raises SceneError for training views that the camera does not know.
+    Nothing is clipped: the range of the training views is widened where corrected values need it, which a note states.
+    The scene gets a new fingerprint, so that cached depth priors of the original images are not used. Raises SceneError
+    for training views that the camera does not know.
     """
     unknown = [view.name for view in scene.train if view.name not in camera.views]
     if unknown:
@@ -64,7 +64,7 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
 
 
 def in_one_range(scene: Scene, response: ImageResponse) -> Scene:
-    """Return a corrected scene whose test views have the training views' range, too: what changes both needs that."""
+    """Bring the test views of a corrected scene into the range of its training views, for steps that change both."""
     if (response.low, response.high) == (0.0, 1.0):
         return scene
 
@@ -94,7 +94,7 @@ def _measured(values: np.ndarray, view: View) -> np.ndarray:
 
 
 def _range(values: list[np.ndarray]) -> tuple[float, float]:
-    """Return image values that become 0 and 1: these, or the ends of all values (N,), to the next thousandth."""
+    """Return the image values that become 0 and 1: 0 and 1, or the extremes of the values (N,) if these lie outside."""
     known = [array for array in values if array.size]
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)

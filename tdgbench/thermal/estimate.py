@@ -10,14 +10,13 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import some
 from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
-from tdgbench.thermal.explain import explain
-from tdgbench.thermal.fit import PATCHES, Data, Fit, Terms
+from tdgbench.thermal.error_priors import Drift, PriorStds, sequence_positions
+from tdgbench.thermal.fit import PATCHES, PointSamples, Terms
 from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
-from tdgbench.thermal.priors import Drift, Widths, places
+from tdgbench.thermal.select_terms import fit_selected_terms
 
-FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated from its points, not held by priors alone
-UNSURE = 0.5  # share of its prior; a gain whose standard error is larger is named in a note
+FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated
 FEWEST_TRAINING_VIEWS = 3
 
 
@@ -71,11 +70,10 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
     (name, scale, zero), train = unit, scene.train
     data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
-    widths = Widths.of(name, float(np.std(data.value)) or 1.0)
-    place = places([view.name for view in scene.views])
+    stds = PriorStds.of(name, float(np.std(data.value)) or 1.0)
+    place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
-    found, terms, drift = explain(data, widths, at)
-    offset_errors, gain_errors, vignette_errors = _errors(found.fit, len(train))
+    found, terms, drift = fit_selected_terms(data, stds, at)
     response = normalized(found.fit.response)
     undetermined = max(0, found.fit.undetermined - terms.offsets - terms.gains)
     expected = {}
@@ -92,25 +90,21 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
         vignette=found.fit.vignette,
         columns=found.columns,
         rows=found.rows,
-        offset_errors=offset_errors,
-        gain_errors=gain_errors,
-        vignette_errors=vignette_errors,
         residual_before=found.fit.before,
         residual_after=found.fit.after,
-        observations=counts,
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
-        notes=tuple(_notes(train, counts, terms, gain_errors / widths.gains) + _unknown(undetermined, drift)),
+        notes=tuple(_notes(train, counts, terms) + _unknown(undetermined, drift)),
     )
 
 
-def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> Data:
+def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> PointSamples:
     """Return values in the scene's unit. Views of several sizes have no common columns and rows."""
     sizes = np.array([(view.camera.width, view.camera.height) for view in train])
     shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
     across, down = (shares * PATCHES).astype(int).T
-    return Data(
+    return PointSamples(
         value=scale * seen.value + zero,
         detail=scale * seen.detail,
         point=seen.point,
@@ -127,19 +121,8 @@ def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) 
     )
 
 
-def _errors(found: Fit, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the standard errors of offsets, gains and coefficients, normalized."""
-    covariance, gains = found.covariance(), found.response.gains / found.response.gains.mean()
-    change = np.eye(len(covariance))
-    for first in (0, views):  # the derivative of `normalized` where the mean offset is about 0
-        block = slice(first, first + views)
-        change[block, block] -= np.outer(gains, np.ones(views)) / views
-    errors = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0))
-    return errors[:views], errors[views : 2 * views], errors[2 * views :]
-
-
 def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
-    """Return what a prior decided, and how the offsets change in time."""
+    """Return notes on undetermined directions and on the drift."""
     notes = []
     if undetermined:
         directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"
@@ -156,8 +139,8 @@ def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
     return notes
 
 
-def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.ndarray) -> list[str]:
-    """Return notes for the record. unsure: (V,) standard errors of the gains, as shares of their prior."""
+def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms) -> list[str]:
+    """Return what is not corrected. counts: (V,) observations of each training view."""
     left_out = [name for name, used in terms._asdict().items() if not used]
     notes = []
     if left_out:
@@ -168,7 +151,4 @@ def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms, unsure: np.n
             f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
             f"the mean offset: {some(few)}"
         )
-    doubtful = [view.name for view, count, share in zip(train, counts, unsure, strict=True) if count and share > UNSURE]
-    if doubtful:
-        notes.append(f"the gains of {len(doubtful)} views are poorly determined: {some(doubtful)}")
     return notes

@@ -7,15 +7,14 @@ slope of the image, as errors of position do; ρ is Huber's, then Tukey's (Holla
 outliers. A prior holds what the values tell little about near an ideal camera.
 
 Errors of neighbouring values are not independent: registration and reflections are wrong for whole surfaces. So a patch
-of a view, one of PATCHES × PATCHES, has an error of its own, whose variance limits what all of its values weigh
-together; and the covariance is the cluster-robust one (Liang and Zeger 1986), over these patches.
+of a view, one of PATCHES × PATCHES, has an error of its own, whose variance limits the total weight of its values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import ViewResponses
-from tdgbench.thermal.priors import NORMAL
+from tdgbench.thermal.error_priors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
 SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
@@ -34,10 +33,10 @@ FEWEST_IN_PATCH = 4  # values, of a patch whose mean tells of the patches' own e
 
 
 @dataclass(frozen=True)
-class Data:
+class PointSamples:
     """S values (S,) of points (S,) in views (S,), and what is known of each.
 
-    detail: (S,) what a blur took from it. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
+    detail: (S,) original minus blurred value. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
     column, row: (S,) in which it lies. cluster: (S,) of points that lie together. size: numbers of columns and rows.
     """
 
@@ -55,7 +54,7 @@ class Data:
     points: int
     size: tuple[int, int]
 
-    def select(self, keep: np.ndarray) -> Data:
+    def select(self, keep: np.ndarray) -> PointSamples:
         """Return the values where `keep` (S,) is true; views and points keep their numbers."""
         arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
@@ -74,7 +73,7 @@ class Terms(NamedTuple):
     gains: bool = False
     pattern: bool = False
 
-    def free(self, data: Data) -> np.ndarray:
+    def free(self, data: PointSamples) -> np.ndarray:
         """Return which of the parameters (2 V + K,) are estimated."""
         return np.repeat([self.offsets, self.gains, self.vignette], [data.views, data.views, data.terms.shape[1]])
 
@@ -83,9 +82,8 @@ class Terms(NamedTuple):
 class Fit:
     """Responses of V views, coefficients (K,), temperatures (P,), reference; residuals (S,) and their weights (S,).
 
-    covariance: gives (2 V + K, 2 V + K), of all parameters. before: robust standard deviation of values about
-    the mean of their point; after: of the residuals. known: gives (F,), what the values tell of each direction of the
-    F estimated parameters, as inverse variances in those of the prior.
+    before: robust standard deviation of values about the mean of their point; after: of the residuals. known: returns
+    what the values tell of each direction of the F estimated parameters, (F,) inverse variances in those of the prior.
     """
 
     response: ViewResponses
@@ -94,7 +92,6 @@ class Fit:
     reference: float
     residuals: np.ndarray
     weights: np.ndarray
-    covariance: Callable[[], np.ndarray]
     before: float
     after: float
     known: Callable[[], np.ndarray]
@@ -108,7 +105,7 @@ class Fit:
         return int(np.count_nonzero(self.known() < 1))
 
 
-def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
+def fit(data: PointSamples, terms: Terms, precision: np.ndarray) -> Fit:
     """Estimate the response. precision: (2 V + K, 2 V + K) of the prior of offsets, gains and coefficients."""
     reference = float(np.median(data.value))
     free = terms.free(data)
@@ -117,8 +114,8 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
     before = deviation(residuals)
     for round_ in range(ROUNDS):
         sigma = _sigma(residuals, data.slope)
-        robust = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS)
-        weights = _shared(robust / sigma**2, residuals, data.patch)
+        weights = _weights(residuals / sigma, robust=round_ >= HUBER_ROUNDS) / sigma**2
+        weights = _shared(weights, residuals, data.patch)
         system = System(data, theta, temperatures, reference, weights)
         step = system.solve(residuals, precision @ (data.ideal - theta), precision, free)
         temperatures = temperatures + system.temperature_step(residuals, step)
@@ -126,16 +123,21 @@ def fit(data: Data, terms: Terms, precision: np.ndarray) -> Fit:
         residuals = data.value - predict(data, theta, temperatures, reference)
         if round_ > HUBER_ROUNDS and np.abs(step).max() < SETTLED * deviation(residuals):
             break
-    inflated = residuals * _inflation(robust, data)
     response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return Fit(
-        response, theta[2 * data.views :], temperatures, reference, residuals, weights,
-        partial(system.covariance, inflated, data, precision, free), before, deviation(residuals),
-        lambda: system.directions(precision, free)[0],
-    )  # fmt: skip
+        response=response,
+        vignette=theta[2 * data.views :],
+        temperatures=temperatures,
+        reference=reference,
+        residuals=residuals,
+        weights=weights,
+        before=before,
+        after=deviation(residuals),
+        known=lambda: system.directions(precision, free)[0],
+    )
 
 
-def predict(data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
+def predict(data: PointSamples, theta: np.ndarray, temperatures: np.ndarray, reference: float) -> np.ndarray:
     """Return values (S,) that the model gives. theta: offsets, gains and coefficients, (2 V + K,)."""
     offsets, gains, vignette = np.split(theta, [data.views, 2 * data.views])
     degC = temperatures[data.point]
@@ -146,7 +148,7 @@ class System:
     """Normal equations of one round, without the temperatures, which are eliminated."""
 
     def __init__(
-        self, data: Data, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
+        self, data: PointSamples, theta: np.ndarray, temperatures: np.ndarray, reference: float, weights: np.ndarray
     ) -> None:
         count, rows = len(data.value), np.arange(len(data.value))
         gains = theta[data.views : 2 * data.views][data.view]
@@ -155,7 +157,6 @@ class System:
         start = np.arange(0, 2 * count + 1, 2)
         self.by_view = csr_matrix((entries.ravel(), columns.ravel(), start), shape=(count, 2 * data.views))
         self.terms, self.weights = data.terms, weights
-        self.gains = gains
         self.by_point = csr_matrix((gains * weights, (data.point, rows)), shape=(data.points, count))
         self.curvature = np.maximum(np.bincount(data.point, weights * gains**2, data.points), 1e-12)
         self.from_views, self.from_terms = self.by_point @ self.by_view, self.by_point @ self.terms
@@ -196,23 +197,6 @@ class System:
         known, axes = eigh(self.matrix[block], precision[block]) if free.any() else (np.zeros(0), np.zeros((0, 0)))
         return np.maximum(known, 0.0), axes
 
-    def covariance(self, residuals: np.ndarray, data: Data, precision: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Return the covariance of offsets, gains and coefficients, robust to errors that a patch of a view shares."""
-        count, weighted = len(residuals), self.weights * residuals
-        size = int(data.patch.max()) + 1
-        by_patch = csr_matrix((weighted, (data.patch, np.arange(count))), shape=(size, count))
-        to_points = csr_matrix((weighted * self.gains, (data.patch, data.point)), shape=(size, data.points))
-        to_points = to_points @ diags(1 / self.curvature)
-        scores = np.hstack(
-            [
-                (by_patch @ self.by_view - to_points @ self.from_views).toarray(),
-                by_patch @ self.terms - to_points @ self.from_terms,
-            ]
-        )
-        inverse = np.zeros_like(self.matrix)
-        inverse[np.ix_(free, free)] = np.linalg.inv((self.matrix + precision)[np.ix_(free, free)])
-        return inverse @ (scores.T @ scores) @ inverse
-
     def temperature_step(self, residuals: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Return the step (P,) of the temperatures, given that of the other parameters."""
         views = self.by_view.shape[1]
@@ -220,7 +204,7 @@ class System:
         return (self.by_point @ residuals - moved) / self.curvature
 
 
-def _means(data: Data) -> np.ndarray:
+def _means(data: PointSamples) -> np.ndarray:
     """Return the mean (P,) of the values of each point; 0 of points without values."""
     return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
 
@@ -252,17 +236,6 @@ def _shared(weights: np.ndarray, residuals: np.ndarray, patch: np.ndarray) -> np
     scale = float(np.sum(weights * residuals**2)) / int(np.count_nonzero(weights))  # 1 if the weights are right
     variance = max(float(np.mean(mean**2 - scale / total[counted])), 0.0)
     return np.asarray(weights / (1 + variance * total[patch]))
-
-
-def _inflation(weights: np.ndarray, data: Data) -> np.ndarray:
-    """Return factor (S,) on residuals for the covariance, given Tukey's weights (S,).
-
-    Each point's temperature takes one of its values' degrees of freedom. The curvature of Tukey's ρ is less than its
-    weight: (1 − u²) (1 − 5 u²), not (1 − u²)², of the residual u over TUKEY standard deviations.
-    """
-    root, used = np.sqrt(weights), np.bincount(data.point, weights > 0, data.points)[data.point]
-    curvature = float(np.mean(root * (5 * root - 4)))
-    return np.sqrt(used / np.maximum(used - 1, 1)) * float(np.mean(weights)) / max(curvature, 1e-3)
 
 
 def _weights(scaled: np.ndarray, robust: bool) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""What a thermal camera adds to all images: a smooth map, and a fixed pattern by columns and rows.
+"""Vignette and fixed pattern of a thermal camera: a smooth map, and one value for each column and row.
 
 Smooth maps are products of Legendre polynomials in x and y, orthonormal over the image, without a constant. Degree 4
 holds the radial polynomials r² and r⁴ about any centre near the image, and a tilt.
 
-A fixed pattern is estimated from what is left of values once the smooth response is removed. Each line's mean is shrunk
-towards 0 by how well it is known (empirical Bayes), so that noise becomes no pattern. A pattern of single pixels is not
-estimated: sparse points show each pixel about once.
+The fixed pattern is estimated from the residuals of the smooth response. The mean of each column or row is shrunk
+towards 0 by its uncertainty (empirical Bayes), so that noise does not become a pattern. A pattern of single pixels
+cannot be estimated: sparse points observe each pixel about once.
 """
 
 from __future__ import annotations

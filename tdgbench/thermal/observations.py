@@ -1,4 +1,4 @@
-"""Observations: values of training views at the scene's sparse points."""
+"""Values of training views at the sparse points of the scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
-from tdgbench.priors.visible import grid_width, visible_points
+from tdgbench.priors.sfm_points import grid_width, visible_points
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import nearest_valid
 
@@ -27,9 +27,9 @@ FEWEST_VIEWS = 3  # that must see a point
 class Observations:
     """S pairs of a point and a training view that sees it.
 
-    point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) what blurring took from it.
+    point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) original minus blurred value.
     slope: (S,) length of the gradient, per px. x, y: (S,) position in px. cluster: (S,) of points that lie together.
-    points: how many points the indices are of.
+    points: number of points.
     """
 
     point: np.ndarray
@@ -66,7 +66,7 @@ def find_observations(views: Sequence[View], points: np.ndarray) -> Observations
 
 
 def _clusters(points: np.ndarray) -> np.ndarray:
-    """Cluster points (N, 3) into CLUSTERS by k-means, of the scene's middle whatever lies far away; return (N,)."""
+    """Return the cluster (N,) of each point (N, 3), by k-means; the coordinates of far points are clipped first."""
     middle, size = np.median(points, axis=0), np.median(np.abs(points - np.median(points, axis=0)), axis=0)
     near = np.clip((points - middle) / max(float(size.max()), 1e-12), -FAR, FAR)
     return np.asarray(kmeans2(near, min(CLUSTERS, len(points)), seed=0, minit="++")[1])

@@ -15,22 +15,19 @@ SCALES = (8, 6, 4, 3, 2, 1)
 
 @dataclass(frozen=True)
 class GrowthRule:
-    """What grows and what is pruned at a round of density control, in the place of the gradients' threshold.
+    """Rule of `tdgbench.training.growth`, which replaces the gradient threshold of density control."""
 
-    `tdgbench.training.growth` decides by it.
-    """
-
-    views: PositiveInt  # training views that a round looks at
-    z: NonNegativeFloat  # standard deviations of noise that the difference between halves exceeds
-    min_weight: NonNegativeFloat  # px of the full size, a view; what has less in the views that show it is pruned
+    views: PositiveInt  # training views that a round renders
+    z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
+    min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less weight is pruned
 
 
 @dataclass(frozen=True)
 class PixelRule:
-    """Images have 1/scale of their width until the share of the schedule that their spectrum has below that scale.
+    """Train at low resolutions first, each for the share of the schedule that its frequencies have of the spectrum.
 
-    DashGaussian (Chen et al. 2025) gives a resolution the iterations that its frequencies add to the spectrum. Noise
-    has no part in the spectrum here. Held-out views may end a resolution earlier (`SettlingRule`).
+    This is the schedule of DashGaussian (Chen et al. 2025), but noise does not count as spectrum. Held-out views may
+    end a resolution earlier (`SettlingRule`).
     """
 
     largest_scale: Annotated[int, Field(ge=1, le=SCALES[0])]
@@ -95,14 +92,14 @@ class Budget:
 
     @property
     def method_iterations(self) -> int:
-        """Length of the training for schedules of methods, which must not outlast it."""
+        """Number of iterations that a method's schedules can rely on."""
         return min(self.iterations, self.expected_iterations or self.iterations)
 
     def active_degree(self, iteration: int) -> int:
         """Return the SH degree in use at an iteration (1-based)."""
         return min(self.sh_degree, iteration // self.sh_every)
 
-    def of_stage(self, share: float) -> Budget:
+    def for_stage(self, share: float) -> Budget:
         """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one."""
         if share == 1.0:
             return self

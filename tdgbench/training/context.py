@@ -1,11 +1,11 @@
-"""What a method is set up with, and how it makes its parts."""
+"""Inputs of a method, and the functions with which it makes its parts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
-from tdgbench.training.part import Network, Part, RandomStream, Rate
+from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips
 from tdgbench.training.stopping import hold_out
@@ -30,7 +30,7 @@ P = TypeVar("P", bound=Part)
 
 @dataclass(frozen=True)
 class Frame:
-    """What is rendered: a camera, and the view that was taken there, if one was."""
+    """A camera to render from; if a view of the scene was taken with it, also number and time of that view."""
 
     camera: Camera
     index: int | None = None  # of the view among all of the scene, in the order of their names
@@ -60,19 +60,19 @@ class ViewOrder(RandomStream):
             self._order = [i for i in order if self.curriculum.shows(self.views[i])]
         return self.curriculum.at_resolution(self.views[self._order.pop()])
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {"order": list(self._order), **super().state_dict()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         super().load_state_dict(saved)
         self._order = list(saved["order"])
 
 
 @dataclass
 class Context:
-    """What a stage is set up with: scene, initial points, depth priors by view (empty if it needs none), budget.
+    """Inputs of a stage: scene, initial points, depth priors by view (empty if the method needs none), budget.
 
-    Its methods make parts and keep them in `parts`, by name: the loop drives them, and a checkpoint saves them.
+    Its methods make parts and add them to `parts` by name. The training loop calls them, a checkpoint saves them.
     """
 
     scene: Scene
@@ -89,22 +89,22 @@ class Context:
 
     @cached_property
     def curriculum(self) -> Curriculum:
-        """What the stage shows of the training views."""
+        """The training views of each iteration, and their resolution."""
         budget, views = self.budget, self.scene.train
         steps, held_out = [], []
         if budget.pixels is not None and views:
             steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
         if budget.settling is not None:
             held_out = hold_out(budget.settling, views)
-        return self.keep("curriculum", Curriculum(steps, held_out))
+        return self.add_part("curriculum", Curriculum(steps, held_out))
 
-    def of_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
+    def for_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
-        stage = replace(self, budget=self.budget.of_stage(share), rig=rig)
+        stage = replace(self, budget=self.budget.for_stage(share), rig=rig)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         _ = stage.curriculum  # the first part, which the others follow
         if rig is not None:
-            stage.keep("rig", rig)
+            stage.add_part("rig", rig)
         return stage
 
     @cached_property
@@ -121,8 +121,8 @@ class Context:
         """Device on which the backend trains."""
         return training_device(self.backend)
 
-    def keep(self, name: str, part: P) -> P:
-        """Train a part of this name in this stage, perhaps one of the stage before, and return it."""
+    def add_part(self, name: str, part: P) -> P:
+        """Add a part, new or of an earlier stage, under a name, and return it. Raises ValueError for a name in use."""
         if name in self.parts:
             raise ValueError(f"two parts have the name {name!r}; give one of them another name")
         self.parts[name] = part
@@ -134,43 +134,46 @@ class Context:
         *,
         name: str | None = None,
         start: Gaussians | None = None,
-        more: Mapping[str, torch.Tensor] | None = None,
-        rates: Mapping[str, float | str] | None = None,
+        extra_fields: Mapping[str, torch.Tensor] | None = None,
+        learning_rates: Mapping[str, float | str] | None = None,
         position_unit: float | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
-        start: by default Gaussians at the initial points. more: further fields (N, ...) of these. rates: of fields, in
-        the place of the budget's: a number (0: frozen), or the parameter that has the rate. Fields of `more` need one.
-        position_unit: of the means' learning rate, world units; by default the scene's extent.
+        start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
+        learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
+        rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
         """
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
-        start = replace(start, more={**start.more, **(more or {})})
+        start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         significance = self._significance(images, background, rig)
-        options = ModelOptions(name or modality, rig, significance, background, dict(rates or {}), position_unit)
+        rates = dict(learning_rates or {})
+        options = ModelOptions(name or modality, rig, significance, background, rates, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
-        return self.keep(options.name, model)
+        return self.add_part(options.name, model)
 
     def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:
         """Make a random order of the training views, or of some of them."""
-        return self.keep(name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum))
+        return self.add_part(
+            name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum)
+        )
 
     def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
         """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).
 
         torch draws its weights when `module` is made: call `torch.manual_seed(self.seed)` before.
         """
-        return self.keep(name, Network(module.to(self.device), rate))
+        return self.add_part(name, Network(module.to(self.device), rate))
 
     def random(self, name: str) -> torch.Generator:
         """Make a stream of random numbers; equal seeds give equal streams in the order of the calls."""
-        return self.keep(name, RandomStream(self._seed())).generator
+        return self.add_part(name, RandomStream(self._seed())).generator
 
     def _seed(self) -> int:
         self._streams += 1

@@ -1,32 +1,31 @@
-"""What a training shows its models at an iteration: which training views, at which resolution.
+"""The training views of each iteration and their resolution.
 
-The resolution is low at first, as far as the spectrum of the images allows (DashGaussian).
+The resolution is low at first, if the spectrum of the images allows it (DashGaussian).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from tdgbench.scenes import View
 from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.training.budget import SCALES, PixelRule
-from tdgbench.training.part import Part
+from tdgbench.training.part import Part, Report, State
 from tdgbench.training.spectrum import noise_of, significant_amplitudes
 
 MOSTLY = 0.5
 
 
 class Curriculum(Part):
-    """The training views at the current iteration. Without steps and held-out views: all of them, as they are.
+    """Chooses the training views of an iteration and their scale. Without steps and held-out views: all, full size.
 
-    The resolution is that of the schedule, or a higher one that `advance` asked for before.
+    The resolution follows the schedule; `advance` moves to the next one earlier.
     """
 
     def __init__(self, steps: list[tuple[int, int]] | None = None, held_out: list[View] | None = None) -> None:
-        """steps: (last iteration, scale) of each resolution below the full one. held_out: left out at first."""
+        """steps: (last iteration, scale) of each resolution below the full one. held_out: not trained on at first."""
         self.steps = steps or []
         self.held_out = held_out or []
         self.is_holding = bool(self.held_out)
@@ -47,11 +46,11 @@ class Curriculum(Part):
         self._trained[self._step] += 1
 
     def advance(self) -> None:
-        """Go on to the next resolution, before the schedule does."""
+        """Go on to the next resolution."""
         self._use(min(self._step + 1, len(self.steps)))
 
     def settle(self, scale: int) -> None:
-        """Train on the views that were held out, too, and at this scale from now on."""
+        """Train on the held-out views as well from now on, at a fixed scale."""
         self.is_holding, self.settled_at = False, max(1, self._iteration)
         self._use([*(size for _, size in self.steps), 1].index(scale))
 
@@ -86,18 +85,18 @@ class Curriculum(Part):
             self._shrunk[view.name] = shrunk(view, self.scale)
         return self._shrunk[view.name]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {
             "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
             "iteration": self._iteration, "trained": list(self._trained),
         }  # fmt: skip
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.settled_at, self.is_holding = saved["settled_at"], saved["is_holding"]
         self._iteration, self._trained = saved["iteration"], list(saved["trained"])
         self._use(saved["step"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
         return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
 
@@ -105,7 +104,7 @@ class Curriculum(Part):
 def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:
     """Return the steps (last iteration, scale) of `Curriculum`, for the thermal images of the views.
 
-    gaussians: at the start. Smaller images than one pixel for each of them save little, as they are projected anyway.
+    gaussians: their number at the start. Images with fewer pixels than Gaussians save little time.
     """
     side = min(min(view.camera.width, view.camera.height) for view in views)
     pixels = min(view.camera.width * view.camera.height for view in views)
@@ -119,7 +118,7 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
 
 
 def _shares(view: View, scales: tuple[int, ...]) -> np.ndarray:
-    """Return the shares (scales,) of the amplitudes of a view's thermal image. The border of a mask is no detail."""
+    """Return `significant_amplitudes` (scales,) of a view's thermal image, with masked pixels filled."""
     filled = nearest_valid(view.thermal, view.valid)
     return significant_amplitudes(filled, noise_of(view.thermal, view.valid), scales)
 
@@ -130,15 +129,18 @@ def shrunk(view: View, scale: int) -> View:
     A pixel is valid if half of its area is; if there is no such pixel, the most valid ones are.
     """
     width, height = (max(1, round(side / scale)) for side in (view.camera.width, view.camera.height))
-    images = {"load_thermal": _later(resize(view.thermal, width, height)), "load_valid": None}
+    images = {"load_thermal": _loader(resize(view.thermal, width, height)), "load_valid": None}
     if view.valid is not None:
         share = resize(view.valid[..., None].astype(np.float32), width, height)
         valid = share[..., 0] >= min(MOSTLY, float(share.max()))
         means = resize(view.thermal, width, height) / np.maximum(share, 1e-6)  # masked pixels are 0
-        images = {"load_thermal": _later(np.where(valid[..., None], means, np.float32(0))), "load_valid": _later(valid)}
+        images = {
+            "load_thermal": _loader(np.where(valid[..., None], means, np.float32(0))),
+            "load_valid": _loader(valid),
+        }
     load_rgb = None if view.load_rgb is None else lambda: resize(view.rgb, width, height)
     return replace(view, camera=view.camera.resized(width, height), load_rgb=load_rgb, **images)  # type: ignore[arg-type]
 
 
-def _later(array: np.ndarray):
+def _loader(array: np.ndarray):
     return lambda: array

@@ -1,13 +1,11 @@
-"""Growth of what is significant: what several views show in one half of a footprint and not in the other.
+"""Growth of Gaussians whose two halves have significantly different residuals over several views.
 
-A Gaussian that is split or cloned can give its two halves different values. What that would explain is the difference
-of the residuals in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r. Noise of
-standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), because w ≤ 1.
-A Gaussian grows where |D|, in the root mean square over the channels, exceeds `z` times that. Errors of single views
-have different signs and cancel in D. σ is that of the images at their full size: smaller ones, whose pixels are means
-of many, have less noise, so that more than `z` is asked of them.
-
-How much D differs between views says nothing more: where a model still lacks Gaussians it differs as it does for noise.
+Splitting or cloning a Gaussian lets its two halves have different values. That would explain the difference of the
+residuals r in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r, with blending
+weights w. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), as w ≤ 1.
+A Gaussian grows if the root mean square of D over the channels exceeds `z` times that. Errors of single views have
+different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their test is
+stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise has.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from torch import Tensor
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.density import Verdict
+from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.budget import GrowthRule
@@ -37,7 +35,7 @@ FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's
 
 
 class Significance:
-    """Decides by a rule which Gaussians of a model grow."""
+    """Decides which Gaussians of a model grow and which are pruned, by a rule of the budget."""
 
     def __init__(
         self,
@@ -49,9 +47,9 @@ class Significance:
         background: Tensor | None = None,
         camera_of: Callable[[Camera], Camera] = lambda camera: camera,
     ) -> None:
-        """views: of the training; a round looks at some of those that the curriculum shows, at its resolution.
+        """views: training views; a round renders some of those that the curriculum uses, at its resolution.
 
-        background: (C,) behind the Gaussians; None: black. camera_of: the camera that took the images of a view.
+        background: (C,) behind the Gaussians; None: black. camera_of: maps a view's camera to the one that took it.
         """
         self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
         self.background, self.camera_of = background, camera_of
@@ -62,37 +60,37 @@ class Significance:
         return typical_noise((self.modality.array(view), self.modality.valid(view)) for view in self.views)
 
     @torch.no_grad()
-    def judge(self, gaussians: Gaussians, degree: int, turn: int) -> Verdict:
-        """Return the verdict on Gaussians, rendered at an SH degree. turn: number of the round, which chooses views."""
+    def decide(self, gaussians: Gaussians, degree: int, turn: int) -> GrowthDecision:
+        """Return which Gaussians to grow and prune. degree: of the harmonics in use; turn: number of the round."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
-        for view in self.chosen(turn):
-            seen = self.look(self.curriculum.at_resolution(view), gaussians, degree)
+        for view in self.views_of_round(turn):
+            seen = self.measure(self.curriculum.at_resolution(view), gaussians, degree)
             views += seen.visible
             weight += seen.weight
             difference += seen.difference
         is_known = (views >= FEWEST_VIEWS) & (weight > 0)
         strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
         strength = torch.where(is_known, strength, 0.0)
-        return Verdict(strength, strength > self.rule.z, self.useless(views, weight))
+        return GrowthDecision(strength, strength > self.rule.z, self.prunable(views, weight))
 
-    def useless(self, views: Tensor, weight: Tensor) -> Tensor:
-        """Return what is pruned (N,) bool, by the number of views that show it (N,) and its weight there (N,), px."""
+    def prunable(self, views: Tensor, weight: Tensor) -> Tensor:
+        """Return a mask (N,) of Gaussians with little weight (N,), px, in the views that show them (N,)."""
         return (views >= FEWEST_VIEWS) & (self.curriculum.scale**2 * weight < self.rule.min_weight * views)
 
-    def chosen(self, turn: int) -> list[View]:
-        """Return the views of a round: evenly spread, one further in every round."""
+    def views_of_round(self, turn: int) -> list[View]:
+        """Return the views of a round, evenly spread and shifted by one in every round."""
         views = [view for view in self.views if self.curriculum.shows(view)]
         looks = min(self.rule.views, len(views))
         return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
 
-    def look(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
-        """Return the footprints in what a view shows and the Gaussians do not."""
+    def measure(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
+        """Render a view and return the footprints of the Gaussians in its residual."""
         taken_by = self.camera_of(view.camera)
         camera = Pinhole.of(taken_by).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
-        target, valid = self.modality.of(view, image.device)
+        target, valid = self.modality.tensors_of(view, image.device)
         return footprints(gaussians, taken_by, target - image, valid, self.backend)
 
 
@@ -111,8 +109,8 @@ def footprints(
 ) -> Footprints:
     """Return the footprints of Gaussians in a residual (H, W, C); pixels where `valid` (H, W) is false do not count.
 
-    Each Gaussian is rendered as its two halves, without colour: the gradient of a half's colour is the sum over its
-    footprint of what the image's gradient is set to.
+    Each Gaussian is rendered as its two halves. The gradient of a half's colour is the sum over its footprint of the
+    image's gradient, which is set to the residual.
     """
     counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
     known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels

@@ -14,13 +14,13 @@ from tdgbench.scenes import Scene, View, modalities
 
 
 class ViewTensors:
-    """Arrays of views as tensors, the same ones as long as the view lives; on the CPU they share its memory."""
+    """Cache of tensors of the arrays of views, for the lifetime of a view; on the CPU they share its memory."""
 
     def __init__(self) -> None:
         self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
 
     def of(self, view: View, name: str, device: torch.device) -> Tensor:
-        """Return the array `name` of a view; nobody writes to it."""
+        """Return the array `name` of a view as a read-only tensor."""
         if id(view) not in self._tensors:
             self._tensors[id(view)] = {}
             weakref.finalize(view, self._tensors.pop, id(view), None)
@@ -51,10 +51,10 @@ class Modality:
         """Return the mask (H, W) bool of a view; None if every pixel counts."""
         return view.valid if self.name == modalities.THERMAL else None
 
-    def of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
-        """Return image and mask of a view as tensors, for a loss; on the CPU they share the view's memory.
+    def tensors_of(self, view: View, device: torch.device) -> tuple[Tensor, Tensor | None]:
+        """Return image and mask of a view as tensors; on the CPU they share the view's memory.
 
-        They are the same tensors as long as the view lives, so that losses prepare them once.
+        Later calls return the same tensors, for which losses cache intermediate results.
         """
         valid = self.valid(view)
         mask = None if valid is None else _TENSORS.of(view, "valid", device)

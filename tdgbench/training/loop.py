@@ -42,26 +42,25 @@ class TrainingLog:
 
 def train(
     trainer: Trainer,
-    on_line: Callable[[LogLine], None] | None = None,
-    on_step: Callable[[TrainingLog], None] | None = None,
+    on_log_line: Callable[[LogLine], None] | None = None,
+    after_iteration: Callable[[TrainingLog], None] | None = None,
     log: TrainingLog | None = None,
-    on_model: Callable[[TrainingLog], None] | None = None,
+    before_update: Callable[[TrainingLog], None] | None = None,
 ) -> TrainingLog:
     """Train stage after stage, each for its budget's iterations or until its rule lets it end.
 
     The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
     density control and optimiser step. A stage ends early once its parts have recovered from density control.
 
-    on_line is called with each log line. on_step is called after each iteration; on_model before its changes of the
-    parts, when they are as they would be saved. The clock is stopped during both. log: of earlier iterations, to
-    resume after them.
+    on_log_line is called with each log line, before_update in each iteration before the parts change, after_iteration
+    at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
     """
     log = log or TrainingLog()
     try:
-        _train_stages(trainer, log, on_line, on_step, on_model)
+        _train_stages(trainer, log, on_log_line, after_iteration, before_update)
     except TrainingError as error:
         error.iteration += trainer.iterations_before  # of the whole training, as in the log
         raise
@@ -71,11 +70,11 @@ def train(
 def _train_stages(
     trainer: Trainer,
     log: TrainingLog,
-    on_line: Callable[[LogLine], None] | None,
-    on_step: Callable[[TrainingLog], None] | None,
-    on_model: Callable[[TrainingLog], None] | None,
+    on_log_line: Callable[[LogLine], None] | None,
+    after_iteration: Callable[[TrainingLog], None] | None,
+    before_update: Callable[[TrainingLog], None] | None,
 ) -> None:
-    """Train all stages that are left, and note their course in the log."""
+    """Train the remaining stages and write the log."""
     clock = Clock(log)
     while not log.ended:
         iteration = log.iterations - trainer.iterations_before + 1  # within the stage
@@ -86,9 +85,9 @@ def _train_stages(
         ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
         log.iterations += 1
         log.ended = ends_stage and trainer.is_last_stage
-        if on_model is not None:
+        if before_update is not None:
             clock.stop()
-            on_model(log)
+            before_update(log)
             clock = Clock(log)
         if not ends_stage:
             _update(step, trainer.parts, iteration)
@@ -98,13 +97,13 @@ def _train_stages(
             clock.stop()
             line = _line(log, step, loss, trainer)
             log.lines.append(line)
-            if on_line is not None:
-                on_line(line)
+            if on_log_line is not None:
+                on_log_line(line)
         if ends_stage:
             trainer.advance(iteration)
         clock.stop()
-        if on_step is not None:
-            on_step(log)
+        if after_iteration is not None:
+            after_iteration(log)
             clock = Clock(log)
 
 
@@ -124,7 +123,7 @@ def _line(log: TrainingLog, step: Step, loss: float, trainer: Trainer) -> LogLin
 
 
 class Clock:
-    """Runs from its making on, and adds its time to that of a log."""
+    """A stopwatch that starts when it is made and continues the times of a log."""
 
     def __init__(self, log: TrainingLog) -> None:
         self._log = log
@@ -132,7 +131,7 @@ class Clock:
         self._processor_start = time.process_time() - log.processor_seconds
 
     def stop(self) -> None:
-        """Put the seconds so far into the log; the clock runs on."""
+        """Write the times so far to the log."""
         self._log.seconds = time.perf_counter() - self._start
         self._log.processor_seconds = time.process_time() - self._processor_start
 

@@ -1,7 +1,7 @@
 """Loss terms that methods share: the 3DGS photometric loss, thermal smoothness in both readings, min-max normalisation.
 
-Images are (H, W, C) in [0, 1]; losses are scalars. Fused kernels compute value and gradient of float32 on the CPU,
-torch those of other types and devices. Only the first argument gets a gradient.
+Images are (H, W, C) in [0, 1]; losses are scalars. Fused kernels compute value and gradient of float32 images on the
+CPU, torch those of other types and devices, and `smoothness` alone. Only the first argument gets a gradient.
 
 A mask `valid`, bool (H, W), takes pixels out of a loss where it is false: they are 0 in both images, as with 3DGS
 (`alpha_mask` in train.py), nerfstudio (splatfacto.py) and gsplat (examples/simple_trainer.py), and means are over the
@@ -20,7 +20,6 @@ from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
-from tdgbench.splats.cpu.losses.smoothness import differences_and_gradient
 from tdgbench.training import torch_losses
 
 CACHE_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
@@ -62,20 +61,15 @@ def photometric(image: Tensor, target: Tensor, lambda_ssim: float, valid: Tensor
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim, valid)
 
 
-def thermal(
-    image: Tensor,
-    target: Tensor,
-    lambda_ssim: float,
-    lambda_smooth: float,
-    reading: str,
-    valid: Tensor | None = None,
+def thermal_loss(
+    image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str, valid: Tensor | None = None
 ) -> Tensor:
     """Return the thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
 
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
 
     >>> image = torch.full((8, 8, 1), 0.5)
-    >>> round(thermal(image, image - 0.25, 0.0, 0.6, "paper").item(), 4)
+    >>> round(thermal_loss(image, image - 0.25, 0.0, 0.6, "written").item(), 4)
     0.25
     """
     if not _is_fused(image):
@@ -136,34 +130,30 @@ def _valid_values(image: Tensor, valid: Tensor | None) -> int:
 
 
 def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tensor:
-    """Differences of neighbouring pixels of an image (H, W, C), in one of two readings.
+    """Return the mean difference of neighbouring pixels of an image (H, W, C), in one of two readings.
 
-    `paper` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
-    `reference` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
+    `written` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
+    `released` (ThermalGaussian's code): not divided by 4; neighbours wrap around at the border and are constants.
     With a mask, the sum is over neighbours that are both valid, and M counts valid pixels.
 
     >>> image = torch.tensor([[[0.0], [1.0]]])
-    >>> smoothness(image, "paper").item(), smoothness(image, "reference").item()
+    >>> smoothness(image, "written").item(), smoothness(image, "released").item()
     (0.25, 2.0)
     """
-    scales = _smoothness_scales(image, reading, valid)
-    if not _is_fused(image):
-        return torch_losses.smoothness(image, reading, valid, _valid_values(image, valid))
-    mask = None if valid is None else _array(valid)
+    _check_reading(reading)
+    return torch_losses.smoothness(image, reading, valid, _valid_values(image, valid))
 
-    def compute(a: np.ndarray) -> tuple[float, np.ndarray]:
-        total, gradient = differences_and_gradient(a, scales.wrap, mask)
-        return scales.value * total, np.float32(scales.gradient) * gradient
 
-    return _ValueAndGradient.apply(image, compute)
+def _check_reading(reading: str) -> None:
+    if reading not in ("written", "released"):
+        raise ValueError(f"smoothness reading is {reading!r}; it must be 'written' or 'released'")
 
 
 def _smoothness_scales(image: Tensor, reading: str, valid: Tensor | None) -> Smoothness:
     """Return the factors of a reading. Each pair counts for both its pixels; constant neighbours halve the gradient."""
-    if reading not in ("paper", "reference"):
-        raise ValueError(f"smoothness reading is {reading!r}; it must be 'paper' or 'reference'")
+    _check_reading(reading)
     count = _valid_values(image, valid)
-    if reading == "reference":
+    if reading == "released":
         return Smoothness(True, 2 / count, 1 / count)
     return Smoothness(False, 2 / (4 * count), 2 / (4 * count))
 

@@ -15,7 +15,7 @@ from tdgbench.training.context import Context, Frame
 __all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
 Share = Annotated[float, Field(ge=0, le=1)]
-SmoothnessReading = Literal["paper", "reference"]  # see `tdgbench.training.losses.smoothness`
+SmoothnessReading = Literal["written", "released"]  # see `tdgbench.training.losses.smoothness`
 
 
 @dataclass
@@ -33,10 +33,10 @@ class Stage(NamedTuple):
     """A stretch of a training with parts and a loss of its own."""
 
     name: str
-    setup: Callable[[Context], None]  # makes the parts through the context; those of stages before may be used
+    setup: Callable[[Context], None]  # makes the parts through the context; may also use parts of earlier stages
     step: Callable[[int], Step]  # loss of an iteration, 1-based within the stage
     share: float = 1.0  # of the budget's iterations
-    modality: str = "thermal"  # of the renders of held-out views by which it settles
+    modality: str = "thermal"  # whose renders of held-out views decide when the stage ends (`SettlingRule`)
 
 
 class Method:
@@ -47,7 +47,7 @@ class Method:
 
     name: str
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
-    plain: bool = True  # whether `render` gives the Gaussians of the modality's name, without hooks or other parts
+    renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view
 
     def setup(self, context: Context) -> None:
@@ -57,7 +57,7 @@ class Method:
     def step(self, iteration: int) -> Step:
         """Return the loss of an iteration (1-based), with the render that it used.
 
-        Masked pixels must have no part in the loss: `Modality.of` gives the mask.
+        Masked pixels must have no part in the loss: `Modality.tensors_of` gives the mask.
         """
         raise NotImplementedError
 

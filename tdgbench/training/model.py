@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import torch
 
@@ -14,7 +13,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import Verdict
+from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -22,14 +21,14 @@ from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.growth import Significance
-from tdgbench.training.part import EmptyModelError, Part
+from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips, Work
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What sets one model apart from another with the same budget.
+    """Options of one model beyond the budget.
 
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
     significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
@@ -79,9 +78,9 @@ class SplatModel(Part):
         return len(self.state)
 
     def restore(self, gaussians: Gaussians, background: torch.Tensor | None, blending: Blending) -> None:
-        """Take stored Gaussians, to render them as they were after training, with all of their SH degrees."""
+        """Load stored Gaussians to render them as after training, at their full SH degree."""
         self.state = TrainingState(gaussians)
-        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self.optimizer.own)
+        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self.optimizer.field_rates)
         self.degree, self.background, self.blending = gaussians.sh_degree, background, blending
 
     @property
@@ -91,7 +90,7 @@ class SplatModel(Part):
         return self.state.split(self.state.values)
 
     def copy(self) -> Gaussians:
-        """Copy of the current Gaussians. Unlike `gaussians`, it does not change the rounding of later steps."""
+        """Copy the current Gaussians. Unlike `gaussians`, this does not change the rounding of later steps."""
         state, optimizer = copy.deepcopy((self.state, self.optimizer))
         optimizer.flush()
         return state.split(state.values)
@@ -106,10 +105,9 @@ class SplatModel(Part):
     ) -> Render:
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
-        hook: changes what is rendered (means, turns, scales, opacities, colours), given the Gaussians and the degree;
-        gradients go back through it, to Gaussians and whatever else it used. A camera's pose may ask for a gradient,
-        too. Both cost time: gradients of all Gaussians pass through torch then. background: (D,) behind the D channels
-        that a hook renders; by default the model's.
+        hook: differentiable function from the Gaussians and the SH degree to the tensors that are rendered. Steps are
+        slower with a hook, or a pose that requires a gradient: the gradients of all Gaussians pass through torch.
+        background: (D,) behind the D channels that a hook renders; by default the model's.
         """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
@@ -126,7 +124,7 @@ class SplatModel(Part):
         options = StateOptions(self.degree, depth, self.blending, tolerance, background, hook)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it. Call it between iterations."""
         return {
             "rows": self.state.state_dict(),
@@ -137,7 +135,7 @@ class SplatModel(Part):
             "generator": self._generator.get_state(),
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.state.load_state_dict(saved["rows"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self.density.load_state_dict(saved["density"])
@@ -145,7 +143,7 @@ class SplatModel(Part):
         self.work = Work(**saved["work"])
         self._generator.set_state(saved["generator"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}
@@ -161,11 +159,6 @@ class SplatModel(Part):
         self._iteration = iteration
         self.degree = max(self.degree, self.budget.active_degree(iteration))
 
-    def take_gradients(self) -> Gradients | None:
-        """Sum of the gradients since the last step, which forgets them; None without a backward pass."""
-        views, self._views = self._views, []
-        return Gradients.total([view.gradients.computed() for view in views], len(self.state)) if views else None
-
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
 
@@ -173,13 +166,13 @@ class SplatModel(Part):
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
-    def _judge(self, iteration: int) -> Verdict | None:
-        """Return the verdict of the budget's growth rule, where it has one and a round of density control is due."""
+    def _decide_growth(self, iteration: int) -> GrowthDecision | None:
+        """Apply the budget's growth rule; None without one, or if no round of density control is due."""
         if self.significance is None or not self.density.is_round(iteration):
             return None
-        return self.significance.judge(self.gaussians, self.degree, iteration // self.density.rules.every)
+        return self.significance.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
     def step(self, iteration: int) -> str | None:
@@ -193,7 +186,7 @@ class SplatModel(Part):
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
             self._forget(views)
-        verdict = self._judge(iteration)
+        verdict = self._decide_growth(iteration)
         change = self.density.update(self.optimizer, iteration, self._generator, verdict)
         self.work.add_change(change)
         bad = None
@@ -211,28 +204,29 @@ class SplatModel(Part):
         return bad
 
     def _forget(self, views: list[_View]) -> None:
-        """Count the Gaussians that the views touched, and let go of their memory."""
+        """Count the Gaussians with gradients, and free the memory of the views."""
         self.work.touched += sum(view.gradients.touched for view in views)
         views.clear()
 
     def _gradients_of(
         self, views: list[_View], iteration: int
     ) -> tuple[Gradients | PendingGradients | None, GradientStatistics]:
-        """Sum of the views' gradients, and the statistics that they are still to be added to.
+        """Sum the gradients of the views, and add them to density control's statistics.
 
-        Those of one view stay pending where nothing but a step needs them.
+        The gradients of a single view stay pending if only the optimiser needs them; the step then adds them to the
+        statistics that are returned.
         """
         observes = self.density.is_active(self._iteration)
         if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
             (view,) = views
             return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
         for view in views:
-            view.gradients = view.gradients.computed()
+            view.gradients = view.gradients.compute()
             if observes:
                 self.density.observe_gradients(view.gradients, view.width, view.height)
         if not views:
             return None, NO_STATISTICS
-        return Gradients.total([view.gradients.computed() for view in views], len(self.state)), NO_STATISTICS
+        return Gradients.total([view.gradients.compute() for view in views], len(self.state)), NO_STATISTICS
 
 
 @dataclass

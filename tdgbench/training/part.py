@@ -1,17 +1,21 @@
-"""A part of a training: what changes while it runs, such as Gaussians, a network, or a rule that ends it."""
+"""Parts of a training: everything with state, such as Gaussians, networks, orders of views, stopping rules."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 
+State = dict[str, Any]  # tensors, numbers, texts, lists and dicts, as `torch.save` takes them
+Json = bool | int | float | str | None | Sequence["Json"] | Mapping[str, "Json"]
+Report = Mapping[str, Json]
+
 
 class Part:
-    """Something that a training changes. The loop drives it, a checkpoint stores it, a record describes it.
+    """An object with state that training changes. The loop calls it, checkpoints save it, and records report on it.
 
-    Every method has a default that does nothing; a part overrides those that concern it.
+    All methods do nothing by default; a subclass overrides those that it needs.
     """
 
     needed_to_render: bool = False  # whether rendering needs its state, which is then stored with the cell
@@ -20,35 +24,35 @@ class Part:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
 
     def step(self, iteration: int) -> str | None:
-        """Change by the gradients of an iteration's backward pass, which is over.
+        """Make an optimiser step; called after the backward pass of each iteration.
 
         Returns the name of a parameter whose gradient is not finite, or None.
         """
         return None
 
-    def slow_down(self, factor: float) -> None:
-        """Multiply all learning rates by a factor, at most 1, from now on; the last factor counts."""
+    def scale_learning_rates(self, factor: float) -> None:
+        """Set the factor of all learning rates, at most 1; it replaces an earlier one."""
 
     def stop_growth(self, iteration: int) -> None:
         """Add and remove no Gaussians from an iteration on."""
 
     def has_recovered(self, iteration: int) -> bool:
-        """Return whether the part has recovered from its last large change; only then may training end."""
+        """Return whether training may end: the part has recovered from its last large change."""
         return True
 
     def not_finite(self) -> str | None:
         """Return the name of the first parameter that is not finite, or None."""
         return None
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with the part."""
         return {}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned."""
 
-    def report(self) -> dict[str, Any]:
-        """Return facts for the record, as JSON can hold them."""
+    def report(self) -> Report:
+        """Return facts for the record that JSON can represent."""
         return {}
 
 
@@ -56,7 +60,7 @@ class Stopping(Part):
     """A rule that may end a training before its last iteration."""
 
     def reached(self, iteration: int, loss: float) -> bool:
-        """Note an iteration's loss, after its forward pass; True from the iteration on at which training may end."""
+        """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""
         raise NotImplementedError
 
 
@@ -66,10 +70,10 @@ class RandomStream(Part):
     def __init__(self, seed: int) -> None:
         self.generator = torch.Generator().manual_seed(seed)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {"generator": self.generator.get_state()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.generator.set_state(saved["generator"])
 
 
@@ -102,22 +106,22 @@ class Network(Part):
         self.optimizer.step()
         return None
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         self._slowdown = factor
 
     def not_finite(self) -> str | None:
         return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         module, optimizer = dict(self.module.state_dict()), self.optimizer.state_dict()
         return {"module": module, "optimizer": optimizer, "slowdown": self._slowdown}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         self.module.load_state_dict(saved["module"])
         self.optimizer.load_state_dict(saved["optimizer"])
         self._slowdown = saved["slowdown"]
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}
 
 

@@ -1,13 +1,10 @@
-"""The rig: where the thermal camera is, and its lens, against the poses of a scene; learnt with the Gaussians.
+"""The rig: pose and lens of the thermal camera relative to the scene's poses, learnt with the Gaussians.
 
-In most RGB-thermal captures the poses are those of the RGB camera. All thermal views share turn, shift, focal length,
-principal point and two coefficients of radial distortion: eleven numbers, found by the gradients of the Gaussians'
-means. Test views get the same numbers, without being read.
+In most RGB-thermal captures the poses are those of the RGB camera. All thermal views share the rig; test views get it
+without being read.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,13 +13,13 @@ from torch import Tensor
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook
-from tdgbench.splats.pose import in_camera
+from tdgbench.splats.pose import to_camera_space
 from tdgbench.splats.view import GaussianTensors, Pinhole
-from tdgbench.training.part import Part
+from tdgbench.training.part import Part, Report, State
 
 NUMBERS = {"turn": 3, "shift": 3, "focal": 1, "center": 2, "distortion": 2}
-RATES = {"turn": 1.0, "shift": 1.0, "focal": 1.0, "center": 1.0, "distortion": 4.0}  # × the learning rate
-RATE = 3e-5  # radians, shares of the scene's extent, shares of the focal length
+RATES = {"turn": 1.0, "shift": 1.0, "focal": 1.0, "center": 1.0, "distortion": 20.0}  # × the learning rate
+RATE = 2e-4  # radians, shares of the scene's extent, shares of the focal length
 BEYOND = 1.5  # times the radius of the image's corners, up to which distortion grows
 
 
@@ -51,25 +48,25 @@ class Rig(Part):
         self.optimizer.zero_grad()
         return bad
 
-    def slow_down(self, factor: float) -> None:
+    def scale_learning_rates(self, factor: float) -> None:
         for name, group in zip(NUMBERS, self.optimizer.param_groups, strict=True):
             group["lr"] = factor * RATE * RATES[name]
 
     def not_finite(self) -> str | None:
         return next((name for name, number in self.numbers.items() if not number.isfinite().all()), None)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {
             "numbers": {name: number.detach() for name, number in self.numbers.items()},
             "adam": self.optimizer.state_dict(),
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         for name, number in self.numbers.items():
             number.data.copy_(saved["numbers"][name])
         self.optimizer.load_state_dict(saved["adam"])
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         """Return degrees, world units, and shares."""
         found = {name: number.detach().cpu().double() for name, number in self.numbers.items()}
         found["turn"], found["shift"] = found["turn"].rad2deg(), self.extent * found["shift"]
@@ -90,7 +87,7 @@ class Rig(Part):
 
         def seen(gaussians: Gaussians, degree: int) -> GaussianTensors:
             active = (hook or Gaussians.activated)(gaussians, degree)
-            return self._lens(in_camera(active, viewmat), K, given)
+            return self._lens(to_camera_space(active, viewmat), K, given)
 
         return seen, given._replace(viewmat=torch.eye(4).to(viewmat), K=K.detach())
 

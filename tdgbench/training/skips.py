@@ -1,4 +1,4 @@
-"""Work that a scene may not need: each skip says whether it was left out, why, and what that saved.
+"""Skips: work that a training leaves out if the scene does not need it, with the reason and the saving.
 
 Six can be switched off in `conf/skip/`; a rule of the budget (`tdgbench.training.budget`) is off where it is null.
 """
@@ -91,7 +91,7 @@ class Work:
     not_grown: int = 0
 
     def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
-        """Add the backward pass of a view of `count` Gaussians, but for those that it touched."""
+        """Add the backward pass of a view of `count` Gaussians; `touched` is added later."""
         self.rows += count
         self.pairs += gradients.pairs
         self.blended += gradients.blended
@@ -118,7 +118,7 @@ class Finished(NamedTuple):
 
 
 def account(skips: Skips, training: Finished) -> list[Skip]:
-    """Return what a training left out, switches first and the budget's rules after them, with reasons and savings."""
+    """Return all skips of a training with reasons and savings: first the switches, then the rules of the budget."""
     _account_switches(skips, training)
     rules = [Skip(name, getattr(training.budget, name) is not None) for name in RULES]
     for skip, decide in zip(rules, (_growth, _pixels, _settling, _plateau), strict=True):

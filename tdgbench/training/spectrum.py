@@ -16,8 +16,8 @@ MAD_TO_SIGMA = 1.4826  # of a normal distribution
 def noise_of(image: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the standard deviation of white noise in an image (H, W, C), in its units; at least that of 8 bits.
 
-    The mask of Immerkær (1996, Fast Noise Variance Estimation) does not see planes and straight steps; the median of
-    its absolute response does not see the rest of the edges. valid: bool (H, W); windows with a masked pixel do not
+    The mask of Immerkær (1996, Fast Noise Variance Estimation) has no response to planes and straight steps; the median
+    of its absolute response is robust to other edges. valid: bool (H, W); windows with a masked pixel do not
     count.
 
     >>> noise = np.random.default_rng(0).normal(0.5, 0.02, (64, 64, 1))

@@ -1,14 +1,9 @@
-"""Rules that end a training early, by held-out training views or by the loss of the others.
-
-`Settling`: what held-out views say about a training: when it needs more pixels, and when it settles and ends.
-`Plateau`: the training views' loss, averaged over whole rounds of them, no longer falls.
-"""
+"""Rules that end a training early: by the PSNR of held-out training views, or by the loss of the others."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +11,7 @@ import torch
 from tdgbench.scenes import View
 from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.part import Part, Stopping
+from tdgbench.training.part import Part, State, Stopping
 
 MIN_MSE = 1e-10
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
@@ -44,7 +39,7 @@ def windows(rule: SettlingRule, psnrs: list[list[float]]) -> tuple[np.ndarray, n
 
 
 class Settling(Stopping):
-    """Decides by a rule when a training goes on to more pixels, settles and ends; slows the optimisers down at last."""
+    """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     def __init__(
         self,
@@ -54,7 +49,7 @@ class Settling(Stopping):
         parts: Mapping[str, Part],
         errors: Callable[[View], np.ndarray],
     ) -> None:
-        """parts: those that slow down and stop to grow. errors: of the render of a view, (n, C) at n pixels."""
+        """parts: of the stage that runs. errors: returns the errors (n, C) of a view's render at n valid pixels."""
         self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
         self.parts, self.errors = parts, errors
         self._scale = curriculum.scale
@@ -62,11 +57,11 @@ class Settling(Stopping):
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better")
         return {name.strip("_"): getattr(self, name) for name in names}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         for name, value in saved.items():
             setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
         if self.curriculum.settled_at:
@@ -83,7 +78,7 @@ class Settling(Stopping):
         length = max(1, round(self.rule.tail * curriculum.settled_at))
         progress = min(1.0, (iteration - curriculum.settled_at) / length)
         for part in self.parts.values():
-            part.slow_down(self.rule.slowdown**progress)
+            part.scale_learning_rates(self.rule.slowdown**progress)
         return progress == 1.0
 
     def _stop_growth(self) -> None:
@@ -117,7 +112,7 @@ class Settling(Stopping):
         return not self._best_scale or float(np.median(psnrs - self._best_psnrs)) >= self.rule.gain
 
     def _leave_resolution(self) -> None:
-        """Note what the resolution until now has reached, and begin with the curriculum's."""
+        """Compare the last resolution with the best one so far, and start with the current one."""
         if self._psnrs:
             reached = np.mean(self._psnrs[-self.rule.checks :], axis=0)
             if self._is_best(reached):
@@ -146,10 +141,10 @@ class Plateau(Stopping):
         self._best, self._without = float("inf"), 0
         self._reached = False
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         vars(self).update(saved)
 
     def reached(self, iteration: int, loss: float) -> bool:

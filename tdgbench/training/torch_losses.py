@@ -43,12 +43,12 @@ def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) ->
         weights = _neighbours(valid[..., None].to(image.dtype), reading)
         differences = [d * here * other for d, (here, other) in zip(differences, weights, strict=True)]
     total = torch.stack([difference.sum() for difference in differences]).sum()
-    return total / count if reading == "reference" else 2 * total / (4 * count)
+    return total / count if reading == "released" else 2 * total / (4 * count)
 
 
 def _neighbours(image: Tensor, reading: str) -> list[tuple[Tensor, Tensor]]:
     """Return pairs of images of neighbouring pixels: down and right, or on a torus all four, which are constants."""
-    if reading == "reference":
+    if reading == "released":
         return [(image, image.detach().roll(shift, dim)) for dim in (0, 1) for shift in (1, -1)]
     return [(image[1:], image[:-1]), (image[:, 1:], image[:, :-1])]
 

@@ -1,8 +1,6 @@
-"""A method's training on its way: the stage that runs, its parts, and what may end it early."""
+"""State of a running training: the current stage, its parts, and the rule that may end it early."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,21 +10,21 @@ from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
-from tdgbench.training.part import Part, Stopping
+from tdgbench.training.part import Part, Report, State, Stopping
 from tdgbench.training.rig import Rig
 from tdgbench.training.stopping import Plateau, Settling
 
 
 class Trainer:
-    """A method with its parts. It is set up for the first stage when it is made."""
+    """A method with the parts of its current stage; the constructor sets up the first stage."""
 
     def __init__(self, method: Method, whole: Context) -> None:
-        """whole: the context of the whole training, of which each stage gets its own."""
+        """whole: the context of the whole training, from which each stage gets its own."""
         self.method, self.whole_context = method, whole
         self.restart()
 
     def restart(self) -> None:
-        """Set the first stage up again, as if nothing had been trained."""
+        """Set up the first stage again and discard all training."""
         self.stages = self.method.stages()
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
@@ -36,7 +34,7 @@ class Trainer:
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole_context.of_stage(self.stage_number, self.stage.share, self._rig)
+        self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
         self.stopping = self._stopping()
@@ -78,31 +76,31 @@ class Trainer:
         current = [id(part) for part in self.parts.values()]
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
         return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
 
     def at_stage(self, number: int) -> None:
-        """Set up all stages up to one (0-based), to load its state. Raises ValueError if there is no such stage."""
+        """Set up all stages up to a number (0-based), to load its state. Raises ValueError for an unknown one."""
         if not 0 <= number < len(self.stages):
             raise ValueError(f"there is no stage {number}")
         while self.stage_number < number:
             self.advance(0)
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned at the same stage."""
         self.iterations_before = saved["before"]
         for name, part in self.all_parts().items():
             part.load_state_dict(saved["parts"][name])
 
-    def reports(self) -> dict[str, dict[str, Any]]:
-        """Return the facts about each part that has any."""
+    def reports(self) -> dict[str, Report]:
+        """Return the reports of the parts, without empty ones."""
         found = {name: part.report() for name, part in self.all_parts().items()}
         return {name: report for name, report in found.items() if report}
 
     def _stopping(self) -> Stopping | None:
-        """Return what ends the stage early, by the rules of its budget; None: nothing."""
+        """Make the rule of the budget that may end the stage early; None if there is none."""
         budget, context = self.context.budget, self.context
         if budget.settling is not None:
             return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self.error_image)

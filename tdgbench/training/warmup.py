@@ -11,16 +11,16 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.context import training_device
 from tdgbench.training.growth import footprints
-from tdgbench.training.losses import inverse_expected_depth, min_max, thermal
+from tdgbench.training.losses import inverse_expected_depth, min_max, thermal_loss
 from tdgbench.training.model import SplatModel
 
 SIZE = 16  # px
 
 
 def compile_kernels(channels: set[int], budget: Budget, backend: str, *, masked: bool = False) -> None:
-    """Compile what trainings with these channel counts run, by steps on a toy scene.
+    """Compile the kernels of trainings with these numbers of channels, by steps on a toy scene.
 
-    masked: some views have a mask.
+    masked: some views have a mask, for which the losses are compiled apart.
     """
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels):
@@ -40,21 +40,16 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
         for iteration, depth in enumerate((False, True), start=1):
             model.begin(iteration)
-            render = model.render(camera, depth=depth)
-            black = torch.zeros_like(render.image)
-            loss = thermal(render.image, black, 0.2, 0.1, "paper")
-            if masked:
-                loss = loss + thermal(render.image, black, 0.2, 0.1, "paper", black[..., 0] == 0)
-            if render.depth is not None:
-                loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
-            loss.backward()
-            if depth:  # as after a round of density control, and of several views
-                gradients = model.take_gradients()
-                assert gradients is not None
-                model.density.observe_gradients(gradients, SIZE, SIZE)
-                model.optimizer.step(gradients, iteration)
-            else:
-                model.step(iteration)
+            for _ in range(1 + depth):  # the gradients of two views take other kernels than those of one
+                render = model.render(camera, depth=depth)
+                black = torch.zeros_like(render.image)
+                loss = thermal_loss(render.image, black, 0.2, 0.1, "written")
+                if masked:
+                    loss = loss + thermal_loss(render.image, black, 0.2, 0.1, "written", black[..., 0] == 0)
+                if render.depth is not None:
+                    loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
+                loss.backward()
+            model.step(iteration)
         if budget.growth is not None:
             footprints(model.gaussians, camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()

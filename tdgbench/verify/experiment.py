@@ -11,9 +11,8 @@ from tdgbench.bench.record import FILE, record_files
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.verify.cell import verify_cell
+from tdgbench.verify.cell import read_cell, verify_cell
 from tdgbench.verify.findings import Findings
-from tdgbench.verify.stored_cell import read_cell
 
 OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
 
@@ -34,7 +33,7 @@ def main(arguments: list[str]) -> int:
     status = 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
-            found = verify_experiment(experiment)
+            found = verify(experiment)
         except (ValueError, OSError) as error:
             say(one_line(f"tdgbench verify: {error}"), stderr=True)
             status = 1
@@ -47,13 +46,7 @@ def main(arguments: list[str]) -> int:
     return status
 
 
-def verify(experiment: Path) -> tuple[int, list[str]]:
-    """Return the number of cells, and every problem in words. Raises ValueError if there are no cells."""
-    found = verify_experiment(experiment)
-    return found.cells, found.problems
-
-
-def verify_experiment(experiment: Path) -> Verification:
+def verify(experiment: Path) -> Verification:
     """Check every cell of an experiment. Raises ValueError if there are none."""
     if not experiment.is_dir():
         raise ValueError(f"{experiment} is {'no folder' if experiment.exists() else 'not there'}")

@@ -12,7 +12,7 @@ from tdgbench.bench import masks, stored_parts
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import background_of, blending_of, render_model, response_of
 from tdgbench.bench.stored_parts import StoredMethod

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.bench.masks import masked_share
-from tdgbench.bench.reading import check_regular
+from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scenes import Scene
@@ -127,7 +127,7 @@ def _scene(record: Record, pictures: StoredPictures) -> Scene:
 
 
 def _shown(pictures: StoredPictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
-    """A test view with its pictures; of the others, the depths. Raises ValueError for a picture that is unusable."""
+    """Return a test view with its stored pictures and all views' depths. Raises ValueError for an unusable picture."""
     nothing = np.zeros((0, 0, 1), np.float32)
     renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}
     view, rendered = pictures.view(name), pictures.rendered(name)

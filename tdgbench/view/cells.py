@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -12,14 +12,13 @@ import numpy as np
 from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
 from tdgbench.bench.renders import response_of
 from tdgbench.bench.stored import file_problems
 from tdgbench.bench.stored_parts import StoredMethod
-from tdgbench.scenes import Camera, View
-from tdgbench.scenes.modalities import LABELS, THERMAL, image_of
-from tdgbench.scoring import to_8bit
+from tdgbench.scenes import Camera
+from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.thermal import ImageResponse
@@ -34,7 +33,6 @@ class ViewedCell:
     models: dict[str, Gaussians]  # by modality: `thermal`, and others that the method trains
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
-    ground_truth: dict[str, View] = field(default_factory=dict)  # of training views, where it is known
     method: StoredMethod | None = None  # that renders more than the Gaussians of the models; None: these are all
 
     @property
@@ -59,30 +57,22 @@ class ViewedCell:
         return response_of(self.record)
 
     def pictures(self, view: str) -> dict[str, np.ndarray]:
-        """Return the pictures of a view, (H, W, 1 or 3) uint8, by modality: ground truth, else stored renders.
+        """Return the pictures of a test view, (H, W, 1 or 3) uint8, by modality: ground truth, else stored renders.
 
-        Raises ValueError, naming the file, if one cannot be read.
+        Cells store none of training views. Raises ValueError, naming the file, if one cannot be read.
         """
-        if view not in self.test:
-            return self._training_pictures(view)
-        camera, found = self.test[view], {}
-        for modality in LABELS:
+        found: dict[str, np.ndarray] = {}
+        for modality in LABELS if view in self.test else ():
             files = files_of(modality)
             both = [self.folder / sub / f"{view}.png" for sub in (files.targets, files.renders)]
             path = next((path for path in both if path.exists()), None)
             if path is not None:
+                camera = self.test[view]
                 try:
                     found[modality] = read_picture(path, (camera.width, camera.height))
                 except (ValueError, OSError) as error:
                     raise ValueError(f"{path} cannot be read: {error}") from error
         return found
-
-    def _training_pictures(self, view: str) -> dict[str, np.ndarray]:
-        if view not in self.ground_truth:
-            return {}
-        known = replace(self.ground_truth[view])  # a copy, so that no images stay in memory
-        images = {modality: image_of(known, modality) for modality in LABELS}
-        return {modality: to_8bit(image) for modality, image in images.items() if image is not None}
 
 
 def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
@@ -120,7 +110,7 @@ def open_cell(folder: Path) -> ViewedCell:
 
 
 def _finished_record(folder: Path) -> Record:
-    record = read_record(folder, complete=True)
+    record = read_record(folder)
     if record is None:
         state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
         raise ValueError(f"{folder} {state}; name the folder of a cell{_example(folder)}")

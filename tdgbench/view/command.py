@@ -6,13 +6,12 @@ import argparse
 import os
 import sys
 import webbrowser
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.view.cells import ViewedCell, open_cells
-from tdgbench.view.ground_truth import training_views
+from tdgbench.view.cells import open_cells
 
 WIDTH = 1280  # px
 LOCAL = "127.0.0.1"
@@ -23,10 +22,11 @@ def main(arguments: list[str]) -> int:
     description = "Look at the models of one or more cells of a scene in the browser."
     parser = argparse.ArgumentParser(prog="tdgbench view", description=description)
     parser.add_argument("cell", nargs="+", type=Path, help="folder results/<experiment>/cells/…/seed<k>")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="data.root of the training (data)")
     parser.add_argument("--host", default=LOCAL, help="address to serve; 0.0.0.0 lets other machines in")
-    parser.add_argument("--port", type=_port, help="default: the first free one from 8080 on")
-    parser.add_argument("--width", type=_width, default=WIDTH, help=f"most pixels of a picture's width ({WIDTH})")
+    parser.add_argument("--port", type=_whole_number(0, 65535), help="default: the first free one from 8080 on")
+    parser.add_argument(
+        "--width", type=_whole_number(16, 8192), default=WIDTH, help=f"most pixels of a picture's width ({WIDTH})"
+    )
     parser.add_argument("--no-open", action="store_true", help="open no browser, only print the address")
     options = parser.parse_args(arguments)
     try:
@@ -43,7 +43,7 @@ def _show(options: argparse.Namespace) -> int:
         if error.name != "viser":
             raise
         raise ValueError("it needs viser: pip install -e '.[view]'") from error
-    cells = _with_training_views(open_cells(options.cell), options.data)
+    cells = open_cells(options.cell)
     with serving(options.host, options.port) as server:
         viewer = Viewer(server, cells, options.width)
         try:
@@ -57,30 +57,17 @@ def _show(options: argparse.Namespace) -> int:
     return 0
 
 
-def _with_training_views(cells: dict[str, ViewedCell], root: Path) -> dict[str, ViewedCell]:
-    """Add the ground truth of training views, if it is there, to the first cell, whose cameras are shown."""
-    name, first = next(iter(cells.items()))
-    try:
-        return {**cells, name: replace(first, ground_truth=training_views(first.record, root))}
-    except ValueError as error:
-        say(one_line(f"training views without pictures: {error} (--data DIR)"), "note:", "yellow", stderr=True)
-        return cells
-
-
 def has_screen() -> bool:
     """Return whether a browser can open a window here. Without one, Python may start a browser in the terminal."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _port(text: str) -> int:
-    return _number(text, 0, 65535)
+def _whole_number(least: int, most: int) -> Callable[[str], int]:
+    """Return a parser of the whole numbers from `least` to `most`."""
 
+    def parse(text: str) -> int:
+        if text.isascii() and text.isdigit() and least <= int(text) <= most:
+            return int(text)
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {least} to {most}")
 
-def _width(text: str) -> int:
-    return _number(text, 16, 8192)
-
-
-def _number(text: str, least: int, most: int) -> int:
-    if text.isascii() and text.isdigit() and least <= int(text) <= most:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {least} to {most}")
+    return parse

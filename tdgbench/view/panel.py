@@ -1,8 +1,9 @@
-"""The controls of one browser: what is shown, the view that it stands at, and the record's numbers."""
+"""The controls of one browser: what is shown, the value of a pixel, a colour bar, the record's numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from datetime import timedelta
 from html import escape
 
 import numpy as np
@@ -10,16 +11,84 @@ import viser
 from PIL import Image
 
 from tdgbench.scenes.modalities import LABELS
-from tdgbench.view import facts
+from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.cursor import VALUE_ID
-from tdgbench.view.paint import COLOR_MAPS, as_rgb
-from tdgbench.view.renderer import GEOMETRY, QUANTITIES, Look, RenderedLook
+from tdgbench.view.renderer import COLOR_MAPS, GEOMETRY, QUANTITIES, Look, RenderedLook, as_rgb, lookup_table
 
+STOPS = 12  # colours of a colour bar
+STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
 ALONE = "–"  # choice of no second cell
 PREVIOUS, NEXT = "← previous", "next →"
 PICTURE_WIDTH = 360  # px
 NOTHING = np.zeros((1, 1, 3), np.uint8)
+
+
+def value_text(values: np.ndarray, quantity: str, degC: tuple[float, float] | None) -> str:
+    """Return one pixel's values (C,) in words. degC: temperatures of the image values 0 and 1, if they are known.
+
+    >>> value_text(np.array([0.5]), "thermal", (20.0, 30.0)), value_text(np.array([0.5]), "thermal", None)
+    ('25.0 °C', '0.500')
+    >>> value_text(np.array([np.nan]), "depth", None), value_text(np.array([0.1, 0.2, 1.0]), "rgb", None)
+    ('no surface', '0.100 0.200 1.000')
+    >>> value_text(np.array([2.5]), "depth", None)
+    'z 2.500'
+    """
+    if not np.isfinite(values).all():
+        return "no surface"
+    if quantity == "thermal" and len(values) == 1 and degC is not None:
+        return f"{degC[0] + float(values[0]) * (degC[1] - degC[0]):.1f} °C"
+    text = " ".join(f"{value:.3f}" for value in values)
+    return f"z {text}" if quantity == "depth" else text
+
+
+def readout(shown: list[tuple[str, np.ndarray]], cells: Mapping[str, ViewedCell], quantity: str) -> str:
+    """Return the values of a pixel, of each cell."""
+    texts = [value_text(values, quantity, cells[name].degC) for name, values in shown]
+    if len(shown) == 1:
+        return texts[0]
+    return " · ".join(f"{name} {text}" for (name, _), text in zip(shown, texts, strict=True))
+
+
+def color_bar(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
+    """Return the colour bar of a rendered look with the values at its ends; none for pictures in colour."""
+    look, whole = frame.look, frame.whole
+    if whole is None:
+        return ""
+    ends = [np.array([whole[0] + share * (whole[1] - whole[0])]) for share in look.span]
+    texts = [value_text(end, look.quantity, cells[frame.parts[0].cell].degC) for end in ends]
+    table = lookup_table(look.colors)[np.linspace(0, 255, STOPS).astype(int)]
+    stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in table)
+    return (
+        f'<div style="{STYLE}"><div style="height:0.8em;border-radius:2px;background:linear-gradient(90deg,{stops})">'
+        '</div><div style="display:flex;justify-content:space-between">'
+        f"{''.join(f'<span>{escape(text)}</span>' for text in texts)}</div></div>"
+    )
+
+
+def numbers_table(cells: Mapping[str, ViewedCell]) -> str:
+    """Return a table of the cells' numbers: scores over the test views, Gaussians, training time."""
+    columns = {name: _numbers_of(cell) for name, cell in cells.items()}
+    rows = list(dict.fromkeys(row for column in columns.values() for row in column))
+    head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+    lines = [[row, *(column.get(row, "") for column in columns.values())] for row in rows]
+    body = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in line)}</tr>" for line in lines)
+    return (
+        f'<div style="{STYLE}"><table style="width:100%;text-align:left"><tr><th></th>{head}</tr>{body}</table></div>'
+    )
+
+
+def _numbers_of(cell: ViewedCell) -> dict[str, str]:
+    """Return the numbers of a cell by their titles."""
+    record, found = cell.record, {}
+    for name, measure in METRICS.items():
+        if name in record.scores:
+            value = record.scores[name]
+            found[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
+    found |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
+    return found | {
+        "iterations": f"{record.iterations:,}",
+        "training": str(timedelta(seconds=round(record.seconds["train"]))),
+    }
 
 
 class Panel:
@@ -43,24 +112,27 @@ class Panel:
         self._add_look(gui)
         self._add_views(gui)
         with gui.add_folder("Numbers"):
-            gui.add_html(facts.numbers_table(cells))
+            gui.add_html(numbers_table(cells))
 
     def look(self) -> Look:
         """Return what is chosen to be shown."""
         low, high = self._span.value
-        beside = self._beside.value
         return Look(
-            self._cell.value, self._quantity_value(), self._colors.value, (low / 100, max(high, low + 1) / 100),
-            "" if beside == ALONE else beside, self._divide.value / 100,
-        )  # fmt: skip
+            cell=self._cell.value,
+            quantity=self._quantities[self._quantity.value],
+            colors=self._colors.value,
+            span=(low / 100, max(high, low + 1) / 100),
+            beside="" if self._beside.value == ALONE else self._beside.value,
+            divide=self._divide.value / 100,
+        )
 
     def describe(self, frame: RenderedLook) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
-        self._bar.content = facts.bar_of(frame, self.cells)
+        self._bar.content = color_bar(frame, self.cells)
         self._colors.visible = self._span.visible = frame.whole is not None
 
     def show_value(self, text: str) -> None:
-        """Show what lies under the cursor."""
+        """Show the value of the pixel that was clicked."""
         self.readout.content = _line(self._title, text)
 
     def show_view(self, view: str) -> None:
@@ -114,14 +186,11 @@ class Panel:
         def _(_: viser.GuiEvent) -> None:
             self._on_step(1 if buttons.value == NEXT else -1)
 
-    def _quantity_value(self) -> str:
-        return self._quantities[self._quantity.value]
-
 
 def _line(title: str, text: str = "") -> str:
-    """Return the scene, and the value under the cursor."""
-    value = f'<span id="{VALUE_ID}">{escape(text)}</span>'
-    return f'<div style="{facts.STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
+    """Return the scene, and the value of a pixel."""
+    value = f'<span id="tdgbench-value">{escape(text)}</span>'
+    return f'<div style="{STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:

@@ -1,14 +1,23 @@
-"""Cameras as viser gives and takes them: a pose and a vertical field of view, over a window of any shape."""
+"""Cameras as viser gives and takes them, over a window of any shape; and the scene's cameras as frustums."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import viser
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes import Camera
+from tdgbench.view.cells import ViewedCell
+from tdgbench.view.renderer import as_rgb
+
+ROOT = "/cameras"
+TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
+THUMBNAIL_WIDTH = 96  # px
+SIZE = 0.045  # of the cameras' mean distance from the point that they look at
 
 
 class ViserPose(NamedTuple):
@@ -66,3 +75,56 @@ def focus(cameras: Iterable[Camera]) -> np.ndarray:
     if np.linalg.cond(total) > 1e6:
         return centers.mean(axis=0) + axes.mean(axis=0)
     return np.linalg.solve(total, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
+
+
+class Frustums:
+    """The cameras of a cell in one client's scene. on_click is called with the name of a view."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        cell: ViewedCell,
+        thumbnails: Mapping[str, np.ndarray],
+        on_click: Callable[[str], None],
+    ) -> None:
+        self._root = scene.add_frame(ROOT, show_axes=False)
+        size = size_of(cell)
+        self._handles = {}
+        for number, (view, camera) in enumerate(cell.cameras.items()):
+            aspect = camera.width / camera.height
+            pose = pose_of(camera, aspect)
+            handle = scene.add_camera_frustum(
+                f"{ROOT}/{number}", pose.fov, aspect, scale=size, wxyz=pose.wxyz, position=pose.position,
+                color=TEST_COLOR if view in cell.test else TRAIN_COLOR, thickness=1.5, thickness_units="screen",
+                image=thumbnails.get(view), cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            handle.on_click(lambda _, view=view: on_click(view))  # type: ignore[misc]
+            self._handles[view] = handle
+
+    def show(self, visible: bool) -> None:
+        """Show or hide all cameras."""
+        self._root.visible = visible
+
+    def leave_out(self, view: str) -> None:
+        """Hide the camera that the viewer stands at, whose picture would cover everything."""
+        for name, handle in self._handles.items():
+            handle.visible = name != view
+
+
+def size_of(cell: ViewedCell) -> float:
+    """Return the size of the frustums in world units."""
+    cameras = list(cell.cameras.values())
+    centers = np.stack([camera.center for camera in cameras])
+    return SIZE * float(np.linalg.norm(centers - focus(cameras), axis=1).mean())
+
+
+def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:
+    """Return small thermal pictures (H, W, 3) uint8 of the views that have one; a click on them is easy."""
+    found = {}
+    for view in cell.test:
+        picture = cell.pictures(view).get("thermal")
+        if picture is not None:
+            image = Image.fromarray(as_rgb(picture, "inferno"))
+            image.thumbnail((THUMBNAIL_WIDTH, THUMBNAIL_WIDTH))
+            found[view] = np.asarray(image)
+    return found

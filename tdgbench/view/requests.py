@@ -69,20 +69,29 @@ class Requests(Generic[T]):
             pending = self._pending.get(job.client)
             return pending is not None and pending.number == job.number
 
-    def take(self) -> RenderJob[T] | None:
-        """Return the next job that is due; None if there is none now."""
-        with self._changed:
-            return self._take()
-
     def next(self) -> RenderJob[T] | None:
         """Wait for the next job that is due; None once closed."""
         with self._changed:
             while not self._is_closed:
-                job = self._take()
+                job = self.take()
                 if job is not None:
                     return job
                 times = [request.fine_at for request in self._pending.values() if request.fine_at is not None]
                 self._changed.wait(max(0.0, min(times) - self._now()) if times else None)
+            return None
+
+    def take(self) -> RenderJob[T] | None:
+        """Return the next job that is due; None if there is none now."""
+        with self._changed:
+            for client, pending in self._pending.items():
+                is_fine = not pending.is_coarse_due
+                if is_fine and (pending.fine_at is None or pending.fine_at > self._now()):
+                    continue
+                self._pending[client] = self._pending.pop(client)  # to the end of the turns
+                pending.is_coarse_due = False
+                if is_fine:
+                    pending.fine_at = None
+                return RenderJob(client, pending.wanted, is_fine, pending.number)
             return None
 
     def _put(self, client: int, wanted: T, is_coarse_due: bool, fine_at: float) -> None:
@@ -90,15 +99,3 @@ class Requests(Generic[T]):
             self._count += 1
             self._pending[client] = _Pending(wanted, self._count, is_coarse_due, fine_at)  # keeps the client's turn
             self._changed.notify_all()
-
-    def _take(self) -> RenderJob[T] | None:
-        for client, one in self._pending.items():
-            is_fine = not one.is_coarse_due
-            if is_fine and (one.fine_at is None or one.fine_at > self._now()):
-                continue
-            self._pending[client] = self._pending.pop(client)  # to the end of the turns
-            one.is_coarse_due = False
-            if is_fine:
-                one.fine_at = None
-            return RenderJob(client, one.wanted, is_fine, one.number)
-        return None

@@ -12,8 +12,7 @@ import rich
 import viser
 
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.frustums import thumbnails
-from tdgbench.view.poses import camera_of, up_direction
+from tdgbench.view.poses import camera_of, thumbnails, up_direction
 from tdgbench.view.renderer import Renderer
 from tdgbench.view.requests import RenderJob, Requests
 from tdgbench.view.session import Session, Shown, Wanted
@@ -89,7 +88,7 @@ class Pace:
         self.scale = 0.5
 
     def coarse(self, width: int, height: int) -> tuple[int, int]:
-        """Size in px of the next picture in motion, whose full size is width × height."""
+        """Return the size in px of the next picture in motion. width, height: of the full picture."""
         return max(MIN_SIDE, round(width * self.scale)), max(MIN_SIDE, round(height * self.scale))
 
     def took(self, seconds: float) -> None:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import viser
 
-from tdgbench.view import facts
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.cursor import watch_cursor
-from tdgbench.view.frustums import Frustums
-from tdgbench.view.panel import Panel
-from tdgbench.view.poses import ViserPose, focus, pose_of
+from tdgbench.view.panel import Panel, readout
+from tdgbench.view.poses import Frustums, ViserPose, focus, pose_of
 from tdgbench.view.renderer import Look, RenderedLook
 from tdgbench.view.requests import Requests
 
@@ -32,8 +28,7 @@ class Wanted(NamedTuple):
     height: int
 
 
-@dataclass(frozen=True)
-class Shown:
+class Shown(NamedTuple):
     """What all sessions show. width: most pixels of a picture's width. thumbnails: of the first cell's views."""
 
     cells: dict[str, ViewedCell]
@@ -49,12 +44,11 @@ class Session:
         self._first = next(iter(shown.cells.values()))
         self._focus = focus(self._first.cameras.values())
         self._frame: RenderedLook | None = None
-        self._cursor: tuple[float, float] | None = None
+        self._clicked: tuple[float, float] | None = None
         self._turn = threading.RLock()  # viser calls from several threads at once
         self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to, self.step)
         self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
         self._left = self._view  # the one before
-        watch_cursor(client.gui, self.read_at)
         self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
         self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
         client.camera.on_update(lambda _: self._moved())
@@ -92,9 +86,9 @@ class Session:
 
     def read_at(self, x: float, y: float) -> None:
         """Show the values at a place of the picture; x and y are shares of its width and height."""
-        self._cursor = (x, y)
+        self._clicked = (x, y)
         if self._frame is not None:
-            self.panel.show_value(facts.readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
+            self.panel.show_value(readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
 
     def show(self, frame: RenderedLook, is_fine: bool) -> None:
         """Send a picture to the browser."""
@@ -104,8 +98,8 @@ class Session:
         self._frame = frame
         if is_fine:
             self.panel.describe(frame)
-            if self._cursor is not None:
-                self.read_at(*self._cursor)
+            if self._clicked is not None:
+                self.read_at(*self._clicked)
 
     def _moved(self) -> None:
         camera = self.client.camera

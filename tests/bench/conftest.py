@@ -6,8 +6,8 @@ import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tests.helpers.configs import QUICK, config
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.scoring import to_8bit
 from tdgbench.verify import verify_cell
 from tdgbench.view.cells import open_cell

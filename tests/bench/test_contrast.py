@@ -1,9 +1,9 @@
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.verify import verify
 from tests.helpers.configs import SMALL, config
 
@@ -18,7 +18,7 @@ def record_of(data_root, tmp_path):
         outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 30))
         assert outcome.status == "ok", outcome
         (record,) = read_all(tmp_path / "single")
-        assert verify(tmp_path / "single") == (1, [])
+        assert verify(tmp_path / "single") == (1, 1, [])
         return record
 
     return run

@@ -10,10 +10,10 @@ from hydra.utils import instantiate
 from PIL import Image
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.bench.renders import background_of, render_model, response_of
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.scored_view import to_8bit
 from tdgbench.splats.ply import load_ply
@@ -73,7 +73,7 @@ def test_the_record_holds_what_training_views_were_corrected_for(results, cell):
 
 
 def test_a_corrected_cell_is_verified(results):
-    assert verify(results[1] / "single") == (1, [])
+    assert verify(results[1] / "single") == (1, 1, [])
 
 
 def test_renders_are_what_the_camera_shows_and_targets_are_untouched(results, cell):
@@ -126,4 +126,4 @@ def test_images_of_another_contrast_have_no_response(results_of, contrast):
     _, folder = results_of(contrast, f"contrast.training={contrast}")
     (record,) = read_all(folder / "single")
     assert "response" not in record.camera["estimated"] and record.camera["estimated"]["terms"]
-    assert response_of(record) == ImageResponse() and verify(folder / "single") == (1, [])
+    assert response_of(record) == ImageResponse() and verify(folder / "single") == (1, 1, [])

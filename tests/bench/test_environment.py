@@ -27,3 +27,16 @@ def test_the_code_that_sets_a_training_up_is_hashed():
     assert packages - bookkeeping <= {Path(name).name for name in HASHED}
     assert "tdgbench/bench/setup.py" in HASHED
     assert all((ROOT / name).exists() for name in HASHED)
+
+
+def test_a_plug_in_elsewhere_is_part_of_the_code(tmp_path, monkeypatch):
+    """Its module is hashed; tdgbench's own, and those of installed packages, make no difference."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "a_plug_in.py").write_text("class Mine:\n    pass\n")
+    __import__("a_plug_in")
+    config = {"method": {"method": {"_target_": "a_plug_in.Mine", "inner": {"_target_": "torch.nn.ReLU"}}}}
+    before = code_version(config)
+    assert before == code_version(config) != code_version()
+    (tmp_path / "a_plug_in.py").write_text("class Mine:\n    more = True\n")
+    assert code_version(config) != before
+    assert code_version({"method": {"_target_": "methods.splat.Splat"}}) == code_version()

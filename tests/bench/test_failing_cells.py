@@ -6,11 +6,11 @@ import shutil
 import pytest
 
 from methods.splat import Splat
-from tdgbench.bench import cell
+from tdgbench.bench import run_cell
+from tdgbench.bench.cell_stages import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all, schema_problems
-from tdgbench.bench.run import CellRun
 from tdgbench.training.checkpoint import Checkpoint
 from tests.helpers.cells import fails, statuses
 
@@ -54,7 +54,7 @@ def test_an_unreadable_machine_fails_the_cell(tiny_cell, monkeypatch):
     def broken():
         raise ValueError("no such processor")
 
-    monkeypatch.setattr(cell, "describe_environment", broken)
+    monkeypatch.setattr(run_cell, "describe_environment", broken)
     assert "no such processor" in tiny_cell().message
     assert statuses(tiny_cell.experiment) == ["failed"]
 
@@ -76,7 +76,6 @@ def test_clearing_up_changes_no_outcome(tiny_cell, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "discard", broken)
-        patch.setattr(CellRun, "close", broken)
         patch.setattr(CellProgress, "end", broken)
         outcome = tiny_cell()
     assert outcome.status == "ok"

@@ -13,7 +13,7 @@ from tests.helpers.paths import ROOT
 
 def record(*overrides, method="splat", data="d", code="c"):
     cfg = config(*SMALL, f"method={method}", *overrides)
-    plug_in = Splat(0.2, 0.0, "reference", 1.0)
+    plug_in = Splat(0.2, 0.0, "released", 1.0)
     plug_in.needs_prior = method == "tdg"
     made = Record(method, "synthetic", "orbit", "colmap", int(cfg.seed), "e", "")
     made.config, made.data, made.code = relevant_config(cfg, plug_in), data, code

@@ -1,6 +1,4 @@
-import os
 import signal
-import stat
 import subprocess
 import sys
 import threading
@@ -61,23 +59,6 @@ def test_an_error_releases_the_gpu(tmp_path):
         raise RuntimeError
     with exclusive_gpu(["a"], tmp_path) as index:
         assert index == 0
-
-
-def test_other_users_can_take_the_locks(tmp_path):
-    before = os.umask(0o077)
-    try:
-        with exclusive_gpu(["a"], tmp_path / "gpus"):
-            pass
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "gpus").stat().st_mode) == 0o1777
-    assert stat.S_IMODE((tmp_path / "gpus" / "a.lock").stat().st_mode) == 0o666
-
-
-def test_without_a_shared_folder_the_user_gets_one(tmp_path):
-    (tmp_path / "gpus").touch()
-    with pytest.warns(UserWarning, match="not locked against other users"), exclusive_gpu(["a"], tmp_path / "gpus"):
-        assert (tmp_path / f"gpus-{os.getuid()}" / "a.lock").exists()
 
 
 def test_description():

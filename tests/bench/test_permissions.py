@@ -8,8 +8,8 @@ import stat
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.tables.build import build_tables
 from tdgbench.training.checkpoint import Checkpoint
 from tests.helpers.configs import SMALL, config
@@ -26,16 +26,16 @@ def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, f
         *SMALL, "budget=demo", "budget.iterations=20", "method=tdg", "prior=synthetic", "scene=turntable",
         f"data.root={data_root}", f"results={tmp_path / 'results'}", "checkpoint=0",
     )  # fmt: skip
-    experiment, after_step = tmp_path / "results" / "single", Checkpoint.after_step
+    experiment, write_if_due = tmp_path / "results" / "single", Checkpoint.write_if_due
 
     def write_and_die(self, log):
-        after_step(self, log)
+        write_if_due(self, log)
         raise PulledPlugError
 
     before = os.umask(umask)
     try:
         with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
-            patch.setattr(Checkpoint, "after_step", write_and_die)
+            patch.setattr(Checkpoint, "write_if_due", write_and_die)
             run_cell(cfg, "", CellProgress(Console(quiet=True), 20))
         (checkpoint,) = (experiment / "checkpoints").iterdir()
         assert stat.S_IMODE(checkpoint.stat().st_mode) == file

@@ -1,9 +1,9 @@
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import correct_scene
 from tests.helpers.configs import SMALL, config
 

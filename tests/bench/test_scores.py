@@ -6,8 +6,9 @@ from hydra.utils import instantiate
 from PIL import Image
 
 from tdgbench.bench.record import read_all
-from tdgbench.bench.scores import score_training_views, score_views, write_views
+from tdgbench.bench.scores import score_training_views, score_views, write_log, write_views
 from tdgbench.scoring.lpips import LPIPS
+from tdgbench.training.loop import LogLine, TrainingLog
 from tests.helpers.configs import config
 from tests.helpers.training import ready_to_train
 
@@ -40,3 +41,13 @@ def test_lpips_with_the_published_backbone(tiny_cell, vgg_weights):
     (record,) = read_all(tiny_cell.experiment)
     assert len(found) == 2 and record.scores["lpips"] == pytest.approx(np.mean(found), abs=1e-6)
     assert "lpips" not in record.missing
+
+
+def test_one_row_per_line_and_one_column_per_term(tmp_path):
+    lines = [LogLine(1, 0.12345, 0.5, 20.0, 10, {"b": 1.0}), LogLine(2, 1.0, 0.25, 21.0, 12, {"a": 2.0, "b": 3.0})]
+    write_log(tmp_path / "log.csv", TrainingLog(lines))
+    assert (tmp_path / "log.csv").read_text().splitlines() == [
+        "iteration,seconds,loss,train_psnr,gaussians,loss_a,loss_b",
+        "1,0.123,0.5,20.0,10,,1.0",
+        "2,1.0,0.25,21.0,12,2.0,3.0",
+    ]

@@ -55,7 +55,7 @@ def test_an_observer_sees_stages_and_facts(data_root, tmp_path):
     first, again, watch = Skips(), Skips(), GradientStatistics()
     set_up(cfg, scene, skips=first, prior_cache=tmp_path, compiles=False)
     set_up(cfg, scene, skips=again, prior_cache=tmp_path, observer=watch)
-    assert watch.stages == ["images", "prior", "init", "compile"]
+    assert watch.stages == ["images", "prior", "init", "compile", "init"]
     assert watch.counts[-1] == (len(scene.train), len(scene.train)) and watch.notes == ["depth", "colmap"]
     assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
     assert again.rgb.taken and again.rgb.reason == "tdg trains on thermal images alone"

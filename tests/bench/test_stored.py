@@ -7,11 +7,11 @@ import os
 import pytest
 
 from methods.splat import Splat
-from tdgbench.bench import cell
+from tdgbench.bench import run_cell
+from tdgbench.bench.cell_stages import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.record import SCHEMA, read_all, schema_problems
-from tdgbench.bench.run import CellRun
 from tests.helpers.cells import fails, hidden, statuses
 
 
@@ -36,7 +36,7 @@ def test_no_stale_result_stands_where_the_record_of_a_failure_cannot_be_written(
 
     with monkeypatch.context() as patch:
         patch.setattr(Splat, "step", fails(ValueError("broken")))
-        patch.setattr(cell.Record, "write", full)
+        patch.setattr(run_cell.Record, "write", full)
         outcome = tiny_cell("budget.iterations=11")
     assert outcome.status == "failed" and "its record could not be written" in outcome.message
     assert statuses(tiny_cell.experiment) == [] and len(hidden(tiny_cell.folder)) == 1

@@ -79,4 +79,4 @@ def test_scenes_are_read(tmp_path, dtype):
     scene = FolderDataset(str(tmp_path), ReadOptions()).load("made")
     assert len(scene.train) + len(scene.test) == 4
     assert (scene.temperature is not None) == (dtype == np.float32)
-    assert (scene.counts is not None) == (dtype == np.uint16)
+    assert (scene.raw_count_range is not None) == (dtype == np.uint16)

@@ -104,12 +104,11 @@ def overrides(tmp_path, data_root):
     )  # fmt: skip
 
 
-def test_tables_and_picture(tmp_path, data_root, capsys):
+def test_tables(tmp_path, data_root, capsys):
     SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable]"))
     table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
     assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "turntable"
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
-    assert (tmp_path / "skips" / "skips.png").stat().st_size > 5000
     assert "faster" in capsys.readouterr().out
 
 

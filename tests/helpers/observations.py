@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from tdgbench.thermal.explain import prior
-from tdgbench.thermal.fit import PATCHES, Data
+from tdgbench.thermal.error_priors import PriorStds
+from tdgbench.thermal.fit import PATCHES, PointSamples
 from tdgbench.thermal.maps import TERMS, legendre_basis
-from tdgbench.thermal.priors import Widths
+from tdgbench.thermal.select_terms import prior
 
 SIZE = (64, 48)
-DEGC = Widths.of("°C", 5.0)
-NOWHERE = np.full(12, np.nan)  # places of views that have no sequence
+DEGC = PriorStds.of("°C", 5.0)
+NOWHERE = np.full(12, np.nan)  # positions of views that have no sequence
 CLUSTERS = 10
 
 
-def loose(data: Data) -> np.ndarray:
+def loose(data: PointSamples) -> np.ndarray:
     """Precision of a prior in which each view's offset is by itself."""
     return prior(data, DEGC, None, np.full(data.views, np.nan))
 
@@ -23,7 +23,7 @@ def loose(data: Data) -> np.ndarray:
 def observations(
     offsets: np.ndarray, gains: np.ndarray, *, coefficients: np.ndarray | None = None,
     columns: np.ndarray | None = None, points: int = 400, noise: float = 0.05, outliers: float = 0.0, seed: int = 0,
-) -> tuple[Data, np.ndarray]:  # fmt: skip
+) -> tuple[PointSamples, np.ndarray]:  # fmt: skip
     """Each point is seen by half of the views. offsets, gains: (V,), gains about 20 °C. Returns data, temperatures."""
     rng, views = np.random.default_rng(seed), len(offsets)
     degC = rng.normal(20, 5, points)
@@ -39,7 +39,7 @@ def observations(
 def along_a_line(
     travel: float, error: float, *, coefficients: np.ndarray | None = None, views: int = 12, points: int = 600,
     noise: float = 0.02, seed: int = 0,
-) -> Data:  # fmt: skip
+) -> PointSamples:  # fmt: skip
     """An ideal camera, but for its vignette, that moves along a surface: x in the image is point − camera.
 
     travel: in widths of the image. error: °C, standard deviation over the clusters of what the values of a cluster
@@ -61,9 +61,10 @@ def along_a_line(
 def _data(
     value: np.ndarray, point: np.ndarray, view: np.ndarray, place: tuple[np.ndarray, np.ndarray], cluster: np.ndarray,
     counts: tuple[int, int],
-) -> Data:  # fmt: skip
+) -> PointSamples:  # fmt: skip
     """place: x and y as shares of the image. counts: of views and points."""
     (x, y), (views, points), flat = place, counts, np.zeros(len(value))
     column, row = (x * SIZE[0]).astype(int), (y * SIZE[1]).astype(int)
     patch = (view * PATCHES + (y * PATCHES).astype(int)) * PATCHES + (x * PATCHES).astype(int)
-    return Data(value, flat, point, view, flat, legendre_basis(x, y), patch, column, row, cluster, views, points, SIZE)
+    terms = legendre_basis(x, y)
+    return PointSamples(value, flat, point, view, flat, terms, patch, column, row, cluster, views, points, SIZE)

@@ -11,9 +11,11 @@ import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
+from tdgbench.splats.gradients import Gradients
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
+from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
@@ -55,19 +57,19 @@ def train_killed(make: Callable[[], Trainer], path: Path, stops: Sequence[int]) 
     """Train with a checkpoint after every iteration, killed after some; return the last trainer and its log."""
     for stop in (*stops, None):
         trainer, checkpoint = make(), Checkpoint(path, {"key": "k"}, 0.0)
-        log = checkpoint.take_up(trainer)
+        log = checkpoint.resume(trainer)
         assert checkpoint.notes == []
 
         def write(log: TrainingLog, checkpoint=checkpoint, stop=stop) -> None:
             checkpoint._next = 0.0  # however long writing takes
-            checkpoint.after_step(log)
+            checkpoint.write_if_due(log)
             if log.iterations == stop:
                 raise KilledError
 
         if stop is not None:
             with pytest.raises(KilledError):
-                train(trainer, on_step=write, log=log)
-    return trainer, train(trainer, on_step=write, log=log)
+                train(trainer, after_iteration=write, log=log)
+    return trainer, train(trainer, after_iteration=write, log=log)
 
 
 def digest(trainer: Trainer) -> str:
@@ -96,3 +98,9 @@ def _bytes_of(state) -> Iterator[bytes]:
             yield from _bytes_of(one[1])
     else:
         yield repr(state).encode()
+
+
+def take_gradients(model: SplatModel) -> Gradients:
+    """Return the sum of a model's gradients since its last step, which it forgets."""
+    views, model._views = model._views, []
+    return Gradients.total([view.gradients.compute() for view in views], len(model))

@@ -14,9 +14,9 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all, read_each
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import set_up
 from tdgbench.training.loop import train
 from tdgbench.verify.cell import verify_cell

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tdgbench.training.losses import thermal
+from tdgbench.training.losses import thermal_loss
 from tests.helpers.training import OFTEN, ready_to_train, train
 
 
@@ -16,7 +16,7 @@ def at_thermal_stage(scene, name):
         if log.iterations == 60:
             states.append({part: model.copy() for part, model in trainer.gaussians.items()})
 
-    train(trainer, on_step=note)
+    train(trainer, after_iteration=note)
     return trainer, states[0]
 
 
@@ -45,5 +45,5 @@ def test_colour_channels_are_kept(small_scene):
 def test_the_thermal_stage_has_the_smooth_loss(small_gray_scene):
     trainer, _ = at_thermal_stage(small_gray_scene, "mftg")
     step = trainer.stage.step(3)
-    expected = thermal(step.render.image, step.target, 0.2, 0.6, "reference")
+    expected = thermal_loss(step.render.image, step.target, 0.2, 0.6, "released")
     assert step.loss.item() == pytest.approx(expected.item()) and set(step.terms) == {"thermal"}

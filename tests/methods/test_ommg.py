@@ -5,8 +5,8 @@ import torch
 
 from methods.ommg import SH_RGB, with_both, with_rgb
 from tdgbench.training.images import RGB
-from tdgbench.training.losses import photometric, thermal
-from tests.helpers.training import OFTEN, ready_to_train, train
+from tdgbench.training.losses import photometric, thermal_loss
+from tests.helpers.training import OFTEN, ready_to_train, take_gradients, train
 
 
 @pytest.mark.parametrize("scene", ["small_gray_scene", "small_scene"])
@@ -16,19 +16,19 @@ def test_the_loss_is_half_of_both(scene, request):
     trainer.method.views.next = lambda: view
     step = trainer.stage.step(1)
     rgb = trainer.method.model.render(view.camera, hook=with_rgb).image
-    expected = photometric(rgb, RGB.of(view, rgb.device)[0], 0.2).item()
-    expected += thermal(step.render.image, step.target, 0.2, 0.6, "reference").item()
+    expected = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], 0.2).item()
+    expected += thermal_loss(step.render.image, step.target, 0.2, 0.6, "released").item()
     assert step.loss.item() == pytest.approx(expected / 2, rel=1e-5)
 
 
 def test_both_colour_sets_start_from_the_points_and_are_cloned_together(small_scene):
     trainer = ready_to_train(small_scene, "ommg", 60, *OFTEN)
     model = trainer.method.model
-    assert torch.equal(model.gaussians.sh, model.gaussians.more[SH_RGB])
+    assert torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
     before = len(model)
     train(trainer)
-    assert len(model) > before and len(model.gaussians.more[SH_RGB]) == len(model)
-    assert not torch.equal(model.gaussians.sh, model.gaussians.more[SH_RGB])
+    assert len(model) > before and len(model.gaussians.extra_fields[SH_RGB]) == len(model)
+    assert not torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
 
 
 def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
@@ -40,7 +40,7 @@ def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
         """Return that of the means on the image (N, 2), of one view."""
         model.render(camera, hook=hook).image[..., channels].square().sum().backward()
         assert len(model._views) == 1
-        index, _, image = model.take_gradients().rows()
+        index, _, image = take_gradients(model).rows()
         return torch.zeros(len(model), 2).index_add(0, index, image[:, :2])
 
     both, gray, rgb = gradient(with_both, slice(0, 4)), gradient(None, slice(0, 1)), gradient(with_rgb, slice(0, 3))

@@ -55,7 +55,7 @@ class _Pulled(torch.autograd.Function):
 
 def original_order(state: TrainingState) -> list[int]:
     """Columns of our rows in the order of the original's: means, log_scales, quats, opacity_logits, sh."""
-    columns = [c for name in Gaussians.names() for c in range(*state.column_of(name).indices(COLUMNS))]
+    columns = [c for name in Gaussians.names() for c in range(*state.columns_of(name).indices(COLUMNS))]
     assert sorted(columns) == list(range(COLUMNS))
     return columns
 
@@ -150,7 +150,7 @@ def test_every_iteration(theirs, same_draws):
         if f"saved_{log.iterations}" in theirs:
             far[log.iterations] = difference(rows_of(model), theirs[f"saved_{log.iterations}"])
 
-    train(trainer, on_model=compare)
+    train(trainer, before_update=compare)
     assert counts == theirs["counts"].tolist() and len(set(counts)) == 5
     assert far[1] == 0 and list(far) == [1, 2, 16, 40, 41, 64, 70, 80]
     assert max(far.values()) < LIMIT, far

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.training.losses import l1, photometric, smoothness, ssim, thermal
+from tdgbench.training.losses import l1, photometric, smoothness, ssim, thermal_loss
 from tests.parity.originals import original, relative
 
 LIMIT = 1e-5
@@ -14,8 +14,8 @@ TERMS = {
     "l1": l1,
     "ssim": ssim,
     "photometric": lambda a, b: photometric(a, b, LAMBDA_SSIM),
-    "smoothness": lambda a, _: smoothness(a, "reference"),
-    "thermal": lambda a, b: thermal(a, b, LAMBDA_SSIM, LAMBDA_SMOOTH, "reference"),
+    "smoothness": lambda a, _: smoothness(a, "released"),
+    "thermal": lambda a, b: thermal_loss(a, b, LAMBDA_SSIM, LAMBDA_SMOOTH, "released"),
 }
 IMAGES = ("gray", "color", "small", "flat")  # flat: 8-bit steps, equal pixels, even areas; small: below the window
 

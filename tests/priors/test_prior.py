@@ -1,7 +1,10 @@
+import io
+import os
+
 import numpy as np
 import pytest
 
-from tdgbench.priors import DepthPrior, PriorError
+from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tests.helpers.configs import config
 
 
@@ -38,3 +41,88 @@ def test_the_default_prior_is_the_paper_s_for_real_scenes_and_needs_no_network_f
 )  # fmt: skip
 def test_a_prior_says_what_it_is_made_from(name, source):
     assert config(f"prior={name}").prior.made_from == source
+
+
+class Counting:
+    def __init__(self, name: str = "a") -> None:
+        self.calls, self.name = 0, name
+
+    def identity(self, scene):
+        return {"estimator": self.name}
+
+    def estimate(self, scene, view):
+        self.calls += 1
+        return DepthPrior(view.true_depth, "metric")
+
+
+def test_cache(small_scene, tmp_path):
+    first, again, other = Counting(), Counting(), Counting("b")
+    told = []
+    a, made = estimate_all(first, small_scene, tmp_path, lambda done, total: told.append((done, total)))
+    b, made_again = estimate_all(again, small_scene, tmp_path)
+    assert (made, made_again) == (8, 0)
+    estimate_all(other, small_scene, tmp_path)
+    assert (first.calls, again.calls, other.calls) == (8, 0, 8)
+    assert told == [(i, 8) for i in range(1, 9)]
+    assert all(np.array_equal(a[n].values, b[n].values) and b[n].kind == "metric" for n in a)
+
+
+def cut(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+def flipped(data: bytes) -> bytes:
+    at = data.index(b"values.npy") + 60
+    return data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :]
+
+
+def archive(**arrays) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+GOOD = np.ones((36, 48), np.float32)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        cut, flipped, lambda data: b"", lambda data: b"not an archive",
+        lambda data: archive(values=GOOD[:9], kind="metric"), lambda data: archive(values=GOOD * np.nan, kind="metric"),
+        lambda data: archive(values=GOOD, kind="height"), lambda data: archive(values=GOOD),
+        lambda data: archive(values=GOOD.astype(np.float64), kind="metric"),
+        lambda data: archive(values=np.array([object()]), kind="metric"),
+        lambda data: archive(values=np.zeros((3600, 4800), np.float32), kind="metric"),
+    ],
+)  # fmt: skip
+def test_a_damaged_prior_is_made_again(small_scene, tmp_path, caplog, damage):
+    """Cut, with changed bytes, or well-formed but of another shape, type or kind."""
+    good, _ = estimate_all(Counting(), small_scene, tmp_path)
+    path = sorted(tmp_path.iterdir())[0]
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    again = Counting()
+    priors, made = estimate_all(again, small_scene, tmp_path)
+    assert (made, again.calls) == (1, 1) and f"the cached prior {path} is damaged and made again" in caplog.text
+    assert all(np.array_equal(priors[name].values, good[name].values) for name in good)
+    assert path.read_bytes() == whole  # and kept for the next run
+    assert estimate_all(Counting(), small_scene, tmp_path)[1] == 0
+
+
+def test_a_cached_prior_is_a_regular_file(small_scene, tmp_path):
+    estimate_all(Counting(), small_scene, tmp_path)
+    path = sorted(tmp_path.iterdir())[0]
+    path.unlink()
+    os.mkfifo(path)
+    assert estimate_all(Counting(), small_scene, tmp_path)[1] == 1
+
+
+def test_an_estimator_without_a_finite_value_is_named_and_not_cached(small_scene, tmp_path):
+    class Broken(Counting):
+        def estimate(self, scene, view):
+            return DepthPrior(np.full((36, 48), np.inf, np.float32), "depth")
+
+    with pytest.raises(PriorError, match="the depth prior of view view001 has no finite value"):
+        estimate_all(Broken(), small_scene, tmp_path)
+    assert not list(tmp_path.iterdir())

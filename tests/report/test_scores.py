@@ -11,7 +11,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from tdgbench.report.scores import beside, further_scores, legend, main_scores, published_section
+from tdgbench.report.scores import difference_note, further_scores, legend, main_scores, published_section
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.measures import measure
 from tdgbench.text import duration
@@ -45,7 +45,7 @@ class Finder:
 
 sys.meta_path.insert(0, Finder)
 from rich.console import Console
-from tdgbench.bench.cell import run_cell
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
@@ -126,21 +126,24 @@ def row(tables, method, scene, metric="psnr"):
 
 
 def test_a_verdict_in_words(tables):
-    note, details = beside(row(tables, "msmg", "Parterre"), "Parterre")
+    note, details = difference_note(row(tables, "msmg", "Parterre"), "Parterre")
     assert note == "+0.00"
     interval = "90 % interval of our mean: 24.04 to 24.09, margin 0.2"
     assert details == f"published 24.06: reproduced; {interval}; other papers: 26.16"
-    note, details = beside(row(tables, "msmg", "Truck"), "Truck")
+    note, details = difference_note(row(tables, "msmg", "Truck"), "Truck")
     assert note == "-1.84" and details.startswith("published 25.90: worse; 90 % interval of our mean")
 
 
 def test_undecided_says_why(tables):
-    _, details = beside(row(tables, "tdg", "Truck"), "Truck")
+    _, details = difference_note(row(tables, "tdg", "Truck"), "Truck")
     assert details == "published 26.28: undecided, one seed has no spread; seeds needed: unknown"
 
 
 def test_nothing_is_said_where_there_is_nothing(tables):
-    assert beside(None, "Truck") == ("", "") and beside(row(tables, "tdg", "Lion"), "Lion") == ("", "")
+    assert difference_note(None, "Truck") == ("", "") and difference_note(row(tables, "tdg", "Lion"), "Lion") == (
+        "",
+        "",
+    )
 
 
 def test_the_section(tables):

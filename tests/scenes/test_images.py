@@ -9,9 +9,9 @@ from PIL import Image
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import is_gray, opened_image, read_image, read_pixels, resize, storage
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import Radiometry
+from tdgbench.scenes.temperature import CountScale, Radiometry
 
-RANGE = Radiometry(TemperatureRange(10.0, 60.0), degC_per_count=0.01, degC_at_zero=-273.15)
+RANGE = Radiometry(TemperatureRange(10.0, 60.0), CountScale(0.01, -273.15))
 
 
 def test_8_bit(tmp_path):

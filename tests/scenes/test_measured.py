@@ -3,7 +3,6 @@ import io
 import os
 import tracemalloc
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -67,14 +66,6 @@ def test_each_image_is_hashed_once_and_read_once(small_gray_scene, tmp_path, ope
     }
 
 
-def test_an_image_that_is_taken_again_is_the_same(small_gray_scene, tmp_path):
-    scene = load(write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda d, n: np.pad(d, 6)[6:-6, 6:-6]))
-    view = scene.train[0]
-    again = replace(view)
-    assert again.thermal is not view.thermal and np.array_equal(again.thermal, view.thermal)
-    assert again.valid is None and view.valid is None
-
-
 def noise(width: int, height: int, views: int) -> Scene:
     """A scene of noise; nothing is rendered."""
     rng, found = np.random.default_rng(0), []
@@ -108,14 +99,6 @@ def test_memory_is_that_of_the_views(tmp_path, write):
     tracemalloc.stop()
     assert total == 16 * 640 * 480 * 4
     assert peak < 1.2 * total + 2 * masks + 2 * 4 * MOST_SAMPLES  # which percentiles are computed of
-
-
-def test_a_mask_that_is_taken_again_is_the_same(small_gray_scene, tmp_path):
-    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda d, n: np.where(d > 40, np.nan, d))
-    view = load(folder).train[0]
-    again = replace(view)
-    assert again.valid is not view.valid and np.array_equal(again.valid, view.valid)
-    assert np.array_equal(again.thermal, view.thermal) and 0 < view.valid.mean() < 1
 
 
 def test_masks_hide_pixels_of_any_layout(small_scene, tmp_path):

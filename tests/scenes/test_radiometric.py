@@ -13,6 +13,7 @@ from tdgbench.scenes.radiometric import (
     read_celsius,
     read_thermogram,
 )
+from tdgbench.scenes.temperature import CountScale
 from tests.helpers.flir import FlirCamera, flir_segments, with_segments, write_flir
 
 CAMERA = FlirCamera()
@@ -63,7 +64,7 @@ def test_tiff(tmp_path):
     counts = np.round((CELSIUS + 100) * 40).astype(np.uint16)
     for name in ("counts.tiff", "counts.png"):
         Image.fromarray(counts).save(tmp_path / name)
-        assert np.allclose(read_celsius(tmp_path / name, 1 / 40, -100), counts / 40 - 100, atol=1e-9)
+        assert np.allclose(read_celsius(tmp_path / name, CountScale(1 / 40, -100)), counts / 40 - 100, atol=1e-9)
         with pytest.raises(SceneError, match="degC_per_count"):
             read_celsius(tmp_path / name)
 

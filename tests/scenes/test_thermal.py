@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.data.prepare.output import SceneWriter
+from tdgbench.data.prepare.prepare import SceneWriter
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tests.helpers.layouts import celsius, write_model, write_thermalmix
 
@@ -80,7 +80,7 @@ def test_raw_counts_have_a_range_and_no_temperature(small_gray_scene, tmp_path, 
     stored = {path.stem: np.asarray(Image.open(path)) for path in (folder / "thermal").iterdir()}
     together = np.concatenate([stored[view.name].ravel() for view in scene.train])
     low, high = np.percentile(together, [0.1, 99.9], method="nearest").tolist()
-    assert scene.counts == (low, high) and scene.temperature is None and scene.channels == 1
+    assert scene.raw_count_range == (low, high) and scene.temperature is None and scene.channels == 1
     assert scene.notes[-1].startswith(
         f"thermal values are raw counts: image values 0 and 1 are {low} and {high} counts, 0.1 and 99.9 percentile"
     )
@@ -89,8 +89,8 @@ def test_raw_counts_have_a_range_and_no_temperature(small_gray_scene, tmp_path, 
         assert np.allclose(
             view.thermal[..., 0], ((stored[view.name].astype(float) - low) / (high - low)).clip(0, 1), atol=1e-6
         )
-    low, high = load(folder, width=24).counts
-    assert isinstance(low, int) and scene.counts[0] - 2 <= low < high <= scene.counts[1] + 2
+    low, high = load(folder, width=24).raw_count_range
+    assert isinstance(low, int) and scene.raw_count_range[0] - 2 <= low < high <= scene.raw_count_range[1] + 2
 
 
 def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_path):
@@ -98,22 +98,22 @@ def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_p
     stored = np.asarray(Image.open(folder / "thermal" / "view001.tiff"))
     state(folder, min=14.0, max=54.0)
     encoded = load(folder)
-    assert encoded.counts is None and encoded.temperature.max == 54
+    assert encoded.raw_count_range is None and encoded.temperature.max == 54
     assert np.array_equal(encoded.train[0].thermal[..., 0], (stored / 65535).astype(np.float32))
     (folder / "temperature.json").unlink()
     assert not any(differs(encoded, load(folder, temperature=[14.0, 54.0])))
     state(folder, min=14.0, max=54.0, degC_per_count=STEP, degC_at_zero=14 - LOWEST * STEP)
     scaled = load(folder)
-    assert scaled.counts is None
+    assert scaled.raw_count_range is None
     assert np.allclose(scaled.train[0].thermal[..., 0] * 40, (stored.astype(float) - LOWEST) * STEP, atol=1e-4)
 
 
 def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     whole = load(write(small_gray_scene, tmp_path / "whole", counts))
     scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
-    assert abs(scene.counts[0] - whole.counts[0]) <= 2 and "filled with 0 counts" in scene.notes[-2]
+    assert abs(scene.raw_count_range[0] - whole.raw_count_range[0]) <= 2 and "filled with 0 counts" in scene.notes[-2]
     assert all(not view.valid[:, :7].any() and view.valid[:, 7:].all() for view in scene.views)
-    assert load(scene.folder, fillers=[]).counts[0] == 0
+    assert load(scene.folder, fillers=[]).raw_count_range[0] == 0
 
 
 def test_counts_that_are_all_equal(small_gray_scene, tmp_path):
@@ -132,7 +132,7 @@ def test_prepared_images_without_temperatures_are_counts(small_gray_scene, tmp_p
         stored[view.name] = counts(celsius(view, small_gray_scene))
         writer.view(view.name, view.rgb, (stored[view.name] / 65535).astype(np.float32)[..., None], everywhere)
     scene = load(folder)
-    low, high = scene.counts
+    low, high = scene.raw_count_range
     assert LOWEST <= low < high <= LOWEST + 500
     for view in scene.views:
         assert np.array_equal(np.asarray(Image.open(view.thermal_path)), stored[view.name])
@@ -150,4 +150,4 @@ def test_black_and_white_of_all_16_bits_are_measured(small_gray_scene, tmp_path)
         return np.round(image * 65535).astype(np.uint16)
 
     scene = load(write(small_gray_scene, tmp_path / "scene", stretched))
-    assert scene.counts == (0, 65535) and all(view.valid is None for view in scene.views)
+    assert scene.raw_count_range == (0, 65535) and all(view.valid is None for view in scene.views)

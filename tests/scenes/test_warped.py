@@ -7,7 +7,6 @@ from PIL import Image
 from scipy import ndimage
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.celsius import array_reader
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 from tdgbench.scenes.warped import BLOCK, WarpedPictures, filler_below, is_picture
@@ -85,7 +84,7 @@ def write(tmp_path):
 
 def reader(path: Path, mask: bool = True) -> WarpedPictures:
     before = path.parents[1] / "thermal" / path.name
-    return WarpedPictures(RANGE, {path.stem: before} if before.exists() else {}, mask, array_reader(RANGE))
+    return WarpedPictures(RANGE, {path.stem: before} if before.exists() else {}, mask)
 
 
 def test_temperatures(write):

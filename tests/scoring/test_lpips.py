@@ -1,3 +1,4 @@
+import importlib
 import sys
 import types
 
@@ -6,7 +7,7 @@ import pytest
 import torch
 
 from tdgbench.scoring.backbones import SPECS, make_trunk
-from tdgbench.scoring.lpips import LPIPS, ROWS, _package_model, _PlainLPIPS, _unit, _weighted
+from tdgbench.scoring.lpips import LPIPS, ROWS, Network, _unit, _weighted
 from tests.scoring.weights import random_state
 
 
@@ -49,9 +50,11 @@ def fake_torchvision(monkeypatch):
 def test_plain_layers_agree_with_the_package(monkeypatch, net):
     fake_torchvision(monkeypatch)
     state = random_state(net)
-    package = _package_model(net, state)
-    assert package is not None and type(package).__module__.startswith("lpips")
-    plain = _PlainLPIPS(net, state)
+    lpips = importlib.import_module("lpips")
+    package = lpips.LPIPS(net=net, pnet_rand=True, verbose=False)
+    for name, parameter in package.net.named_parameters():
+        parameter.data.copy_(state[name.split(".", 1)[1]])  # slice2.3.squeeze.weight → 3.squeeze.weight
+    plain = Network(net, state)
     g = torch.Generator().manual_seed(1)
     a, b = (torch.rand(1, 3, 64, 72, generator=g) * 2 - 1 for _ in range(2))
     with torch.no_grad():
@@ -68,7 +71,7 @@ def test_rows_taken_some_at_a_time_give_the_same_bytes():
 
 
 def test_all_of_the_network_is_on_the_device():
-    model = _PlainLPIPS("alex", random_state("alex")).to("meta")
+    model = Network("alex", random_state("alex")).to("meta")
     assert {tensor.device.type for tensor in (*model.parameters(), *model.buffers())} == {"meta"}
     assert len(list(model.heads)) == len(SPECS["alex"].ends)
 

@@ -31,10 +31,10 @@ def test_reasons_why_there_is_nothing_to_compare(small_scene):
     with pytest.raises(NotApplicableError, match="another size"):
         shown(small_scene, view, depth=np.ones((2, 2))).true_depth()
     with pytest.raises(NotApplicableError, match="one test view"):
-        ScoredView(view, shown(small_scene, view).rendered, CONVENTION).nearest()
+        ScoredView(view, shown(small_scene, view).rendered, CONVENTION).nearest_test_view()
 
 
 def test_the_nearest_camera(small_scene):
     view, *others = small_scene.test
     distances = {other.name: np.linalg.norm(other.camera.center - view.camera.center) for other in others}
-    assert shown(small_scene, view).nearest().name == min(distances, key=distances.get)
+    assert shown(small_scene, view).nearest_test_view().name == min(distances, key=distances.get)

@@ -62,7 +62,7 @@ def test_pseudo_color_has_no_temperature(small_scene):
 
 def test_raw_counts_have_no_temperature(small_gray_scene):
     view = small_gray_scene.test[0]
-    scene = replace(small_gray_scene, temperature=None, counts=(5500, 5830))
+    scene = replace(small_gray_scene, temperature=None, raw_count_range=(5500, 5830))
     scoring = scorer()
     values = score(scoring, scene, to_8bit(view.thermal), view.true_depth)
     assert values["mae_degC"] is None and scoring.missing["mae_degC"] == "raw counts have no °C"

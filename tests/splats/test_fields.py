@@ -18,7 +18,7 @@ OWN = {"sh_rgb": "sh", "opacity_rgb": 0.02, "means": 0.0}
 def two_colour_sets(count: int = 40) -> Gaussians:
     draw = torch.Generator().manual_seed(5)
     more = {"sh_rgb": torch.randn(count, 4, 3, generator=draw), "opacity_rgb": torch.randn(count, 1, generator=draw)}
-    return replace(model(1, 1, count=count), more=more)
+    return replace(model(1, 1, count=count), extra_fields=more)
 
 
 def test_rows_hold_every_field():
@@ -36,7 +36,9 @@ def test_each_field_has_its_rate():
     state = TrainingState(two_colour_sets())
     start = state.split(state.values.clone())
     optimizer = Adam(state, RATES, 2.0, OWN)
-    reference = torch.cat([start.sh.repeat(1, 1, 3), start.more["sh_rgb"]], dim=2).flatten(1).double().requires_grad_()
+    reference = (
+        torch.cat([start.sh.repeat(1, 1, 3), start.extra_fields["sh_rgb"]], dim=2).flatten(1).double().requires_grad_()
+    )
     dc = [6 * k + c for k in range(4) for c in range(6)]
     rates = torch.tensor([RATES.sh_dc if column < 6 else RATES.sh_rest for column in dc], dtype=torch.float64)
     peer = torch.optim.Adam([reference], lr=1.0, betas=(0.9, 0.999), eps=1e-15)
@@ -47,16 +49,16 @@ def test_each_field_has_its_rate():
         dense[index] = rows
         parts = state.split(dense)
         before = reference.detach().clone()
-        reference.grad = torch.cat([parts.sh.repeat(1, 1, 3), parts.more["sh_rgb"]], dim=2).flatten(1).double()
+        reference.grad = torch.cat([parts.sh.repeat(1, 1, 3), parts.extra_fields["sh_rgb"]], dim=2).flatten(1).double()
         peer.step()
         reference.data = before + rates * (reference.data - before)
         optimizer.step(gradients, step)
     optimizer.flush()
     now = state.split(state.values)
     assert torch.equal(now.means, start.means)
-    assert not torch.equal(now.more["opacity_rgb"], start.more["opacity_rgb"])
+    assert not torch.equal(now.extra_fields["opacity_rgb"], start.extra_fields["opacity_rgb"])
     moved = reference.detach().unflatten(1, (4, 6))
-    for ours, theirs in ((now.sh, moved[..., :1]), (now.more["sh_rgb"], moved[..., 3:])):
+    for ours, theirs in ((now.sh, moved[..., :1]), (now.extra_fields["sh_rgb"], moved[..., 3:])):
         assert (ours.double() - theirs).abs().max() < 1e-4
 
 
@@ -72,6 +74,6 @@ def test_a_ply_file_holds_every_field(tmp_path):
     saved = two_colour_sets()
     save_ply(saved, tmp_path / "model.ply")
     loaded = load_ply(tmp_path / "model.ply")
-    assert list(loaded.more) == ["sh_rgb", "opacity_rgb"]
+    assert list(loaded.extra_fields) == ["sh_rgb", "opacity_rgb"]
     for (name, tensor), (_, original) in zip(loaded.items(), saved.items(), strict=True):
         assert torch.equal(tensor, original), name

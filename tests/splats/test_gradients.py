@@ -55,7 +55,7 @@ def test_a_step_has_the_gradients_of_the_reference(channels, degree, used):
         image[:, 2] > 0, torch.hypot(image[:, 0] * statistics.half_width, image[:, 1] * statistics.half_height), 0.0
     )
     assert (found - want).norm() < 1e-4 * want.norm()
-    for column in (done.state.column_of(name).start for name in Gaussians.names()):  # every kind by itself
+    for column in (done.state.columns_of(name).start for name in Gaussians.names()):  # every kind by itself
         assert (found - want)[:, column].norm() < 1e-3 * want[:, column].norm() > 0
     assert (torch.from_numpy(statistics.grad_sum) - lengths).norm() < 1e-3 * lengths.norm() > 0
 
@@ -69,7 +69,7 @@ def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
         pool.set_threads(threads)
         for read_first in (False, True):
             done, statistics = backward_pass(cloud(channels, 2, count=count), "cpu", used), watching(count)
-            gradients = done.gradients.computed() if read_first else done.gradients
+            gradients = done.gradients.compute() if read_first else done.gradients
             done.optimizer.step(gradients, 1, statistics=statistics)
             state = done.state
             arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
@@ -84,7 +84,7 @@ def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
 def test_what_is_known_before_the_gradients():
     pending = backward_pass(cloud(1, 1), "cpu", 1).gradients
     assert pending.touched == 0 and pending.pairs >= pending.blended > 0
-    rows = pending.computed()
+    rows = pending.compute()
     assert (rows.pairs, rows.blended, rows.columns) == (pending.pairs, pending.blended, pending.columns)
     assert rows.projected is pending.projected and rows.radii is pending.radii and rows.touched > 0
 

@@ -8,7 +8,7 @@ import torch
 from tdgbench.splats.mcmc import RelocationRules, relocated
 from tdgbench.splats.view import Pinhole
 from tests.helpers.configs import config
-from tests.helpers.training import ready_to_train, train
+from tests.helpers.training import ready_to_train, take_gradients, train
 
 MCMC = ("+density=mcmc", "budget.density.start=5", "budget.density.every=5", "budget.density.max_gaussians=330")
 
@@ -85,15 +85,15 @@ def test_the_gradients_are_those_of_the_regularised_loss(model, small_gray_scene
     rules = RelocationRules.opacity_weight, RelocationRules.scale_weight
     camera = Pinhole.of(small_gray_scene.train[0].camera)
     (1e-4 * model.render(camera).image.sum()).backward()
-    found = model.density.regularised(model.take_gradients())
+    found = model.density.regularised(take_gradients(model))
     (1e-4 * model.render(camera).image.sum()).backward()
-    index, rows, _ = model.take_gradients().rows()
+    index, rows, _ = take_gradients(model).rows()
     plain = torch.zeros_like(model.state.values)
     plain[:, : rows.shape[1]].index_add_(0, index, rows)
     leaves = model.copy().map(lambda tensor: tensor.clone().requires_grad_())
     (rules[0] * leaves.opacities.mean() + rules[1] * leaves.scales.mean()).backward()
     for name in ("opacity_logits", "log_scales"):
-        columns = model.state.column_of(name)
+        columns = model.state.columns_of(name)
         added = (found.values - plain)[:, columns].reshape(getattr(leaves, name).shape)
         assert torch.allclose(added, getattr(leaves, name).grad, rtol=1e-3, atol=1e-7)
 

@@ -62,7 +62,7 @@ def test_gradients_too_small_to_be_squared_move_nothing_far():
     start, optimizer = state.values.clone(), Adam(state, RATES, EXTENT)
     theirs = start.double().requires_grad_()
     peer = torch.optim.Adam([theirs], lr=RATES.opacity, betas=(BETA1, BETA2), eps=EPS)
-    column, sizes = state.column_of("opacity_logits"), torch.logspace(-30, -2, 60)
+    column, sizes = state.columns_of("opacity_logits"), torch.logspace(-30, -2, 60)
     for step in range(1, 40):
         dense = torch.zeros(60, state.values.shape[1])
         index = torch.arange(60, dtype=torch.int32)
@@ -110,8 +110,8 @@ def test_deferred_steps_stay_within_the_tolerance():
         optimizer.step(step_gradients(state, step, 0.0), step)
     apply_deferred_steps(optimizer, np.arange(60, dtype=np.int32))
     moved = (state.values - before).abs()
-    assert 0 < moved[:, state.column_of("means")].max() < tolerance.mean
-    assert 0 < moved[:, state.column_of("log_scales")].max() < tolerance.log_scale
+    assert 0 < moved[:, state.columns_of("means")].max() < tolerance.mean
+    assert 0 < moved[:, state.columns_of("log_scales")].max() < tolerance.log_scale
     assert torch.equal(state.bounds, bounds)
 
 
@@ -169,7 +169,7 @@ def test_a_step_without_one_parameter():
     optimizer = Adam(state, RATES, EXTENT)
     optimizer.step(step_gradients(state, 1, 1.0), 1)
     optimizer.reset_moments("opacity_logits")
-    column = state.column_of("opacity_logits")
+    column = state.columns_of("opacity_logits")
     before, others = state.values[:, column].clone(), state.values[:, :3].clone()
     optimizer.step(step_gradients(state, 2, 1.0), 2, without="opacity_logits")
     assert torch.equal(state.values[:, column], before) and not torch.equal(state.values[:, :3], others)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tdgbench.splats.pose import product, quaternion
+from tdgbench.splats.pose import multiply_quaternions, quaternion_of_rotation
 from tdgbench.splats.rasterization import rasterization
 
 WIDTH, HEIGHT = 40, 32
@@ -37,8 +37,8 @@ def test_the_gradient_by_the_pose_is_that_of_finite_differences(sh_degree: int |
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = torch.from_numpy(Rotation.from_euler("xyz", [0.4, -0.6, 2.0]).as_matrix())
     pose[:3, 3] = torch.tensor([1.0, 0.5, 0.8])
-    in_camera = 2 * uniform(30, 3) + torch.tensor([-1.0, -1.0, 3.0], dtype=torch.float64)
-    means = (in_camera - pose[:3, 3]) @ pose[:3, :3]
+    to_camera_space = 2 * uniform(30, 3) + torch.tensor([-1.0, -1.0, 3.0], dtype=torch.float64)
+    means = (to_camera_space - pose[:3, 3]) @ pose[:3, :3]
     colors = uniform(30, 2) if sh_degree is None else uniform(30, 9, 2) - 0.5
     gaussians = (means, uniform(30, 4) - 0.5, 0.05 + 0.2 * uniform(30, 3), 0.8 * uniform(30), colors)
     weights = uniform(HEIGHT, WIDTH, 2 + ("D" in mode))
@@ -65,6 +65,6 @@ def test_the_gradient_by_the_pose_is_that_of_finite_differences(sh_degree: int |
 def test_quaternions_of_all_turns() -> None:
     turns = Rotation.random(200, random_state=1)
     for a, b in zip(turns[:100], turns[100:], strict=True):
-        qa, qb = (quaternion(torch.from_numpy(turn.as_matrix())) for turn in (a, b))
-        both = product(qa, qb)
+        qa, qb = (quaternion_of_rotation(torch.from_numpy(turn.as_matrix())) for turn in (a, b))
+        both = multiply_quaternions(qa, qb)
         assert Rotation.from_quat(both.tolist(), scalar_first=True).approx_equal(a * b, atol=1e-9)

@@ -18,7 +18,7 @@ from tests.splats.backward_passes import COUNT, backward_pass, cloud
 def gradients_of(given: Gaussians, backend: str, used_degree: int):
     """Image, depth, transmittance, and the gradients by Gaussian (N, columns), (N, 2), radii (N,)."""
     done = backward_pass(given, backend, used_degree)
-    found = done.gradients.computed()
+    found = done.gradients.compute()
     values, image = np.zeros((COUNT, 64)), np.zeros((COUNT, 2))
     index, rows, on_image = (t.double().numpy() for t in found.rows())
     values[index.astype(int), : rows.shape[1]], image[index.astype(int)] = rows, on_image[:, :2]
@@ -37,7 +37,7 @@ def test_past_autograd_is_the_reference(channels, degree, used):
         assert (a - b).abs().max() < 1e-4
     for a, b in zip(fast[1:3], exact[1:3], strict=True):
         assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b)
-    starts = [fast[4].column_of(name).start for name in Gaussians.names()]
+    starts = [fast[4].columns_of(name).start for name in Gaussians.names()]
     for column in starts:  # every kind of parameter by itself
         assert np.linalg.norm((fast[1] - exact[1])[:, column]) < 1e-3 * np.linalg.norm(exact[1][:, column])
     assert torch.equal(fast[3], exact[3])

@@ -29,9 +29,9 @@ def test_holds_the_gaussians_it_was_given(channels, degree):
 def test_parts_share_memory():
     state = state_of(5)
     state.split(state.values).opacity_logits[2] = 7.0
-    assert state.values[2, state.column_of("opacity_logits")] == 7.0
+    assert state.values[2, state.columns_of("opacity_logits")] == 7.0
     names = [name for name, _ in state.split(state.values).items()]
-    covered = [c for name in names for c in range(*state.column_of(name).indices(99))]
+    covered = [c for name in names for c in range(*state.columns_of(name).indices(99))]
     assert sorted(covered) == list(range(state.columns))
 
 
@@ -41,7 +41,7 @@ def test_exchange(removed, added):
     before, gone = state.values.clone(), torch.randperm(6, generator=torch.Generator().manual_seed(0))[:removed]
     gone = gone.sort().values
     new = state.rows_of(model(1, 1, count=added)) + 100
-    state.exchange(gone, new)
+    state.replace_rows(gone, new)
     kept = [i for i in range(6) if i not in gone.tolist()]
     want = torch.cat([before[kept], new])
     assert len(state) == len(want)
@@ -50,13 +50,13 @@ def test_exchange(removed, added):
     for row, first, second, bounds in zip(state.values, state.first, state.second, state.bounds, strict=True):
         old = (before == row).all(dim=1).nonzero().flatten().tolist()
         assert first[0] == (old[0] if old else 0) and second[0] == 2 * first[0]
-        assert torch.equal(bounds[:3], row[:3]) and bounds[3] == row[state.column_of("log_scales")].max()
+        assert torch.equal(bounds[:3], row[:3]) and bounds[3] == row[state.columns_of("log_scales")].max()
 
 
 def test_clocks_start_where_the_optimiser_is():
     state = state_of(4)
     state.now = 17
-    state.exchange(torch.tensor([1]), state.rows_of(model(1, 1, count=3)))
+    state.replace_rows(torch.tensor([1]), state.rows_of(model(1, 1, count=3)))
     assert (state.clocks == 17).all() and len(state.clocks) == 6
 
 
@@ -69,7 +69,9 @@ def test_neighbours_stand_beside_each_other():
     steps, random_steps = ((p[1:] - p[:-1]).norm(dim=1).mean() for p in (held, points))
     assert steps < 0.15 * random_steps
     state.first[:, 0] = held[:, 0]
-    state.exchange(torch.tensor([], dtype=torch.int64), state.rows_of(model(1, 0, count=int(4096 * REORDER_AT))) + 0.5)
+    state.replace_rows(
+        torch.tensor([], dtype=torch.int64), state.rows_of(model(1, 0, count=int(4096 * REORDER_AT))) + 0.5
+    )
     assert torch.equal(state.first[state.first[:, 0] != 0][:, 0], state.values[state.first[:, 0] != 0][:, 0])
 
 

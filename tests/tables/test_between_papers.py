@@ -11,11 +11,10 @@ from tdgbench.tables.between_papers import (
     PLACE,
     SHARED,
     UNKNOWN,
-    all_averages,
     between_papers,
     check_averages,
     gain_against_spread,
-    with_others,
+    with_other_papers,
 )
 from tdgbench.tables.published import published_main
 
@@ -43,7 +42,7 @@ def test_averages_are_compared_over_shared_scenes_only():
 
 
 def test_others_stand_beside_published_numbers():
-    found = with_others(published_main()).set_index(PLACE)
+    found = with_other_papers(published_main()).set_index(PLACE)
     row = found.loc[("msmg", "RGBT-Scenes", "Parterre", "psnr")]
     assert (row["others_low"], row["others_high"], row["papers"]) == (26.16, 26.16, 2)
     for alone in (("tdg", "RGBT-Scenes", "Parterre", "psnr"), ("msmg", "RGBT-Scenes", "Average", "psnr"),
@@ -51,7 +50,7 @@ def test_others_stand_beside_published_numbers():
         assert found.loc[alone, "papers"] == 1 and pd.isna(found.loc[alone, "others_low"])
     assert len(found) == len(published_main())
     ablation = pd.DataFrame({"method": ["msmg"], "init": ["colmap"], "metric": ["psnr"]})
-    assert with_others(ablation)["papers"].tolist() == [1]
+    assert with_other_papers(ablation)["papers"].tolist() == [1]
 
 
 def test_the_papers_gains_against_the_spread():
@@ -79,17 +78,6 @@ def test_nothing_is_said_without_the_shared_scenes():
     assert gain_against_spread(table, ["hours", "depth_abs_rel_of_truth"], "overall") == ""  # in one paper, in none
     with pytest.raises(ValueError, match="'everywhere'"):
         gain_against_spread(table, ["psnr"], "everywhere")
-
-
-def test_which_averages_do_not_follow():
-    found = all_averages()
-    off = found[found["verdict"] == OFF]
-    assert off[["source", "method", "metric", "printed"]].values.tolist() == [
-        ["thermosplat-2601", "mmone", "lpips", 0.176]
-    ]
-    assert off["mean"].item() == pytest.approx(0.1803)
-    assert set(found[found["verdict"] == UNKNOWN]["source"]) == {"cegs-readme"}  # it prints no rows
-    assert (found["source"] == "tdg").sum() == 24
 
 
 def with_average(rows, average, half_unit=0.005, metric="psnr"):

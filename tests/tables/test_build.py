@@ -46,9 +46,6 @@ def test_verdicts_and_other_papers_stand_beside_the_published_numbers(tmp_path):
     assert written.loc[("tdg", "RGBT-Scenes", "day", "Parterre", "psnr"), "why"] == "no number of ours"
     papers = pd.read_csv(tmp_path / "tables" / "between_papers.csv")
     assert len(papers) == len(tables.papers) == 24
-    text = (tmp_path / "tables" / "between_papers.tex").read_text()
-    assert r"MSMG & Parterre & 24.06 / 26.16 & 2.10 & 0.877 / 0.883 & 0.006" in text
-    assert text.count("% tdg; thermosplat-2601") == 1
 
 
 def test_ablation(tmp_path):
@@ -118,8 +115,7 @@ def test_latex_compiles(tmp_path, kind):
     (tmp_path / "page.tex").write_text(
         r"\documentclass{article}\usepackage{booktabs,amssymb,graphicx}\begin{document}"
         r"\resizebox{\textwidth}{!}{\input{tables/main.tex}}"
-        + (r"\input{tables/between_papers.tex}" if kind == "main" else "")
-        + r"\end{document}"
+        r"\end{document}"
     )
     run = subprocess.run(
         ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"],
@@ -142,9 +138,6 @@ def test_claims_command(tmp_path, capsys):
     write(tmp_path)
     assert main(["claims", str(tmp_path)]) == 0
     assert "fails" in (printed := capsys.readouterr().out) and "undecided" in printed
-    assert "mmone lpips: printed 0.176, mean of the rows 0.1803 ± 0.0015" in printed
-    averages = pd.read_csv(tmp_path / "tables" / "averages.csv")
-    assert averages["verdict"].value_counts()["does not follow"] == 1
     claims = pd.read_csv(tmp_path / "tables" / "claims.csv").set_index("id")
     assert claims.loc["psnr-better", "published"] == "fails" and claims.loc["psnr-better", "ours"] == "undecided"
     assert main(["claims", str(tmp_path / "nothing")]) == 1

@@ -10,7 +10,7 @@ from tdgbench.bench.record import Failure, read_all
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.findings import claims_in_words, published
 from tests.helpers.records import published_as_records, write, write_ablation
 

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from tdgbench.bench.record import Failure, Record
-from tdgbench.tables.latex import readings_table
 from tdgbench.tables.measures import AVERAGE, OVERALL
-from tdgbench.tables.readings import effects, reading_cells, readings
+from tdgbench.tables.readings import changes_as_text, effects, reading_cells, readings
 
 
 def record(method, iterations, psnr, seed=0, scene="orbit", dataset="synthetic", hours=1.0, gaussians=1000):
@@ -89,14 +88,14 @@ def test_failed_cells_say_nothing():
     assert readings(reading_cells([failed])).empty
 
 
-def test_latex_holds_scores_and_changes():
-    cells = reading_cells(CELLS)
-    text = readings_table(readings(cells), effects(cells))
-    assert r"TDg & 3000 & 30.70 $\pm$ 0.28 & 0.900" in text and "n/a" in text
-    assert "depth, as written & 3000 & +0.60 [-0.67, +1.87]" in text
-    assert r"fewer iterations: tdg & 3000 $\to$ 1000 & -1.65" in text
+def test_changes_in_words_name_the_split_where_there_are_several():
+    heads, rows = changes_as_text(effects(reading_cells(CELLS)))
+    assert heads[:3] == ["change", "iterations", "scene"]
+    found = {(name, lengths): numbers for name, lengths, _, *numbers in rows}
+    assert found["depth, as written", "3000"][0] == "+0.60 [-0.67, +1.87]"
+    assert found["fewer iterations: tdg", "3000 → 1000"][0].startswith("-1.65") and "n/a" in rows[0]
     other = [record("tdg", 3000, 27.0), record("splat_smooth", 3000, 26.0)]
     for one in other:
         one.split = "folder"
-    cells = reading_cells([*CELLS, *other])
-    assert r"depth, as written (folder) & 3000 & +1.00" in readings_table(readings(cells), effects(cells))
+    _, rows = changes_as_text(effects(reading_cells([*CELLS, *other])))
+    assert ("depth, as written (folder)", "3000", "+1.00") in {(row[0], row[1], row[3]) for row in rows}

@@ -70,13 +70,6 @@ def test_a_broken_record_is_na_with_its_reason(experiment, capsys, spoil):
     assert main([str(experiment)]) == 0
 
 
-def test_a_broken_record_counts_for_the_planned_scene_alone(tmp_path):
-    Plan(scenes=[Description("a b", "synthetic", "")], methods=["tdg"], inits=["colmap"]).write(tmp_path)
-    folder = write(tmp_path, scene="a b", dataset="synthetic", group="")
-    (folder / FILE).write_text("{}")
-    assert list(values(tmp_path)) == ["a b", "Average"]
-
-
 def test_a_scene_that_is_planned_twice_counts_once(experiment):
     Plan(scenes=[ORBIT, ORBIT, NIGHT, replace(NIGHT, group="x")], methods=["tdg"], inits=["colmap"]).write(experiment)
     assert values(experiment) == {"orbit": 21.0, "night": 21.0, "Average": 21.0}

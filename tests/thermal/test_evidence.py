@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.explain import held_back
 from tdgbench.thermal.fit import Terms, fit
 from tdgbench.thermal.maps import TERMS as POLYNOMIALS
 from tdgbench.thermal.maps import evaluate
+from tdgbench.thermal.select_terms import shrink_towards_ideal
 from tests.helpers.observations import along_a_line, loose, observations
 
 TERMS = Terms(vignette=True, offsets=True)
@@ -14,7 +14,7 @@ BOWL = np.array([0.5 if term in ((2, 0), (0, 2)) else 0.0 for term in POLYNOMIAL
 def both(data, terms=TERMS):
     """The fit as it is, and held back."""
     found = fit(data, terms, loose(data))
-    return found, held_back(data, found, terms, loose(data))
+    return found, shrink_towards_ideal(data, found, terms, loose(data))
 
 
 def size(found, true=0.0):

@@ -32,23 +32,10 @@ def test_noise_does_not_bias_gains():
     assert gains == pytest.approx([0.9, 1.1, 0.9, 1.1], abs=0.015)
 
 
-def test_standard_errors_are_those_of_repeated_captures():
-    errors, stated = [], []
-    for seed in range(9):
-        data, _ = observations(OFFSETS, GAINS, seed=seed, noise=0.3)
-        found = fit(data, ALL, loose(data))
-        response, true = normalized(found.response), true_response(found.reference)
-        errors.append(response.gains - true.gains)
-        change = np.eye(12) - 1 / 12
-        stated.append(np.diag(change @ found.covariance()[12:24, 12:24] @ change))
-    assert np.sqrt(np.mean(stated)) == pytest.approx(np.std(errors), rel=0.25)
-
-
 def test_terms_that_are_not_estimated_are_ideal():
     data, _ = observations(OFFSETS, GAINS)
     found = fit(data, Terms(offsets=True), loose(data))
     assert (found.response.gains == 1).all() and (found.vignette == 0).all() and np.ptp(found.response.offsets) > 7
-    assert (np.diag(found.covariance())[12:] == 0).all()
     found = fit(data, Terms(), loose(data))
     assert (found.response.offsets == 0).all()
 

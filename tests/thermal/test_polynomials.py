@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scenes.synthetic.thermal_camera import vignette
+from tdgbench.scenes.synthetic.capture import vignette
 from tdgbench.thermal.maps import TERMS, evaluate, legendre_basis
 
 

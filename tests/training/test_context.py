@@ -45,12 +45,12 @@ def test_streams_are_independent_and_repeatable(small_scene):
 
 def test_stages_have_streams_of_their_own(small_scene):
     whole = context_of(small_scene)
-    draws = [torch.rand(4, generator=whole.of_stage(number, 0.5).random("a")) for number in (0, 1, 0)]
+    draws = [torch.rand(4, generator=whole.for_stage(number, 0.5).random("a")) for number in (0, 1, 0)]
     assert not torch.equal(draws[0], draws[1]) and torch.equal(draws[0], draws[2])
 
 
 def test_parts_are_kept_by_name(small_scene):
-    context = context_of(small_scene).of_stage(0, 1.0)
+    context = context_of(small_scene).for_stage(0, 1.0)
     made = [context.gaussians("rgb"), context.gaussians(name="second"), context.views("order"), context.random("noise")]
     network = context.network("mlp", torch.nn.Linear(2, 1), 1e-3)
     assert list(context.parts) == ["curriculum", "rgb", "second", "order", "noise", "mlp"]
@@ -62,7 +62,7 @@ def test_two_parts_of_one_name_are_an_error(small_scene):
     context = context_of(small_scene)
     context.gaussians()
     with pytest.raises(ValueError, match="two parts have the name 'thermal'; give one of them another name"):
-        context.keep("thermal", Part())
+        context.add_part("thermal", Part())
 
 
 def test_gaussians_are_those_of_their_modality(small_gray_scene):
@@ -81,12 +81,16 @@ def test_gaussians_are_those_of_their_modality(small_gray_scene):
 def test_gaussians_have_further_fields_with_rates(small_gray_scene):
     context = context_of(small_gray_scene)
     emissivity = torch.zeros(len(small_gray_scene.points.points), 2)
-    model = context.gaussians(more={"emissivity": emissivity}, rates={"emissivity": 0.01, "means": 0.0})
+    model = context.gaussians(
+        extra_fields={"emissivity": emissivity}, learning_rates={"emissivity": 0.01, "means": 0.0}
+    )
     before = model.copy()
 
     def brighter(gaussians, degree):
         shown = gaussians.activated(degree)
-        return shown._replace(colors=shown.colors * (1 + gaussians.more["emissivity"].sum(dim=1))[:, None, None])
+        return shown._replace(
+            colors=shown.colors * (1 + gaussians.extra_fields["emissivity"].sum(dim=1))[:, None, None]
+        )
 
     for iteration in (1, 2):
         model.begin(iteration)
@@ -94,7 +98,7 @@ def test_gaussians_have_further_fields_with_rates(small_gray_scene):
         assert model.step(iteration) is None
     after = model.gaussians
     assert torch.equal(after.means, before.means)  # frozen
-    assert (after.more["emissivity"] < 0).any() and after.more["emissivity"].shape == emissivity.shape
+    assert (after.extra_fields["emissivity"] < 0).any() and after.extra_fields["emissivity"].shape == emissivity.shape
 
 
 def test_gaussians_start_where_they_are_told(small_gray_scene):
@@ -107,9 +111,9 @@ def test_gaussians_start_where_they_are_told(small_gray_scene):
 def test_a_budget_is_shared_out_among_stages(small_scene):
     budget = replace(context_of(small_scene).budget, expected_iterations=600)
     whole = Context(small_scene, small_scene.points, {}, budget, "cpu", 0)
-    stage = whole.of_stage(1, 0.25).budget
+    stage = whole.for_stage(1, 0.25).budget
     assert (stage.iterations, stage.expected_iterations) == (300, 150)
-    assert whole.of_stage(0, 1.0).budget == budget and whole.of_stage(0, 1e-9).budget.iterations == 1
+    assert whole.for_stage(0, 1.0).budget == budget and whole.for_stage(0, 1e-9).budget.iterations == 1
 
 
 def test_auto_is_the_cpu():

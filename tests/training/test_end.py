@@ -33,7 +33,7 @@ def saved_at(scene, iteration: int) -> str:
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(trainer, on_model=look)
+        train(trainer, before_update=look)
     return digests[0]
 
 
@@ -85,18 +85,18 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
 def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
     trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-    log = checkpoint.take_up(trainer)
+    log = checkpoint.resume(trainer)
 
     def killed(log):
         checkpoint._next = 0.0
-        checkpoint.after_step(log)
+        checkpoint.write_if_due(log)
         if log.iterations == 59:
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        train(trainer, on_step=killed, log=log)
+        train(trainer, after_iteration=killed, log=log)
     trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
-    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).take_up(trainer)
+    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).resume(trainer)
     assert log.iterations == 59
     train(trainer, log=log)
     assert digest(trainer) == saved_at(small_gray_scene, 60)

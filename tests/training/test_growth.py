@@ -19,7 +19,7 @@ RULE = GrowthRule(views=10, z=5.0, min_weight=0.0)
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
     significance = Significance(rule, views, modality, curriculum or Curriculum(), "cpu")
-    return significance.judge(two() if gaussians is None else gaussians, 0, turn=1)
+    return significance.decide(two() if gaussians is None else gaussians, 0, turn=1)
 
 
 def test_what_all_views_show_grows():
@@ -36,7 +36,7 @@ def test_what_the_background_shows_does_not_grow():
         image = (view.thermal + behind.numpy()).astype(np.float32)
         given.append(view_of(view.name, view.camera, image, None))
     over_black, over_gray = (
-        Significance(RULE, given, THERMAL, Curriculum(), "cpu", background=background).judge(two(), 0, turn=1).strength
+        Significance(RULE, given, THERMAL, Curriculum(), "cpu", background=background).decide(two(), 0, turn=1).strength
         for background in (None, gray)
     )
     assert over_gray.numpy() == pytest.approx(judge(views(edge)).strength.numpy(), rel=0.05, abs=0.01)
@@ -95,12 +95,12 @@ def test_one_view_decides_nothing():
 
 def test_what_has_no_weight_is_pruned():
     rule = dataclasses.replace(RULE, min_weight=1.0)
-    assert judge(views(edge), rule=rule).useless.tolist() == [False, False]
+    assert judge(views(edge), rule=rule).prune.tolist() == [False, False]
     hidden = two()
     hidden.log_scales[1] -= 5.0
     hidden.opacity_logits[1] = -3.5
-    assert judge(views(edge), hidden, rule).useless.tolist() == [False, True]
-    assert not judge(views(edge, count=1), hidden, rule).useless.any()
+    assert judge(views(edge), hidden, rule).prune.tolist() == [False, True]
+    assert not judge(views(edge, count=1), hidden, rule).prune.any()
 
 
 def numbered(turn: int, held_out: list[int]) -> list[int]:
@@ -108,7 +108,7 @@ def numbered(turn: int, held_out: list[int]) -> list[int]:
     given = views(edge, count=12)
     curriculum = Curriculum(held_out=[given[number] for number in held_out])
     significance = Significance(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
-    return [int(view.name) for view in significance.chosen(turn)]
+    return [int(view.name) for view in significance.views_of_round(turn)]
 
 
 @pytest.mark.parametrize("turn", [0, 1, 7])

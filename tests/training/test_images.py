@@ -46,18 +46,18 @@ def test_modalities_have_their_images_and_channels(small_gray_scene, small_scene
 
 def test_tensors_of_a_view_share_its_memory_and_are_made_once(small_gray_scene):
     view = masked(small_gray_scene.train[0])
-    image, valid = THERMAL.of(view, CPU)
+    image, valid = THERMAL.tensors_of(view, CPU)
     assert np.shares_memory(image.numpy(), view.thermal) and np.array_equal(valid.numpy(), view.valid)
     assert not image[~valid].any()
-    again = THERMAL.of(view, CPU)
+    again = THERMAL.tensors_of(view, CPU)
     assert again[0] is image and again[1] is valid
 
 
 def test_a_thermal_mask_says_nothing_about_rgb(small_gray_scene):
     view = masked(small_gray_scene.train[0])
-    image, valid = RGB.of(view, CPU)
+    image, valid = RGB.tensors_of(view, CPU)
     assert valid is None and np.array_equal(image.numpy(), view.rgb)
-    assert THERMAL.of(small_gray_scene.train[1], CPU)[1] is None
+    assert THERMAL.tensors_of(small_gray_scene.train[1], CPU)[1] is None
 
 
 def view(side: int = 20) -> View:

@@ -79,7 +79,7 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
         told.append((log.iterations, log.seconds, log.processor_seconds))
         time.sleep(0.05)
 
-    log = train(trainer, on_step=look)
+    log = train(trainer, after_iteration=look)
     assert [iteration for iteration, *_ in told] == [1, 2, 3, 4, 5]
     assert told[-1][1] <= log.seconds < told[-1][1] + 0.05
     busy = [0.0, *(processor for *_, processor in told)]

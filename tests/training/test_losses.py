@@ -15,7 +15,7 @@ from tdgbench.training.losses import (
     photometric,
     smoothness,
     ssim,
-    thermal,
+    thermal_loss,
 )
 from tdgbench.training.torch_losses import _blur, ssim_map
 from tests.helpers.masks import masks
@@ -56,15 +56,15 @@ def test_the_window_of_ssim_is_a_convolution():
     assert torch.allclose(_blur(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
 
 
-@pytest.mark.parametrize("reading", ["paper", "reference"])
+@pytest.mark.parametrize("reading", ["written", "released"])
 def test_losses_stay_on_the_device_of_the_image(reading):
     """Mixed devices raise an error; `meta` stands for a GPU."""
     image = torch.rand(20, 30, 3, device="meta", requires_grad=True)
-    loss = thermal(image, torch.rand(20, 30, 3, device="meta"), 0.2, 0.1, reading)
+    loss = thermal_loss(image, torch.rand(20, 30, 3, device="meta"), 0.2, 0.1, reading)
     loss.backward()
     assert loss.device.type == image.grad.device.type == "meta"
     with pytest.raises(RuntimeError, match="device"):
-        thermal(image, torch.rand(20, 30, 3), 0.2, 0.1, reading)
+        thermal_loss(image, torch.rand(20, 30, 3), 0.2, 0.1, reading)
     depth = torch.rand(20, 30, device="meta", requires_grad=True)
     inverse_expected_depth(depth, torch.rand(20, 30, device="meta"), 1e-3).sum().backward()
     assert depth.grad.device.type == "meta"
@@ -99,14 +99,14 @@ def test_smoothness_as_the_paper_writes_it():
                 if 0 <= ni < 5 and 0 <= nj < 4:
                     total += abs(t[ni, nj] - t[i, j])
     image = torch.from_numpy(t)[..., None]
-    assert smoothness(image, "paper").item() == pytest.approx(total / (4 * 20))
+    assert smoothness(image, "written").item() == pytest.approx(total / (4 * 20))
 
 
-def test_smoothness_as_the_reference_code_computes_it():
+def test_smoothness_as_the_released_code_computes_it():
     t = np.random.default_rng(1).random((5, 4))
     total = sum(np.abs(t - np.roll(t, s, axis)).sum() for axis in (0, 1) for s in (1, -1))
     image = torch.from_numpy(t)[..., None].requires_grad_()
-    loss = smoothness(image, "reference")
+    loss = smoothness(image, "released")
     loss.backward()
     assert loss.item() == pytest.approx(total / 20)
     sign = sum(np.sign(t - np.roll(t, s, axis)) for axis in (0, 1) for s in (1, -1))
@@ -118,12 +118,12 @@ def test_unknown_reading():
         smoothness(torch.zeros(3, 3, 1), "both")
 
 
-@pytest.mark.parametrize("reading", ["paper", "reference"])
+@pytest.mark.parametrize("reading", ["written", "released"])
 @pytest.mark.parametrize("shape", [(20, 30, 1), (7, 5, 3), (1, 1, 1), (1, 6, 3), (9, 1, 1), (2, 2, 1)])
 def test_fused_smoothness_is_the_torch_one(reading, shape):
     image = torch.rand(shape, generator=torch.Generator().manual_seed(0))
     fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
-    a, b = smoothness(fast, reading), smoothness(exact, reading)
+    a, b = thermal_loss(fast, image, 0.0, 1.0, reading), smoothness(exact, reading)
     a.backward()
     b.backward()
     assert a.item() == pytest.approx(b.item(), rel=1e-5, abs=1e-7)
@@ -182,7 +182,7 @@ def value_and_gradient(loss, image):
     return value.item(), x.grad.double()
 
 
-@pytest.mark.parametrize("reading", ["paper", "reference"])
+@pytest.mark.parametrize("reading", ["written", "released"])
 @pytest.mark.parametrize("size", SIZES)
 def test_fused_masked_thermal_loss_is_the_torch_one(size, reading):
     """Value and gradient, against torch in float64, with any mask and garbage in both images where it is false."""
@@ -194,7 +194,7 @@ def test_fused_masked_thermal_loss_is_the_torch_one(size, reading):
         a[~valid], b[~valid] = 1e4, torch.nan
 
         def loss(x, other=b, mask=valid):
-            return thermal(x, other.to(x.dtype), 0.2, 0.6, reading, mask)
+            return thermal_loss(x, other.to(x.dtype), 0.2, 0.6, reading, mask)
 
         fast, exact = value_and_gradient(loss, a), value_and_gradient(loss, a.double())
         assert fast[0] == pytest.approx(exact[0], rel=1e-5, abs=1e-6), name
@@ -221,9 +221,11 @@ def test_masked_losses_in_torch_are_those_of_their_definition(size):
                 wrapped += step
                 total += step if (k, m) == (i + di, j + dj) else 0.0
         count = valid.sum() * size[2]
-        assert smoothness(x, "paper", mask).item() == pytest.approx(total / (4 * count), abs=1e-12), name
-        assert smoothness(x, "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-12), name
-        assert smoothness(x.float(), "reference", mask).item() == pytest.approx(wrapped / count, abs=1e-5), name
+        assert smoothness(x, "written", mask).item() == pytest.approx(total / (4 * count), abs=1e-12), name
+        assert smoothness(x, "released", mask).item() == pytest.approx(wrapped / count, abs=1e-12), name
+        assert thermal_loss(x.float(), x.float(), 0.0, 1.0, "released", mask).item() == pytest.approx(
+            wrapped / count, abs=1e-5
+        ), name
 
 
 def test_a_mask_that_masks_nothing_changes_nothing():
@@ -236,7 +238,7 @@ def test_a_mask_that_masks_nothing_changes_nothing():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_loss_of_no_pixel_is_refused(dtype):
     image, nothing = torch.rand(6, 5, 1, dtype=dtype), torch.zeros(6, 5, dtype=torch.bool)
-    for loss in (lambda: photometric(image, image, 0.2, nothing), lambda: smoothness(image, "paper", nothing)):
+    for loss in (lambda: photometric(image, image, 0.2, nothing), lambda: smoothness(image, "written", nothing)):
         with pytest.raises(ValueError, match="no pixel of the image is valid"):
             loss()
     with pytest.raises(ValueError, match=r"the mask is \(5, 6\)"):
@@ -251,7 +253,7 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
         for threads in (1, 2, 3, 7):
             pool.set_threads(threads)
             x = a.clone().requires_grad_()
-            value = thermal(x, b, 0.2, 0.6, "reference", valid)
+            value = thermal_loss(x, b, 0.2, 0.6, "released", valid)
             value.backward()
             found.append((value.item(), x.grad.numpy().tobytes()))
     finally:

@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training import model as model_module
-from tdgbench.training.losses import thermal
+from tdgbench.training.losses import thermal_loss
 from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import config
@@ -43,7 +43,7 @@ def test_backends_train_the_same(small_scene):
     a, b = (m.state.values for m in models)
     models[0].optimizer.flush()
     # Adam's first step is a sign, which rounding may flip near zero; that is all there is for the turns of a sphere.
-    turns = models[0].state.column_of("quats")
+    turns = models[0].state.columns_of("quats")
     a[:, turns] = b[:, turns]
     far = ((a - b).abs() > 1e-4).float().mean()
     assert far < 0.01 and torch.equal(models[0].density.view_counts, models[1].density.view_counts)
@@ -63,7 +63,9 @@ def test_what_is_not_covered_shows_the_background(small_scene, backend):
         render = model.render(view.camera)
         image = render.image if behind is not None else render.image + render.transmittance[..., None] * background
         (image - torch.from_numpy(view.thermal)).square().mean().backward()
-        gradients = model.take_gradients()
+        (seen,) = model._views
+        gradients = seen.gradients.compute()
+        model._views.clear()
         found.append((image.detach(), *gradients.rows()))
     assert (found[0][0] - model.render(view.camera).image).abs().max() > 0.1
     for a, b in zip(*found, strict=True):
@@ -123,7 +125,7 @@ def take_step(model, view, channels: int, iteration: int) -> str | None:
     model.begin(iteration)
     render = model.render(view.camera, depth=iteration % 3 == 0)
     target = torch.from_numpy(view.thermal[..., :1]).expand(-1, -1, channels).contiguous()
-    loss = thermal(render.image, target, 0.2, 0.1, "paper")
+    loss = thermal_loss(render.image, target, 0.2, 0.1, "written")
     (loss + (0.0 if render.depth is None else 1e-2 * render.depth.mean())).backward()
     return model.step(iteration)
 
@@ -144,7 +146,7 @@ def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatc
     render_state = model_module.render_state
 
     def computed_first(state, optimizer, camera, options, collect, backend):
-        return render_state(state, optimizer, camera, options, lambda view: collect(view.computed()), backend)
+        return render_state(state, optimizer, camera, options, lambda view: collect(view.compute()), backend)
 
     monkeypatch.setattr(model_module, "render_state", computed_first)
     count = len(taken)
@@ -165,6 +167,6 @@ def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
         (view,) = model._views
         view.gradients._blended.slots.values.fill(3e38)  # overflows where two are added
         if computed:
-            view.gradients = view.gradients.computed()
+            view.gradients = view.gradients.compute()
         found.append(model.step(4))
     assert found[0] == found[1] is not None

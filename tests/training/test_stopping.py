@@ -24,7 +24,7 @@ class Watched(Part):
     def __init__(self):
         self.rate, self.stopped = 1.0, []
 
-    def slow_down(self, factor):
+    def scale_learning_rates(self, factor):
         self.rate = factor
 
     def stop_growth(self, iteration):

@@ -46,7 +46,7 @@ class CoarseToFine(Method):
     def set_up_fine(self, context) -> None:
         self.start = self.model.copy()
         self.model = context.gaussians(start=self.start)
-        self.views = context.keep("views", self.views)
+        self.views = context.add_part("views", self.views)
         self.exposure = context.network("exposure", self.exposure_module(), 1e-2)
 
     def exposure_module(self) -> torch.nn.Module:
@@ -62,7 +62,7 @@ class CoarseToFine(Method):
         return self.compared(render, view)
 
     def compared(self, render, view) -> Step:
-        target, valid = THERMAL.of(view, render.image.device)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = (render.image - target).square().mean()
         return Step(loss, {"thermal": loss.item()}, render, target, valid)
 
@@ -86,7 +86,7 @@ def test_a_stage_starts_from_the_gaussians_of_the_one_before(small_gray_scene):
         seen[log.iterations] = trainer.stage.name, trainer.gaussians["thermal"].copy()
 
     before = len(trainer.gaussians["thermal"])
-    log = train(trainer, on_model=look)
+    log = train(trainer, before_update=look)
     assert log.iterations == ITERATIONS and log.ended
     assert [seen[i][0] for i in (1, 20, 21, 60)] == ["coarse", "coarse", "fine", "fine"]
     coarse, fine, last = (seen[i][1] for i in (20, 21, 60))
@@ -124,10 +124,11 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     """A checkpoint in the second stage of a method that has only one now."""
     trainer = two_stages(small_gray_scene)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    train(trainer, on_step=checkpoint.after_step, log=checkpoint.take_up(trainer))
+    log = train(trainer, log=checkpoint.resume(trainer))
+    checkpoint.write_if_due(log)
     other = ready_to_train(small_gray_scene, "splat", ITERATIONS, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    assert checkpoint.take_up(other).iterations == 0 and other.stage_number == other.iterations_before == 0
+    assert checkpoint.resume(other).iterations == 0 and other.stage_number == other.iterations_before == 0
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
 
 

@@ -10,9 +10,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_each
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import set_up
 from tdgbench.training import trial
 from tdgbench.training.trainer import Trainer

@@ -1,4 +1,4 @@
-"""The viewer in headless Chromium: the picture is the render, the mouse reads °C, buttons and drags move the camera."""
+"""The viewer in headless Chromium: the picture is the render, a click reads °C, buttons and drags move the camera."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import open_cells
-from tdgbench.view.facts import readout
+from tdgbench.view.panel import readout
 from tdgbench.view.poses import ViserPose, camera_of
 from tdgbench.view.renderer import Look, RenderedLook, Renderer
 from tests.helpers.browser import CHROMIUM, Page, opened
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="chr
 
 LARGEST_CANVAS = "[...document.querySelectorAll('canvas')].sort((a, b) => b.offsetWidth - a.offsetWidth)[0]"
 SIZE = f"(({{offsetWidth, offsetHeight}}) => [offsetWidth, offsetHeight])({LARGEST_CANVAS})"
-TIP = "document.getElementById('tdgbench-tip')?.textContent"
+VALUE = "document.getElementById('tdgbench-value')?.textContent"
 PRESS = "[...document.querySelectorAll('button')].find((one) => one.textContent.includes('{}')).click()"
 
 
@@ -65,7 +65,7 @@ def viewer(tdg_folder, msmg_folder, tmp_path_factory) -> Iterator[Open]:
             profile = tmp_path_factory.mktemp("chromium")
             with opened(f"http://127.0.0.1:{server.get_port()}", profile) as page:
                 waited(server.get_clients, 90, "the page connects")
-                page.wait_for("window.tdgbenchCursor && !!document.getElementById('tdgbench-value')", 90)
+                page.wait_for("!!document.getElementById('tdgbench-value')", 90)
                 yield Open(page, server, Renderer(cells))
         finally:
             running.close()
@@ -81,14 +81,14 @@ def test_the_page_shows_the_render_at_a_test_view(viewer, tmp_path):
     assert errors == []
 
 
-def test_the_mouse_reads_temperatures(viewer):
+def test_a_click_reads_temperatures(viewer):
     frame = waited(lambda: viewer.is_shown(viewer.expected()) and viewer.expected(), 60, "the picture is the render")
     height, width = frame.picture.shape[:2]
     texts = set()
     for x, y in ((0.25, 0.5), (0.5, 0.5), (0.6, 0.8)):
-        viewer.page.mouse("moved", x * width, y * height)
+        viewer.page.click(x * width, y * height)
         text = readout(frame.at(x, y), viewer.renderer.cells, "thermal")
-        viewer.page.wait_for(f"({TIP} ?? '').trim() === {text!r}", 20)
+        viewer.page.wait_for(f"({VALUE} ?? '').trim() === {text!r}", 20)
         texts.add(text)
     assert len(texts) > 1 and all("°C" in text for text in texts)
 
@@ -97,7 +97,7 @@ def test_a_click_on_a_camera_leads_there(viewer):
     waited(lambda: viewer.is_shown(viewer.expected()), 60, "the picture is the render")
     cell = viewer.renderer.cells["tdg"]
     other = cell.test[sorted(cell.test)[1]]
-    from tdgbench.view.frustums import size_of
+    from tdgbench.view.poses import size_of
 
     x, y = other.width / other.K[0, 0] / 2, other.height / other.K[1, 1] / 2
     ahead = size_of(cell) / np.cbrt(x * y / 3)  # of viser's frustums: as large as a pyramid of that volume

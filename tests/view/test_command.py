@@ -69,7 +69,7 @@ def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
     pytest.importorskip("viser")
     before = hashes(tdg_folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    words = [str(tdg_folder), "--no-open", "--port", "0", "--data", str(data_root)]
+    words = [str(tdg_folder), "--no-open", "--port", "0"]
     run = subprocess.Popen(
         [sys.executable, "-m", "tdgbench", "view", *words], cwd=tmp_path, env=environment, text=True,
         start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.reading import read_picture
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
-from tdgbench.view.paint import colored, labelled, wiped
 from tdgbench.view.poses import camera_of, pose_of
-from tdgbench.view.renderer import Look, Renderer
+from tdgbench.view.renderer import Look, Renderer, colored, labelled, wiped
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +86,7 @@ def test_a_cell_without_an_rgb_model_is_left_out_of_rgb(renderer, camera):
         renderer.render(Look("tdg", "rgb"), camera)
 
 
-def test_the_cursor_reads_the_pixel_under_it(renderer, camera):
+def test_a_pixel_is_read(renderer, camera):
     frame = renderer.render(Look("tdg"), camera)
     values = renderer.values("tdg", "thermal", camera)
     for x, y, row, column in ((0.0, 0.0, 0, 0), (1.0, 1.0, 35, 47), (0.5, 0.25, 9, 24), (-0.1, 2.0, 35, 0)):

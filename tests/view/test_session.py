@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tdgbench.view.cells import open_cells
-from tdgbench.view.poses import camera_of, pose_of
+from tdgbench.view.poses import camera_of, pose_of, thumbnails
 from tdgbench.view.renderer import Look, Renderer
 from tdgbench.view.requests import Requests
 
@@ -61,10 +61,9 @@ def client() -> Iterator[SimpleNamespace]:
 
 @pytest.fixture
 def session(client, cells):
-    from tdgbench.view.frustums import thumbnails
     from tdgbench.view.session import Session, Shown
 
-    return Session(client, Shown(cells, thumbnails(cells["tdg"]), width=320), Requests(rest=0))
+    return Session(client, Shown(cells, thumbnails(cells["tdg"]), 320), Requests(rest=0))
 
 
 def all_wanted(session) -> list:
@@ -117,7 +116,7 @@ def test_clicks_at_once_are_steps_in_turn(session, cells, monkeypatch):
     assert np.allclose(session.client.camera.position, cells["tdg"].cameras[session.panel.views[3]].center)
 
 
-def test_a_frame_is_read_under_the_cursor(session, client, cells):
+def test_a_pixel_of_a_frame_is_read(session, client, cells):
     (wanted,) = all_wanted(session)
     frame = Renderer(cells).render(wanted.look, camera_of(wanted.pose, wanted.width, wanted.height))
     session.read_at(0.5, 0.5)  # there is no frame yet
@@ -160,9 +159,9 @@ def test_a_picture_that_is_lost_meanwhile_is_told(session, cells, monkeypatch):
 
 
 def test_names_from_records_are_text(client, cells, monkeypatch):
-    from tdgbench.view import facts
+    from tdgbench.view.panel import numbers_table
 
     monkeypatch.setattr(cells["tdg"].record, "notes", [])
-    content = facts.numbers_table({"<b>tdg": cells["tdg"]})
+    content = numbers_table({"<b>tdg": cells["tdg"]})
     assert "&lt;b&gt;tdg" in content and "<b>" not in content
     assert f"{cells['tdg'].record.scores['psnr']:.2f}" in content and "PSNR, dB" in content

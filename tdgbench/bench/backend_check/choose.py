@@ -33,14 +33,13 @@ from tdgbench.text import shortened
 GPU = "cuda"  # type of device
 REPETITIONS = 3
 COMPARED = (*NAMES, "means2d")  # density control reads the last one
-LONGEST_REASON = 300  # characters
 
 
 class AutoBackend(NamedTuple):
-    """What `auto` stands for."""
+    """The backend that `auto` chooses."""
 
     backend: str
-    line: str = ""  # what was found of the GPU, in one line; empty without one
+    line: str = ""  # why, in one line; empty without a GPU
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def training_backend(name: str) -> str:
 
 @cache
 def auto() -> AutoBackend:
-    """Return what `auto` stands for in this process."""
+    """Return the choice of this process; the first call makes it and prints why."""
     choice = choose(check)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
@@ -97,7 +96,7 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
 
 
 def check(backend: str) -> BackendCheck:
-    """Compare a backend with the reference, each scene several times. Never raises an Exception: that is a verdict."""
+    """Compare a backend with the reference, each scene several times. An exception refuses the backend."""
     start = time.perf_counter()
     worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
     reason = ""
@@ -105,7 +104,7 @@ def check(backend: str) -> BackendCheck:
         for name, make in scenes().items():
             reason = reason or _compare(name, make(), backend, worst)
     except Exception as error:
-        reason = shortened(message(error), LONGEST_REASON)
+        reason = shortened(message(error))
     return BackendCheck(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 

@@ -18,7 +18,7 @@ from tdgbench.scenes.images import is_gray
 SMOOTHING = 1.5  # px, σ of the Gaussian before the gradient
 STRONGEST = 99.0  # percentile of edges beyond which they count no more
 LARGEST_SHIFT, SHORTEST_RANGE = 0.05, 16  # of the width; px
-FEWEST_VIEWS = 3
+FEWEST_VIEWS, MOST_VIEWS = 3, 24
 SMALLEST = 96  # px, of the shorter side: measured on aligned images, errors were 0.4 px at 120 px, and 2 px at 36 px
 MIN_PROMINENCE = 6.0  # of the peak over the other shifts, in their robust standard deviations
 MAX_SPREAD = 3.0  # px
@@ -48,39 +48,38 @@ class Offset(NamedTuple):
         return float(np.hypot(self.x, self.y))
 
 
-class Untrusted(NamedTuple):
-    """Why an offset is not known."""
+def chosen_views(count: int) -> set[int]:
+    """Return the numbers of the views, of `count` in order, whose edges are compared."""
+    return set(np.linspace(0, count - 1, min(MOST_VIEWS, count)).round().astype(int))
 
-    reason: str
 
-
-def edge_offset(pairs: Sequence[ViewPair]) -> Offset | Untrusted:
-    """Return the offset between thermal and RGB edges over views of one scene, or why it is not known.
+def edge_offset(pairs: Sequence[ViewPair]) -> Offset | str:
+    """Return the offset between thermal and RGB edges over views of one scene, or words on why it is not known.
 
     All images have one size. An offset is trusted if the peak stands out of the correlations at other shifts, lies
     inside the searched range, and hardly moves when views are resampled.
     """
     if len(pairs) < FEWEST_VIEWS:
-        return Untrusted(f"{len(pairs)} views with both images; {FEWEST_VIEWS} are needed")
+        return f"{len(pairs)} views with both images; {FEWEST_VIEWS} are needed"
     if min(pairs[0].rgb.shape[:2]) < SMALLEST:
-        return Untrusted(f"images of {pairs[0].rgb.shape[1]}×{pairs[0].rgb.shape[0]} px are too small")
+        return f"images of {pairs[0].rgb.shape[1]}×{pairs[0].rgb.shape[0]} px are too small"
     surfaces = np.stack([edge_correlation(pair) for pair in pairs])
     mean = surfaces.mean(axis=0)
     radius = mean.shape[0] // 2
     row, column = np.unravel_index(mean.argmax(), mean.shape)
     if min(row, column) == 0 or max(row, column) == 2 * radius:
-        return Untrusted(f"no offset below {radius} px fits")
+        return f"no offset below {radius} px fits"
     if _prominence(mean, int(row), int(column)) < MIN_PROMINENCE:
-        return Untrusted("edges of RGB and thermal images have too little in common")
+        return "edges of RGB and thermal images have too little in common"
     y, x = _peak(mean)
     spread = _spread(surfaces, y, x)
     if spread > MAX_SPREAD:
-        return Untrusted(f"the offset differs between views, by {spread:.1f} px")
+        return f"the offset differs between views, by {spread:.1f} px"
     return Offset(x, y, spread, len(pairs))
 
 
 def edge_correlation(pair: ViewPair) -> np.ndarray:
-    """Correlation (2R + 1, 2R + 1) of a view's edge maps at shifts of -R to R px: rows are y, columns x."""
+    """Return the correlation (2R + 1, 2R + 1) of a view's edge maps at shifts of -R to R px: rows are y, columns x."""
     radius = max(SHORTEST_RANGE, round(LARGEST_SHIFT * pair.rgb.shape[1]))
     rgb, thermal = (_edges(image, pair.valid) for image in (pair.rgb, pair.thermal))
     norm = np.linalg.norm(rgb) * np.linalg.norm(thermal)
@@ -93,7 +92,7 @@ def edge_correlation(pair: ViewPair) -> np.ndarray:
 
 
 def _edges(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Edge map (H, W) of an image (H, W, C), of mean 0, faded out towards borders and invalid pixels."""
+    """Return the edge map (H, W) of an image (H, W, C), with mean 0, faded out at borders and invalid pixels."""
     channels = [image[..., c].astype(np.float32) for c in range(1 if is_gray(image) else image.shape[2])]
     smooth = [ndimage.gaussian_filter(channel, SMOOTHING) for channel in channels]
     strength = np.sqrt(sum(np.square(change) for channel in smooth for change in np.gradient(channel)))
@@ -107,7 +106,7 @@ def _edges(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 
 def _prominence(surface: np.ndarray, row: int, column: int) -> float:
-    """Height of a peak over the other shifts, in robust standard deviations of these; slow changes are removed."""
+    """Return how many robust standard deviations a peak lies above the other shifts, without slow changes."""
     surface = surface - ndimage.gaussian_filter(surface, AROUND_PEAK)
     rows, columns = np.indices(surface.shape)
     others = surface[np.hypot(rows - row, columns - column) > AROUND_PEAK]
@@ -117,10 +116,9 @@ def _prominence(surface: np.ndarray, row: int, column: int) -> float:
 
 
 def _peak(surface: np.ndarray) -> tuple[float, float]:
-    """Sub-pixel position (y, x) of the highest value, relative to the centre: vertex of a parabola per axis."""
+    """Return the sub-pixel position (y, x) of the highest value from the centre, by a parabola along each axis."""
     radius = surface.shape[0] // 2
-    highest = np.unravel_index(surface.argmax(), surface.shape)
-    row, column = (int(np.clip(place, 1, 2 * radius - 1)) for place in highest)
+    row, column = np.clip(np.unravel_index(surface.argmax(), surface.shape), 1, 2 * radius - 1)
     return (
         row - radius + _vertex(surface[row - 1 : row + 2, column]),
         column - radius + _vertex(surface[row, column - 1 : column + 2]),
@@ -128,13 +126,13 @@ def _peak(surface: np.ndarray) -> tuple[float, float]:
 
 
 def _vertex(values: np.ndarray) -> float:
-    """Position of a parabola's vertex through three values at -1, 0, 1."""
+    """Return where the parabola through three values at -1, 0 and 1 has its vertex."""
     curvature = values[0] - 2 * values[1] + values[2]
     return 0.0 if curvature >= 0 else float(np.clip((values[0] - values[2]) / (2 * curvature), -1, 1))
 
 
 def _spread(surfaces: np.ndarray, y: float, x: float) -> float:
-    """Distance within which 95 % of the peaks lie if views are drawn with replacement."""
+    """Return the distance within which 95 % of the peaks lie if views are drawn with replacement."""
     rng = np.random.default_rng(0)
     draws = rng.multinomial(len(surfaces), np.full(len(surfaces), 1 / len(surfaces)), RESAMPLINGS)
     peaks = [_peak(np.tensordot(draw, surfaces, axes=1)) for draw in draws]

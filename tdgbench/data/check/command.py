@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import json
+from dataclasses import asdict
 from pathlib import Path
 
-from tdgbench.data.check.report import checks_as_json, print_table
-from tdgbench.data.check.scenes import check_scenes, find_place
+from rich.table import Table
+
+from tdgbench.data.check.alignment import Offset
+from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.splits import SPLITS
-from tdgbench.terminal import say
+from tdgbench.scenes.options import SPLITS
+from tdgbench.terminal import console, printable, say
+from tdgbench.text import one_line
+
+COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,9 +31,80 @@ def run(arguments: argparse.Namespace) -> int:
     place = find_place(arguments.root, arguments.split)
     if not is_there(arguments.root):
         say(f"{arguments.root} does not exist", stderr=True)
+    elif place.is_paper and len(place.dataset.missing(place.names)) == len(place.names):
+        say(
+            f"no scene in {arguments.root}: for layouts, see docs/data.md; the paper's scenes:",
+            stderr=True,
+        )
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
     if arguments.json:
         say(checks_as_json(arguments.root, checks, place.is_paper))
     else:
         print_table(arguments.root, checks)
     return 0 if all(check.status == "ok" for check in checks) else 1
+
+
+def print_table(root: Path, checks: list[SceneCheck]) -> None:
+    """Print one row per scene, then problems and notes, one line each."""
+    table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
+    for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges, px", "status"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        table.add_row(*_row(check))
+    console().print(table)
+    for check in checks:
+        for problem in check.problems:
+            say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
+        for note in check.notes:
+            say(f"{check.name}: {one_line(note)}", "note", "dim")
+    usable = sum(check.status == "ok" for check in checks)
+    say(f"{usable} of {len(checks)} scenes can be used")
+
+
+def _row(check: SceneCheck) -> list[str]:
+    status = f"[{COLORS[check.status]}]{check.status}[/]"
+    name, layout = (one_line(text).replace("[", r"\[") for text in (check.name, check.layout or ""))
+    if not check.views:
+        return [name, layout, *[""] * 7, status]
+    published, offset = check.views_published, check.edge_offset
+    return [
+        name,
+        layout,
+        str(check.views) if published is None else f"{check.views} of {published}",
+        f"{check.train} + {check.test}",
+        ", ".join(f"{width}×{height}" for width, height in check.sizes_px[:2]) + (" …" if check.sizes_px[2:] else ""),
+        str(check.channels),
+        _range(check),
+        "n/a" if check.masked_share is None else f"{100 * check.masked_share:.1f} %",
+        f"{offset.px:.1f} ± {offset.spread:.1f}" if isinstance(offset, Offset) else "n/a",
+        status,
+    ]
+
+
+def _range(check: SceneCheck) -> str:
+    """Return what image values 0 and 1 are, in words."""
+    if check.counts is not None:
+        return f"counts {check.counts[0]} to {check.counts[1]}"
+    span = check.temperature_degC
+    return "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f} °C"
+
+
+def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
+    """Return the check as JSON with stable keys, described in docs/data.md."""
+    scenes = []
+    for check in checks:
+        offset = check.edge_offset
+        edges: dict[str, object] = {"edge_offset_px": None, "edge_offset": None, "edge_offset_unknown": offset}
+        if isinstance(offset, Offset):
+            edges = {"edge_offset_px": offset.px, "edge_offset": offset._asdict(), "edge_offset_unknown": None}
+        scenes.append({**asdict(check), **edges})
+    return json.dumps(
+        {
+            "format": 2,
+            "root": str(root),
+            "scenes_of": "paper" if is_paper else "folder",
+            "usable": all(check.status == "ok" for check in checks),
+            "scenes": scenes,
+        },
+        indent=1,
+    )

@@ -5,29 +5,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.data.get.fetch import Download, fetch
+from tdgbench.data.get.fetch import Download, fetch, scene_folders
 from tdgbench.data.get.listing import ZENODO
-from tdgbench.data.get.scenes import found_scenes
 from tdgbench.data.get.sources import SOURCES, GetError
 from tdgbench.data.progress import amount
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 
-EPILOG = (
-    "Scenes are put into DIR/<data set>/<scene>, where data.root=DIR finds them. After an interruption the same "
-    "command goes on; a scene that is there is not fetched again."
-)
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `tdgbench data get`."""
-    parser.epilog = EPILOG
     parser.add_argument("dataset", choices=SOURCES, help="data set")
-    parser.add_argument("root", type=Path, metavar="DIR", help="folder of all data sets")
+    parser.add_argument("root", type=Path, metavar="DIR", help="folder of all data sets, as data.root")
     parser.add_argument("--scene", action="append", default=[], metavar="NAME", help="only this scene; may be repeated")
     parser.add_argument("--list", action="store_true", help="show what would be fetched; fetch nothing")
     parser.add_argument("--force", action="store_true", help="fetch again, and replace scenes that are there")
-    parser.add_argument("--keep", action="store_true", help="keep archives after they are unpacked")
     parser.add_argument("--zenodo", default=ZENODO, metavar="URL", help="a mirror of Zenodo (default: %(default)s)")
 
 
@@ -38,26 +30,29 @@ def run(arguments: argparse.Namespace) -> int:
     """
     source = SOURCES[arguments.dataset]
     folder = arguments.root / source.folder
-    job = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.keep, arguments.zenodo)
+    job = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.zenodo)
     say(f"{source.folder} ({source.paper}): {source.page}")
     try:
         if not arguments.list:
             return 0 if fetch(job) else 1
         show_listing(job)
     except GetError as error:
-        raise GetError(f"{error}; or {source.by_hand(folder)}") from error
+        raise GetError(
+            f"{error}; or open {source.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is "
+            f"gone, ask its authors ({source.authors})"
+        ) from error
     return 0
 
 
 def show_listing(job: Download) -> None:
     """Show each download of a data set: its size, and whether it is there."""
     packages, others = job.listing()
-    there = found_scenes(job.source, job.folder)
+    there = scene_folders(job.source, job.folder)
     for package in packages:
         files = "" if len(package.files) == 1 else f", {len(package.files)} files"
         scene = f", scene {package.scene}" if package.scene else ""
-        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {job.state(package, there).value}"))
-    for path in others:
-        say(one_line(f"{path}: not fetched"))
+        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {job.state(package, there)}"))
+    if others:
+        say(one_line(f"not fetched: {', '.join(map(str, others))}"))
     sizes = [package.size for package in packages]
     say(f"in all {amount(None if None in sizes else sum(size or 0 for size in sizes))}")

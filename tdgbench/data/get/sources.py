@@ -1,13 +1,14 @@
-"""Where the authors publish their data sets, and what is said where they cannot be fetched."""
+"""Where the authors publish their data sets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.registry import DATASETS, SCENES
+
+DRIVE_FOLDERS = "https://drive.google.com/drive/folders/"
 
 
 class GetError(SceneError):
@@ -35,20 +36,11 @@ class PublishedDataset:
 
     @property
     def page(self) -> str:
-        """Address for a browser."""
-        if self.host == "Zenodo":
-            return f"https://zenodo.org/records/{self.identifier}"
-        return f"https://drive.google.com/drive/folders/{self.identifier}"
-
-    def by_hand(self, folder: Path) -> str:
-        """How to get the scenes into `folder` without this program."""
-        return (
-            f"open {self.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is gone, ask its "
-            f"authors ({self.authors})"
-        )
+        """The address for a browser."""
+        return ("https://zenodo.org/records/" if self.host == "Zenodo" else DRIVE_FOLDERS) + self.identifier
 
     def scene(self, folder: str) -> str:
-        """Name of a scene: that of the paper's table for a name or alias of one of its scenes, else the folder's.
+        """Return the name of a scene: the paper's for a name or alias of one of its scenes, else the folder's.
 
         >>> SOURCES["thermalmix"].scene("hands"), SOURCES["thermalmix"].scene("panel")
         ('Hand', 'panel')

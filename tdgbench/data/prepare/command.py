@@ -6,11 +6,11 @@ import argparse
 import math
 from pathlib import Path
 
-from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
 
 
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _options(arguments: argparse.Namespace) -> PrepareOptions:
-    """Options of a preparation. Raises SceneError for those that contradict each other."""
+    """Return the options of a preparation. Raises SceneError for options that contradict each other."""
     if arguments.mapping is not None and arguments.homography is not None:
         raise SceneError("--mapping and --homography both say where the thermal image lies; give one of them")
     if arguments.degC_per_count == 0:

@@ -21,7 +21,7 @@ CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "O
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
-IMAGES_AT_A_TIME, PAIRS_AT_A_TIME = 4, 64  # between two steps of the progress
+PAIRS_AT_A_TIME = 64  # between two steps of the progress
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,10 @@ def _extract(database: Path, images: Path, names: list[str], options: SfmOptions
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = options.camera_model
     with step("features of images", len(names)) as count:
-        for first in range(0, len(names), IMAGES_AT_A_TIME):
-            some = names[first : first + IMAGES_AT_A_TIME]
-            pycolmap.extract_features(
-                database, images, some, pycolmap.CameraMode.SINGLE, reader, settings, pycolmap.Device.cpu
-            )
-            with pycolmap.Database.open(database) as stored:
-                reader.existing_camera_id = min(stored.read_all_cameras(), key=lambda c: c.camera_id).camera_id
-            count(first + len(some))
+        pycolmap.extract_features(
+            database, images, names, pycolmap.CameraMode.SINGLE, reader, settings, pycolmap.Device.cpu
+        )
+        count(len(names))
 
 
 def _match(database: Path, list_path: Path, names: list[str], options: SfmOptions) -> None:
@@ -176,7 +172,7 @@ def _cloud(model: pycolmap.Reconstruction) -> PointCloud:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Context without COLMAP's own log, of which only errors are printed."""
+    """Silence COLMAP's log, except for errors."""
     before = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     try:

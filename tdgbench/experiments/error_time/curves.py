@@ -46,22 +46,6 @@ def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> flo
     return float(np.interp(seconds, times, curve[metric].to_numpy(float)))
 
 
-def milestones(curves: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per scene and label: last quality and time, seconds to whole dB, dB at the other runs' ends."""
-    rows = []
-    for scene, group in curves.groupby("scene", sort=False):
-        by_label = {str(label): curve for label, curve in group.groupby("label", sort=False)}
-        ends = {label: float(curve["seconds"].iloc[-1]) for label, curve in by_label.items()}
-        best = min(float(curve["psnr"].max()) for curve in by_label.values())
-        levels = range(math.floor(best) - 4, math.floor(best) + 1)
-        for label, curve in by_label.items():
-            row = {"scene": scene, "label": label, "end_seconds": ends[label], "end_psnr": curve["psnr"].iloc[-1]}
-            row |= {f"seconds to {level} dB": seconds_to(curve, level) for level in levels}
-            row |= {f"dB at {end:.1f} s ({other})": quality_at(curve, end) for other, end in ends.items()}
-            rows.append(row)
-    return pd.DataFrame(rows)
-
-
 def attribution(curves: pd.DataFrame, labels: list[str]) -> pd.DataFrame:
     """Return the contribution of each link to the speed-up from the first label to the last, per scene.
 

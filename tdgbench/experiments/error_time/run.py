@@ -16,9 +16,8 @@ from pydantic import BaseModel, Field, PositiveFloat
 
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
-from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by, milestones
-from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.preparation import prepare_prior
+from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.show import show_table
 from tdgbench.files import write_text
 from tdgbench.scenes import Scene
@@ -64,7 +63,7 @@ class ErrorTime(Experiment):
     sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "method": "job.runs"}
 
     def start(self, cfg: DictConfig) -> None:
-        """Raises PriorUnavailableError if a training needs a prior that is not available."""
+        """Prepare the depth priors. Raises PriorUnavailableError if a training needs a prior that is not available."""
         for run in runs_of(cfg):
             cell = cfg.copy()
             cell.method = cfg.job.methods[run.method]
@@ -164,7 +163,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
             }
         )
 
-    train(trainer, on_model=sample)
+    train(trainer, before_update=sample)
     return pd.DataFrame(rows)
 
 
@@ -176,9 +175,8 @@ def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
 
 
 def _compare(curves: pd.DataFrame, labels: list[str], folder: Path, is_chain: bool) -> None:
-    """Write milestones and the figure; write and print the time saved, and what each step of a chain contributes."""
+    """Write the figure; write and print the time saved, and what each step of a chain contributes."""
     savings = faster_by(curves, labels[0], labels[1:])
-    _write(milestones(curves), folder / "milestones.csv")
     _write(savings, folder / "faster.csv")
     show_table(savings, console(), f"time saved against {labels[0]}")
     if is_chain:

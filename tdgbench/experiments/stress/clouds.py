@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,29 +14,32 @@ from tdgbench.bench.backend_check.compare import NAMES, Cloud, Rendered, cloud, 
 from tdgbench.experiments.stress.case import Case, Close, Observed, Raises, require
 
 VISIBLE = 2000  # of the million Gaussians
+RANDOM_SCENES = 40
+SMALLEST, LARGEST = (1, 1, 1), (60, 50, 40)  # Gaussians, width, height
+DEGREES = (None, 0, 1, 2, 3)
 
-Make = Callable[[], Cloud]
 Change = Callable[[Tensor], Tensor]
 
 
 def cases() -> list[Case]:
     """Return every case of the families `geometry` and `appearance`."""
     return [
-        *(Case("geometry", name, Close(), _compare(make)) for name, make in _geometry()),
+        *(Case("geometry", name, Close(), partial(compared, scene)) for name, scene in _geometry()),
         Case("geometry", "a million Gaussians", Close(), _million),
+        Case("geometry", f"{RANDOM_SCENES} random scenes", Close(), _random_scenes),
         Case("geometry", "NaN quaternion", "a NaN goes in, a NaN comes out", _nan_quaternion),
-        Case("geometry", "image 0×5", Raises("ValueError", r"image is 0×5"), _compare(changed(12, size=(0, 5)))),
-        Case("geometry", "near plane 0", Raises("ValueError", "near_plane is 0"), _compare(changed(near_plane=0.0))),
+        Case("geometry", "image 0×5", Raises("ValueError", "is 0×5"), partial(compared, changed(12, size=(0, 5)))),
+        Case("geometry", "near plane 0", Raises("ValueError", "is 0"), partial(compared, changed(near_plane=0.0))),
         Case(
             "geometry", "an image of 40 000 px", Raises("ValueError", "up to 32767 px"),
-            lambda _: compared(changed(12, size=(40_000, 1))(), "cpu"), every_backend=False,
+            lambda _: compared(changed(12, size=(40_000, 1)), "cpu"), every_backend=False,
         ),
-        *(Case("appearance", name, Close(), _compare(make)) for name, make in _appearance()),
+        *(Case("appearance", name, Close(), partial(compared, scene)) for name, scene in _appearance()),
     ]  # fmt: skip
 
 
 def compared(scene: Cloud, backend: str, seed: int = 0) -> Observed:
-    """Return the errors of values and gradients, see `Errors`, and the share of pixels that rounding could flip."""
+    """Return the errors of values and gradients, and the share of pixels that a rounding error could flip."""
     want = expected(scene, backend, seed)
     errors = want.errors(render(scene, backend, want.weights))
     excluded = want.undecided.double().mean().item()
@@ -43,23 +49,19 @@ def compared(scene: Cloud, backend: str, seed: int = 0) -> Observed:
 def changed(
     seed: int = 0, count: int = 60, *, size: tuple[int, int] = (40, 30), degree: int | None = None,
     at_origin: bool = False, near_plane: float | None = None, **changes: Change,
-) -> Make:  # fmt: skip
-    """Return a function that makes a random cloud with changed tensors, by the names of its fields.
+) -> Cloud:  # fmt: skip
+    """Return a random cloud with changed tensors, by the names of its fields.
 
     at_origin: the camera stands at the origin and looks along z.
     """
-
-    def make() -> Cloud:
-        scene = cloud(count, seed, *size, degree)
-        if at_origin:
-            scene.viewmat = torch.eye(4)
-        if near_plane is not None:
-            scene.near_plane = near_plane
-        for name, change in changes.items():
-            setattr(scene, name, change(getattr(scene, name).clone()))
-        return scene
-
-    return make
+    scene = cloud(count, seed, *size, degree)
+    if at_origin:
+        scene.viewmat = torch.eye(4)
+    if near_plane is not None:
+        scene.near_plane = near_plane
+    for name, change in changes.items():
+        setattr(scene, name, change(getattr(scene, name).clone()))
+    return scene
 
 
 def times(factor: float) -> Change:
@@ -87,7 +89,7 @@ def stacked(nearest: float, farthest: float) -> Change:
     return lambda means: torch.stack([torch.zeros(len(means))] * 2 + [torch.linspace(nearest, farthest, len(means))], 1)
 
 
-def _geometry() -> list[tuple[str, Make]]:
+def _geometry() -> list[tuple[str, Cloud]]:
     mixed = torch.logspace(-10, 4, 60)[:, None].expand(60, 3).clone()
     return [
         *((f"scales {s:g}", _scaled(s)) for s in (1e-10, 1e-5, 1e-2, 1.0, 100.0, 1e4)),
@@ -120,7 +122,7 @@ def _geometry() -> list[tuple[str, Make]]:
     ]  # fmt: skip
 
 
-def _appearance() -> list[tuple[str, Make]]:
+def _appearance() -> list[tuple[str, Cloud]]:
     three = torch.rand(60, 3, generator=torch.Generator().manual_seed(25))
     return [
         ("opacity 0", changed(20, opacities=filled(0.0))),
@@ -146,11 +148,7 @@ def _appearance() -> list[tuple[str, Make]]:
     ]  # fmt: skip
 
 
-def _compare(make: Make) -> Callable[[str], Observed]:
-    return lambda backend: compared(make(), backend)
-
-
-def _scaled(scale: float) -> Make:
+def _scaled(scale: float) -> Cloud:
     return changed(1, scales=lambda scales: scales / scales.mean() * scale)
 
 
@@ -162,7 +160,7 @@ def _around_the_near_plane(means: Tensor) -> Tensor:
     return means
 
 
-def _offset(offset: float) -> Make:
+def _offset(offset: float) -> Cloud:
     """Put cloud and camera far from the origin; the camera's rotation is exact in float32."""
     shift = torch.tensor([offset, -offset / 2, offset / 4])
     rotation = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -171,7 +169,7 @@ def _offset(offset: float) -> Make:
     return changed(9, viewmat=lambda _: viewmat, means=lambda means: means @ rotation + shift)
 
 
-def _focal(focal: float) -> Make:
+def _focal(focal: float) -> Cloud:
     K = torch.tensor([[focal, 0, 20.0], [0, focal, 15.0], [0, 0, 1]])
     if focal <= 100:
         return changed(10, K=lambda _: K)
@@ -179,7 +177,7 @@ def _focal(focal: float) -> Make:
     return changed(10, at_origin=True, K=lambda _: K, means=lambda m: m * to_view, scales=times(20.0 / focal))
 
 
-def _principal(cx: float, cy: float) -> Make:
+def _principal(cx: float, cy: float) -> Cloud:
     def change(K: Tensor) -> Tensor:
         K[0, 2], K[1, 2] = cx, cy
         return K
@@ -187,7 +185,7 @@ def _principal(cx: float, cy: float) -> Make:
     return changed(11, K=change, scales=times(4))
 
 
-def _layers(opacity: float) -> Make:
+def _layers(opacity: float) -> Cloud:
     return changed(
         13, 5000, size=(4, 3), at_origin=True, means=stacked(1, 50), scales=filled(100.0), opacities=filled(opacity)
     )  # fmt: skip
@@ -217,3 +215,23 @@ def _nan_quaternion(backend: str) -> Observed:
     bad = render(scene, backend).image.isnan().any(dim=-1)
     require(bool(bad.any()), "the image is finite: the NaN has no effect")
     return Observed(f"{int(bad.sum())} of {bad.numel()} pixels are NaN")
+
+
+def random_scenes() -> Iterator[Cloud]:
+    """Yield random clouds in images of random size; the first is the smallest, the second the largest."""
+    rng = np.random.default_rng(0)
+    for number in range(RANDOM_SCENES):
+        drawn = [int(rng.integers(low, high, endpoint=True)) for low, high in zip(SMALLEST, LARGEST, strict=True)]
+        count, width, height = {0: SMALLEST, 1: LARGEST}.get(number, drawn)
+        scene = cloud(count, number, width, height, DEGREES[number % len(DEGREES)])
+        scene.scales = scene.scales * math.exp(rng.uniform(-8.0, 2.0))
+        yield scene
+
+
+def _random_scenes(backend: str) -> Observed:
+    """Return the worst error over random scenes; NaN if any is."""
+    worst = {"image": 0.0, "gradients": 0.0}
+    for number, scene in enumerate(random_scenes()):
+        errors = compared(scene, backend, number).numbers
+        worst = {n: math.nan if math.isnan(errors[n] + old) else max(errors[n], old) for n, old in worst.items()}
+    return Observed("the worst", worst)

@@ -1,33 +1,25 @@
-"""Stress: degenerate scenes, extreme budgets, faults during training, a failing cell in a sweep, equal bytes."""
+"""Stress: degenerate scenes, extreme budgets, faults during training, equal bytes; all in small trainings."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
-from omegaconf import DictConfig
-from rich.console import Console
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.cell import run_cell
-from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import read_all
+from tdgbench.bench.setup import set_up
 from tdgbench.experiments.stress.case import Case, Expected, Observed, Raises, require
-from tdgbench.experiments.stress.small import (
-    FAULTY_STEP,
-    FaultyMethod,
-    SmallTraining,
-    shifted,
-    with_cameras_on_a_line,
-    with_points,
-)
-from tdgbench.scenes import Camera, Scene
+from tdgbench.scenes import PointCloud, Scene
 from tdgbench.splats.cpu import pool
-from tdgbench.training.loop import TrainingLog
-from tdgbench.training.method import Frame
+from tdgbench.splats.view import Render
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Context, Frame, Method, Step
+from tdgbench.training.model import SplatModel
 from tdgbench.training.trainer import Trainer
 
 FAMILY = "training"
@@ -35,7 +27,8 @@ CAP = 350  # Gaussians
 ONE_PLACE = Raises("SceneError", "stand in one place")
 NO_POINTS = Raises("SceneError", "no sparse points; use init=random")
 FINITE = "every loss and parameter stays finite"
-REPETITIONS = 5
+THREADS = (1, 1, 2, 2, 3)  # of trainings that must end with the same bytes
+FAULTY_STEP = 7
 FAULTS = (  # where, the tensor that the error must name, the fault
     ("the means", "thermal means", "means"),
     ("the scales", "thermal log_scales", "log_scales"),
@@ -65,19 +58,99 @@ def cases(small: SmallTraining) -> list[Case]:
             for name, tensor, fault in FAULTS
         ),
         Case(
-            FAMILY, "a failing cell in a sweep", "its record names step and tensor; the next cell runs",
-            lambda b: _failing_cell(small, b),
-        ),
-        Case(
-            "determinism", "a training, five times", "the same bytes on the CPU; on a GPU the spread is told",
-            lambda b: repeated(lambda: small.train(b)[0], small.scene().train[0].camera, b),
-        ),
-        Case(
-            "determinism", "a training on 1, 2 and 3 threads", "the same bytes",
-            lambda _: _on_threads(lambda: small.train("cpu")[0], [1, 2, 3]), every_backend=False,
+            "determinism", "five trainings, on 1, 2 and 3 threads", "the same bytes",
+            lambda _: check_same_bytes(lambda: small.train("cpu")[0]), every_backend=False,
         ),
         Case("determinism", "another seed", "other bytes", lambda b: _with_another_seed(small, b)),
     ]  # fmt: skip
+
+
+class FaultyMethod(Method):
+    """A method with NaN at FAULTY_STEP.
+
+    fault: a parameter of the thermal model's Gaussians (NaN in all of them, so that some are visible), `target` (in one
+    pixel of every training image), or `gradient` (in the gradient of the rendered image; the loss stays finite).
+    """
+
+    def __init__(self, method: Method, fault: str) -> None:
+        self.name, self.modalities, self.needs_prior = method.name, method.modalities, method.needs_prior
+        self._method, self._fault = method, fault
+
+    def setup(self, context: Context) -> None:
+        self._context = context
+        self._method.setup(context)
+
+    def step(self, iteration: int) -> Step:
+        is_faulty = iteration == FAULTY_STEP
+        if is_faulty and self._fault == "target":
+            for view in self._context.scene.train:
+                view.thermal = view.thermal.copy()
+                view.thermal[1, 2] = np.nan
+        elif is_faulty and self._fault != "gradient":
+            thermal = self._context.parts["thermal"]
+            assert isinstance(thermal, SplatModel)
+            getattr(thermal.gaussians, self._fault).detach().fill_(float("nan"))
+        step = self._method.step(iteration)
+        if is_faulty and self._fault == "gradient":
+            step.render.image.register_hook(lambda grad: grad * float("nan"))
+        return step
+
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        return self._method.render(frame, modality)
+
+
+@dataclass(frozen=True)
+class SmallTraining:
+    """A small training: the configured method on the configured scene."""
+
+    cfg: DictConfig
+
+    def train(
+        self,
+        backend: str,
+        change: Callable[[Scene], Scene] = lambda scene: scene,
+        budget: Mapping[str, Any] | None = None,
+        fault: str | None = None,
+    ) -> tuple[Trainer, TrainingLog]:
+        """Train on a changed scene. budget: options by dotted name. fault: see `FaultyMethod`."""
+        cfg = self.cfg.copy()
+        cfg.backend.name = backend
+        for name, value in (budget or {}).items():
+            OmegaConf.update(cfg.budget, name, value)
+        method: Method = instantiate(cfg.method.method)
+        if fault is not None:
+            method = FaultyMethod(method, fault)
+        scene = change(instantiate(cfg.dataset.loader).load(cfg.scene))
+        trainer = set_up(cfg, scene, method=method, compiles=False).trainer
+        return trainer, train(trainer)
+
+
+def with_points(scene: Scene, points: np.ndarray) -> Scene:
+    """Return a scene with other points (N, 3), world units, all gray."""
+    return replace(scene, points=PointCloud(points.astype(np.float64), np.full((len(points), 3), 0.5, np.float32)))
+
+
+def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
+    """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
+    first = scene.train[0].camera
+    views = []
+    for i, view in enumerate(scene.train):
+        pose = first.world_to_camera.copy()
+        pose[0, 3] += step * i
+        views.append(replace(view, camera=replace(first, world_to_camera=pose)))
+    return replace(scene, train=views)
+
+
+def shifted(scene: Scene, offset: float) -> Scene:
+    """Return a scene moved by an offset along each axis, world units. Raises ValueError if it has no points."""
+    if scene.points is None:
+        raise ValueError(f"scene {scene.name} has no points to shift")
+    views = []
+    for view in scene.train:
+        pose = view.camera.world_to_camera.copy()
+        pose[:3, 3] -= pose[:3, :3] @ np.full(3, offset)
+        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
+    return replace(scene, train=views, points=PointCloud(scene.points.points + offset, scene.points.colors))
 
 
 def _scenes() -> list[tuple[str, Expected, Callable[[Scene], Scene]]]:
@@ -139,47 +212,25 @@ def _capped(small: SmallTraining, backend: str) -> Observed:
     return Observed(f"{count} Gaussians")
 
 
-def _failing_cell(small: SmallTraining, backend: str) -> Observed:
-    """Run a cell whose method has a fault, then a sound one."""
-    sound = small.cfg.copy()
-    sound.results, sound.name, sound.overwrite = str(small.folder / backend), "sweep", "always"
-    sound.backend.name = backend
-    faulty = sound.copy()
-    sound.seed = int(sound.seed) + 1
-    target = f"{FaultyMethod.__module__}.{FaultyMethod.__name__}"
-    faulty.method.method = {"_target_": target, "method": faulty.method.method, "fault": "means"}
-    quiet = CellProgress(Console(quiet=True), 1)
-    first = run_cell(faulty, "", quiet)
-    (record,) = read_all(small.folder / backend / "sweep")
-    second = run_cell(sound, "", quiet)
-    require(
-        (first.status, second.status) == ("failed", "ok"), f"{first.status}, then {second.status}: {second.message}"
-    )
-    failure = record.failure
-    if failure is None:
-        raise ValueError("the record of the failed cell has no failure")
-    require(failure.stage == "train", f"failed at stage {failure.stage}")
-    require(failure.iteration == FAULTY_STEP, f"failed at iteration {failure.iteration}")
-    require(failure.tensor == "thermal means", f"the record names {failure.tensor}")
-    return Observed(f"{failure.error}; then {second.status}")
+def check_same_bytes(train: Callable[[], Trainer]) -> Observed:
+    """Train on the CPU with each number of threads in THREADS; all bytes must agree."""
+    before, digests = pool.get_threads(), []
+    try:
+        for count in THREADS:
+            pool.set_threads(count)
+            digests.append(_digest(train()))
+    finally:
+        pool.set_threads(before)
+    require(len(set(digests)) == 1, f"different results: {digests} with {THREADS} threads")
+    return Observed(f"{len(digests)} times {digests[0]}")
 
 
-def repeated(train: Callable[[], Trainer], camera: Camera, backend: str) -> Observed:
-    """Train five times. On the CPU all bytes must agree; elsewhere sums have no fixed order, and the spread of the
-    render from a camera is measured."""
-    trainers = [train() for _ in range(REPETITIONS)]
-    if backend == "cpu":
-        digests = {_digest(trainer) for trainer in trainers}
-        require(len(digests) == 1, f"{len(digests)} different results")
-        return Observed(f"{REPETITIONS} times {digests.pop()}")
-    counts = [sum(len(model) for model in trainer.gaussians.values()) for trainer in trainers]
-    images = torch.stack([trainer.method.render(Frame(camera)).cpu().image for trainer in trainers])
-    return Observed(f"{min(counts)} to {max(counts)} Gaussians", {"spread of a training view": spread(images)})
-
-
-def spread(images: torch.Tensor) -> float:
-    """Return the largest standard deviation of any value over the first axis; images (N, H, W, C)."""
-    return float(images.std(dim=0).max())
+def _with_another_seed(small: SmallTraining, backend: str) -> Observed:
+    cfg = small.cfg.copy()
+    cfg.seed = int(cfg.seed) + 1
+    digests = [_digest(training.train(backend)[0]) for training in (small, SmallTraining(cfg))]
+    require(digests[0] != digests[1], f"both {digests[0]}")
+    return Observed(" and ".join(digests))
 
 
 def _digest(trainer: Trainer) -> str:
@@ -189,25 +240,3 @@ def _digest(trainer: Trainer) -> str:
         for _, tensor in model.gaussians.items():
             digest.update(tensor.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:12]
-
-
-def _on_threads(train: Callable[[], Trainer], threads: list[int]) -> Observed:
-    before = pool.get_threads()
-    try:
-        digests = []
-        for count in threads:
-            pool.set_threads(count)
-            digests.append(_digest(train()))
-    finally:
-        pool.set_threads(before)
-    require(len(set(digests)) == 1, f"{digests} with {threads} threads")
-    return Observed(f"{len(digests)} times {digests[0]}")
-
-
-def _with_another_seed(small: SmallTraining, backend: str) -> Observed:
-    cfg = small.cfg.copy()
-    cfg.seed = int(cfg.seed) + 1
-    other = SmallTraining(cfg, small.folder)
-    digests = [_digest(training.train(backend)[0]) for training in (small, other)]
-    require(digests[0] != digests[1], f"both {digests[0]}")
-    return Observed(" and ".join(digests))

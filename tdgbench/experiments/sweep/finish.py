@@ -7,15 +7,12 @@ from typing import get_args
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.outcome import COMPLETE, Outcome, Status
-from tdgbench.experiments.callback import ExperimentCallback
-from tdgbench.experiments.stamp import Stamp, inputs_hash, leave_stamp, results_hash
-from tdgbench.experiments.sweep.cells import PlannedCell, count_by_state
+from tdgbench.bench.outcome import Outcome, Status
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
-from tdgbench.terminal import as_printed, console, say
+from tdgbench.terminal import console, say
 
 FAILED = ("failed", "missing", "no prior")
 
@@ -23,22 +20,12 @@ FAILED = ("failed", "missing", "no prior")
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     """Write tables and pictures of all cells on disk; print a summary, one line per failure, and what was found.
 
-    Cells that lack the same prior have one line. Where all cells have a result and no input changed, a stamp is left,
-    by which the same command finds that nothing has changed.
-
-    Raises SystemExit(1) if a cell failed, a scene was missing, or tables or report could not be written.
+    Cells that lack the same prior have one line. Raises SystemExit(1) if a cell failed, a scene was missing, or tables
+    or report could not be written.
     """
     problem, found = None, list[str]()
-    experiment, inputs = Path(cfg.results) / cfg.name, ExperimentCallback.inputs
     try:
-        text, found = _write_all(experiment)
-        if all(outcome.status in COMPLETE for outcome in outcomes) and inputs and inputs == inputs_hash(cfg):
-            kept = [Outcome("kept", outcome.title) for outcome in outcomes]
-            there = count_by_state([PlannedCell("", "", "with a result")] * len(kept))
-            lines = [f"{experiment.name}: {there}"] * (len(kept) > 1) + [one.line for one in kept]
-            leave_stamp(
-                experiment, Stamp(inputs, results_hash(experiment), lines, f"{text}\n{count_outcomes(kept)}", found)
-            )
+        found = _write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(count_outcomes(outcomes))
@@ -75,14 +62,12 @@ def _cells(count: int) -> str:
     return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
-def _write_all(experiment: Path) -> tuple[str, list[str]]:
-    """Write tables, pictures and report of all cells on disk; print and return them in words, and what was found."""
+def _write_all(experiment: Path) -> list[str]:
+    """Write and print tables, pictures and report of all cells on disk; return the findings in sentences."""
     tables = build_tables(experiment)
     show_tables(tables, console())
-    places = {"tables": tables.folder}
+    say(f"tables: {tables.folder}")
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
-        places["pictures"] = experiment / "strip.png"
-    places["report"] = write_report(experiment, tables)
-    lines = [f"{what}: {place}" for what, place in places.items()]
-    say("\n".join(lines))
-    return as_printed(lambda console: show_tables(tables, console)) + "\n".join(lines), tables.findings
+        say(f"pictures: {experiment / 'strip.png'}")
+    say(f"report: {write_report(experiment, tables)}")
+    return tables.findings

@@ -6,7 +6,9 @@ A job writes its cell's outcome for the summary at the end. No failure ends the 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from hydra.conf import HydraConf
@@ -14,17 +16,17 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
-from tdgbench.bench.cell import run_cell
 from tdgbench.bench.options import check_method_name
 from tdgbench.bench.outcome import Outcome
-from tdgbench.bench.plan import number_of_jobs, plan_of_job
+from tdgbench.bench.plan import number_of_jobs, plan_of_job, read_plan
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.experiments.experiment import Experiment, error_message
-from tdgbench.experiments.sweep import cells
 from tdgbench.experiments.sweep.plan import plan_sweep
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
+from tdgbench.text import duration
 
 OUTCOME = "outcome.json"
 BASIC_LAUNCHER = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"  # one job after the other
@@ -41,7 +43,26 @@ class Sweep(Experiment):
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
-        _run_job(cfg)
+        hydra = HydraConfig.get()
+        outcome = _outcome(cfg, hydra)
+        folder = Path(hydra.runtime.output_dir)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
+        except OSError as error:
+            say(
+                f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})",
+                "error:",
+                stderr=True,
+            )
+        if outcome.status != "missing":
+            say(outcome.line, stderr=True)
+        workers = cells_at_once(hydra.launcher, pool.available_cores())
+        if outcome.status in ("ok", "failed") and workers is not None:
+            sweep = Path(hydra.sweep.dir)
+            left = remaining_time(read_plan(sweep).cells_to_run, list(numbered_outcomes(sweep).values()), workers)
+            if left:
+                say(f"{cfg.name}: {left}", stderr=True)
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
         _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
@@ -51,25 +72,6 @@ def _finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     from tdgbench.experiments.sweep.finish import finish  # pandas, SciPy's statistics, Matplotlib: 75 MB of memory
 
     finish(cfg, outcomes)
-
-
-def _run_job(cfg: DictConfig) -> None:
-    hydra = HydraConfig.get()
-    outcome = _outcome(cfg, hydra)
-    folder = Path(hydra.runtime.output_dir)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
-    except OSError as error:
-        say(f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})", "error:", stderr=True)
-    if outcome.status != "missing":
-        say(outcome.line, stderr=True)
-    workers = cells_at_once(hydra.launcher, pool.available_cores())
-    if outcome.status in ("ok", "failed") and workers is not None:
-        sweep = Path(hydra.sweep.dir)
-        left = cells.remaining_time(cells.read_cells(sweep), numbered_outcomes(sweep), workers)
-        if left:
-            say(f"{cfg.name}: {left}", stderr=True)
 
 
 def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
@@ -114,6 +116,25 @@ def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
     if launcher.get("n_jobs") is not None:
         return cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
     return 1 if launcher.get("_target_") == BASIC_LAUNCHER else None
+
+
+def remaining_time(cells: int, outcomes: Sequence[Outcome], workers: int, now: datetime | None = None) -> str:
+    """Return the number of cells that are still to run, and the time they take if each takes the mean of the finished.
+
+    cells: number of cells to run. outcomes: of the jobs so far. workers: cells that run at once. Empty before the first
+    finished cell, and after the last.
+
+    >>> done = [Outcome("ok", "tdg on a", seconds=1800.0), Outcome("kept", "tdg on b")]
+    >>> remaining_time(3, done, workers=1, now=datetime(2024, 1, 1, 12))
+    '2 of 3 cells to go, about 1:00:00 left (until Mon 13:00)'
+    """
+    seconds = [outcome.seconds for outcome in outcomes if outcome.status == "ok"]
+    left = cells - sum(outcome.status in ("ok", "failed") for outcome in outcomes)
+    if not seconds or left < 1:
+        return ""
+    time = sum(seconds) / len(seconds) * left / min(workers, left)
+    end = (now or datetime.now()) + timedelta(seconds=time)
+    return f"{left} of {cells} cells to go, about {duration(time)} left (until {end:%a %H:%M})"
 
 
 def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:

@@ -25,14 +25,7 @@ def _missing_points(model: ModelTables, ids: np.ndarray) -> list[str]:
     """Return a note if images show points that the model does not hold (ids (P,), ascending)."""
     shown = np.concatenate([image.point_ids for image in model.images.values()])
     shown = shown[shown != NO_POINT]
-    if not len(ids) or not len(shown):
-        return []
-    if ids[-1] < 4 * len(ids):  # as COLMAP numbers points; a table is faster than a search
-        is_there = np.zeros(int(ids[-1]) + 1, bool)
-        is_there[ids] = True
-        missing = int((~is_there[shown[shown <= ids[-1]]]).sum() + (shown > ids[-1]).sum())
-    else:
-        missing = int((ids[np.minimum(np.searchsorted(ids, shown), len(ids) - 1)] != shown).sum())
+    missing = int((~np.isin(shown, ids)).sum()) if len(ids) else 0
     if not missing:
         return []
     what = f"{missing} of {len(shown)} 2-D points of its images are of points that it does not hold"

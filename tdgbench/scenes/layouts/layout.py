@@ -30,10 +30,6 @@ class SceneFiles:
     unwarped: dict[str, Path] = field(default_factory=dict)  # gray thermal images before they were warped
 
 
-def _none_published(name: str) -> TemperatureRange | None:
-    return None
-
-
 @dataclass(frozen=True)
 class Layout:
     """How the folder of a scene is organised."""
@@ -43,7 +39,7 @@ class Layout:
     looks: str  # inside the folder of a scene, in one line
     fits: Callable[[Path], bool]  # whether a folder has this layout; raises SceneError if that cannot be told
     find: Callable[[Path], SceneFiles]  # raises SceneError naming the file and the remedy
-    published: Callable[[str], TemperatureRange | None] = _none_published  # °C of gray images, by a scene's name
+    published: Callable[[str], TemperatureRange | None] = lambda name: None  # °C of gray images, by a scene's name
 
 
 @dataclass(frozen=True)

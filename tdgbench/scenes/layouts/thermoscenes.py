@@ -17,8 +17,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder, is_there, regular_file
 from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_optional, model_folder
-from tdgbench.scenes.layouts.ply import read_points, where_they_are
-from tdgbench.scenes.layouts.transforms import Transforms, read_transforms
+from tdgbench.scenes.layouts.transforms import Transforms, read_points, read_transforms, where_they_are
 from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_radiometry, read_temperature_bounds
 
 JSON_FILES = ("transforms.json", "transforms_thermal.json")

@@ -1,4 +1,4 @@
-"""nerfstudio's transforms.json: cameras and poses of frames, and the files that they name.
+"""nerfstudio's transforms.json: cameras and poses of frames, the files that they name, and the points of a PLY file.
 
 Facts: nerfstudio 1.1, nerfstudio/data/dataparsers/nerfstudio_dataparser.py and nerfstudio/process_data/colmap_utils.py.
 A key of the file as a whole goes before that of a frame. `transform_matrix` is camera to world in OpenGL's axes (x
@@ -7,25 +7,33 @@ right, y up, z backward). Intrinsics are COLMAP's: pixel centres are at integers
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
+from plyfile import PlyData, PlyListProperty
+from pydantic import BaseModel, Field, FiniteFloat, PlainValidator, ValidationError
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_view_name, read_json
-from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.temperature import finite_number
-from tdgbench.scenes.validate import check_camera, check_pose
+from tdgbench.scenes.inputs import check_view_name, read_bytes, read_json
+from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.validate import MAX_COORDINATE, check_camera, check_pose
+from tdgbench.text import shortened
 
-OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # axes of a camera
-PERSPECTIVE = (None, "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # axes of a camera
 FISHEYE = "OPENCV_FISHEYE"
 SPLITS = ("train", "val", "test")
+M = TypeVar("M", bound=BaseModel)
+HEADER_SIZE = 2**16  # bytes that hold it
+SMALLEST_ROW = 6  # bytes of a point: three digits and the spaces between them
+REMEDY = "copy or download it again, or remove it and use init=random"
+CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in none in the other
 
 
 @dataclass(frozen=True)
@@ -47,128 +55,188 @@ class Transforms:
     applied_transform: np.ndarray | None  # (4, 4), from the original world to that of the frames
 
 
-def read_transforms(path: Path) -> Transforms:
-    """Read a transforms.json. Raises SceneError naming the frame and the remedy."""
-    content = _content(path)
-    cameras: dict[CameraEntry, Any] = {}
-    frames: dict[str, TransformsFrame] = {}
-    for number, frame in enumerate(content["frames"]):
-        where = f"{path}: frame {number}"
-        if not isinstance(frame, dict):
-            raise SceneError(f"{where} is no object with file_path and transform_matrix. Correct the file")
-        file = _inside(frame.get("file_path"), "file_path", where)
-        name = check_view_name(file.stem, where)
-        if name in frames:
-            raise SceneError(f"{where} and another one are both view {name}; view names must be unique in a scene")
-        where = f"{path}: frame {name}"
-        entry = _camera_entry({**frame, **{k: v for k, v in content.items() if k != "frames"}}, where)
-        if entry not in cameras:
-            cameras[entry] = to_pinhole(entry, where)
-        pinhole, _, undistortion = cameras[entry]
-        camera = Camera(pinhole.K, _pose(frame, where), pinhole.width, pinhole.height)
-        thermal = frame.get("thermal_file_path")
-        frames[name] = TransformsFrame(
-            RegisteredImage(name, check_camera(camera, where), undistortion),
-            file,
-            None if thermal is None else _inside(thermal, "thermal_file_path", where),
-        )
-    ply = content.get("ply_file_path")
-    return Transforms(
-        frames,
-        _lists(content, path),
-        None if ply is None else _inside(ply, "ply_file_path", str(path)),
-        _applied(content, path),
-    )
-
-
-def _content(path: Path) -> dict[str, Any]:
-    try:
-        content = read_json(path)
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"{path} is no JSON: {error}; copy or download it again") from error
-    if not isinstance(content, dict) or not isinstance(content.get("frames"), list) or not content["frames"]:
-        raise SceneError(f"{path} has no list of `frames`; it must be a transforms.json of nerfstudio")
-    return content
-
-
-def _inside(value: Any, key: str, where: str) -> Path:
+def _inside(value: object) -> Path:
     """Return a path relative to the scene's folder."""
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise SceneError(f"{where} has no {key}, the path of a file relative to the scene's folder. Correct the file")
-    path = PurePosixPath(value.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts:
-        raise SceneError(f"{where} has the {key} {value}, which is not inside the scene's folder. Correct the file")
+    path = PurePosixPath(value.replace("\\", "/")) if isinstance(value, str) else PurePosixPath()
+    if not path.parts or path.is_absolute() or ".." in path.parts or "\0" in str(path):
+        raise ValueError("it must be the path of a file inside the scene's folder")
     return Path(path)
 
 
-def _number(values: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
-    value = values.get(key, default)
-    try:
-        if value is None:
-            raise KeyError(key)
-        return finite_number(value)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        what = f"has {key} {value!r}" if key in values else f"has no {key}"
-        raise SceneError(f"{where} {what}; it must be a finite number, of the file or of each frame") from error
-
-
-def _camera_entry(values: dict[str, Any], where: str) -> CameraEntry:
-    """Return COLMAP's camera of a frame."""
-    fx, fy, cx, cy, width, height = (_number(values, key, where) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"))
-    k1, k2, k3, k4, p1, p2 = (_number(values, key, where, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    if width != round(width) or height != round(height):
-        raise SceneError(f"{where} has w {width:g} and h {height:g}; they must be whole numbers of pixels")
-    model = values.get("camera_model")
-    if model not in (*PERSPECTIVE, FISHEYE) or (model != FISHEYE and k4 != 0):
-        what = f"camera_model {model}" if model not in (*PERSPECTIVE, FISHEYE) else f"k4 {k4:g}"
-        raise SceneError(f"{where} has the {what}, which is not supported; undistort the images, or use {FISHEYE}")
-    distortion: tuple[float, ...] = ()
-    if model == FISHEYE:
-        kind, distortion = FISHEYE, (k1, k2, k3, k4)
-    elif k3 != 0:
-        kind, distortion = "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    elif (k1, k2, p1, p2) != (0, 0, 0, 0):
-        kind, distortion = "OPENCV", (k1, k2, p1, p2)
-    else:
-        kind = "PINHOLE"
-    return CameraEntry(1, kind, int(width), int(height), (fx, fy, cx, cy, *distortion))
-
-
-def _matrix(value: Any, what: str, where: str) -> np.ndarray:
+def _matrix(value: object) -> np.ndarray:
     """Return a matrix (4, 4), whose last row may be left out."""
     try:
         matrix = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-        raise SceneError(f"{where} has no {what} of 4×4 finite numbers. Correct the file")
+        raise ValueError("it must be 4×4 finite numbers")
     return matrix if len(matrix) == 4 else np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
 
 
-def _pose(frame: dict[str, Any], where: str) -> np.ndarray:
+RelativePath = Annotated[Path, PlainValidator(_inside)]
+Matrix = Annotated[np.ndarray, PlainValidator(_matrix)]
+
+
+class _File(BaseModel):
+    frames: Annotated[list[dict[str, object]], Field(min_length=1)]
+    train_filenames: list[RelativePath] | None = None
+    val_filenames: list[RelativePath] | None = None
+    test_filenames: list[RelativePath] | None = None
+    ply_file_path: RelativePath | None = None
+    applied_transform: Matrix | None = None
+
+
+class _Frame(BaseModel):
+    file_path: RelativePath
+    thermal_file_path: RelativePath | None = None
+    transform_matrix: Matrix
+
+
+class _Intrinsics(BaseModel):
+    fl_x: FiniteFloat
+    fl_y: FiniteFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    w: int
+    h: int
+    k1: FiniteFloat = 0.0
+    k2: FiniteFloat = 0.0
+    k3: FiniteFloat = 0.0
+    k4: FiniteFloat = 0.0
+    p1: FiniteFloat = 0.0
+    p2: FiniteFloat = 0.0
+    camera_model: Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] | None = (
+        None
+    )
+
+
+def read_transforms(path: Path) -> Transforms:
+    """Read a transforms.json. Raises SceneError naming the frame and the remedy."""
+    try:
+        content = read_json(path)
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{path} is no JSON: {error}; copy or download it again") from error
+    file = _parsed(_File, content, str(path))
+    cameras = {}
+    frames: dict[str, TransformsFrame] = {}
+    for number, values in enumerate(file.frames):
+        where = f"{path}: frame {number}"
+        frame = _parsed(_Frame, values, where)
+        name = check_view_name(frame.file_path.stem, where)
+        if name in frames:
+            raise SceneError(f"{where} and another one are both view {name}; view names must be unique in a scene")
+        where = f"{path}: frame {name}"
+        entry = _camera_entry(_parsed(_Intrinsics, {**values, **content}, where), where)
+        if entry not in cameras:
+            cameras[entry] = to_pinhole(entry, where)
+        pinhole, _, undistortion = cameras[entry]
+        camera = Camera(pinhole.K, _pose(frame.transform_matrix, where), pinhole.width, pinhole.height)
+        posed = RegisteredImage(name, check_camera(camera, where), undistortion)
+        frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path)
+    lists = {split: getattr(file, f"{split}_filenames") for split in SPLITS}
+    stems = {split: [name.stem for name in names] for split, names in lists.items() if names is not None}
+    return Transforms(frames, stems, file.ply_file_path, file.applied_transform)
+
+
+def _parsed(kind: type[M], values: object, where: str) -> M:
+    """Return values as a model of pydantic. Raises SceneError naming the first key that is wrong."""
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = first["loc"][0] if first["loc"] else "content"
+        what = f"has the {key} {shortened(repr(first['input']), 60)}: {first['msg']}"
+        what = f"has no {key}" if first["type"] == "missing" else what
+        raise SceneError(f"{where} {what}. Correct the file, a transforms.json of nerfstudio") from error
+
+
+def _camera_entry(camera: _Intrinsics, where: str) -> CameraEntry:
+    """Return COLMAP's camera of a frame."""
+    k1, k2, k3, p1, p2 = camera.k1, camera.k2, camera.k3, camera.p1, camera.p2
+    model: str = "PINHOLE"
+    distortion: tuple[float, ...] = ()
+    if camera.camera_model == FISHEYE:
+        model, distortion = FISHEYE, (k1, k2, k3, camera.k4)
+    elif camera.k4 != 0:
+        raise SceneError(f"{where} has the k4 {camera.k4:g}, which only {FISHEYE} has; undistort the images")
+    elif k3 != 0:
+        model, distortion = "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
+    elif (k1, k2, p1, p2) != (0, 0, 0, 0):
+        model, distortion = "OPENCV", (k1, k2, p1, p2)
+    return CameraEntry(1, model, camera.w, camera.h, (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *distortion))
+
+
+def _pose(to_world: np.ndarray, where: str) -> np.ndarray:
     """Return world to camera (4, 4) in OpenCV's axes."""
-    to_world = _matrix(frame.get("transform_matrix"), "transform_matrix", where)
     check_pose(to_world, where)
-    rotation = to_world[:3, :3] @ OPENGL_TO_OPENCV[:3, :3]
+    rotation = to_world[:3, :3] @ OPENGL_TO_OPENCV
     pose = np.eye(4)
     pose[:3, :3] = rotation.T
     pose[:3, 3] = -rotation.T @ to_world[:3, 3]
     return pose
 
 
-def _applied(content: dict[str, Any], path: Path) -> np.ndarray | None:
-    value = content.get("applied_transform")
-    return None if value is None else _matrix(value, "applied_transform", str(path))
+def read_points(path: Path) -> PointCloud:
+    """Read vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
+    try:
+        data = read_bytes(path)
+        counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", data[:HEADER_SIZE].partition(b"end_header")[0])
+        if not counts or sum(map(int, counts)) * SMALLEST_ROW > len(data):
+            raise ValueError("its header states no vertices, or more than the file has bytes for")
+        content = PlyData.read(io.BytesIO(data))
+        _check_end(data.partition(b"end_header")[2].partition(b"\n")[2], content)
+        vertex = content["vertex"]
+        xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
+        names = {prop.name for prop in vertex.properties}
+        colors = np.full(xyz.shape, 0.5, np.float32)
+        if {"red", "green", "blue"} <= names:
+            channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
+            scale = 255 if all(channel.dtype.kind in "iu" for channel in channels) else 1
+            colors = np.stack(channels, axis=-1).astype(np.float32) / np.float32(scale)
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # plyfile raises many kinds
+        raise SceneError(f"{path} cannot be read as a point cloud: {error}; {REMEDY}") from error
+    if not (np.abs(xyz) <= MAX_COORDINATE).all() or not ((colors >= 0) & (colors <= 1)).all():  # NaN included
+        raise SceneError(f"{path} has points or colours that are not finite, or beyond {MAX_COORDINATE:g}; {REMEDY}")
+    return PointCloud(xyz, colors)
 
 
-def _lists(content: dict[str, Any], path: Path) -> dict[str, list[str]]:
-    """Return view names by split; none where the file has no lists."""
-    found = {}
-    for split in SPLITS:
-        names = content.get(f"{split}_filenames")
-        if names is None:
-            continue
-        if not isinstance(names, list):
-            raise SceneError(f"{path}: {split}_filenames is no list of paths. Correct the file")
-        found[split] = [_inside(name, f"{split}_filenames", str(path)).stem for name in names]
-    return found
+def _check_end(rows: bytes, content: PlyData) -> None:
+    """Raise ValueError if the file has more rows than its header states, which plyfile does not see."""
+    if content.text:
+        found, stated = sum(bool(row.strip()) for row in rows.splitlines()), sum(map(len, content.elements))
+    elif any(isinstance(prop, PlyListProperty) for element in content.elements for prop in element.properties):
+        return  # rows of different sizes
+    else:
+        found, stated = len(rows), sum(element.data.nbytes for element in content.elements)
+    if found != stated:
+        raise ValueError(f"it has {found} {'rows' if content.text else 'bytes of rows'}, its header states {stated}")
+
+
+def where_they_are(
+    cloud: PointCloud, applied_transform: np.ndarray | None, cameras: list[Camera]
+) -> tuple[PointCloud, bool]:
+    """Return the points in the world of nerfstudio's frames, and whether they had to be moved there.
+
+    nerfstudio writes points in that world since its release 1.0 (`create_ply_from_colmap` of
+    nerfstudio/process_data/colmap_utils.py takes the applied_transform, (4, 4)); before, it wrote COLMAP's own
+    (nerfstudio_dataparser.py at 01595f7 still applied it on reading). COLMAP's points are seen in two images at least,
+    so the world decides in which more points are in an image.
+    """
+    if applied_transform is None or not len(cloud.points):
+        return cloud, False
+    moved = cloud.points @ applied_transform[:3, :3].T + applied_transform[:3, 3]
+    if _share_in_images(moved, cameras) > _share_in_images(cloud.points, cameras) + CLEARLY_MORE:
+        return PointCloud(moved, cloud.colors), True
+    return cloud, False
+
+
+def _share_in_images(points: np.ndarray, cameras: list[Camera]) -> float:
+    """Return the share of the points (N, 3) that lie in front of a camera and in its image."""
+    seen = np.zeros(len(points), bool)
+    for camera in cameras:
+        pixels, z = camera.project(points)
+        seen |= (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1) & (z > 0)
+    return float(seen.mean())

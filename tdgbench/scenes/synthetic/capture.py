@@ -1,27 +1,153 @@
-"""Errors of a capture: noise and drift of the thermal sensor, wrong poses, errors of the camera, and its rig."""
+"""Errors of a capture: of the thermal camera, of its sensor, of the given poses, and its rig.
+
+value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise, in °C, of
+temperatures T.
+
+Sizes in real cameras. An uncooled camera is off by up to ±5 °C under the changing conditions of a flight, with a
+prominent vignette, where it was within ±0.5 °C in the laboratory (Kelly et al. 2019, Remote Sensing 11(5), 567). Its
+shutter closes every 3 minutes or after a change of the camera's own temperature by 1.5 °C (FLIR Lepton Engineering
+Datasheet 500-0659-00-09, automatic FFC). A capture of a house: offsets of −4.2 to +2.5 °C over 45 views, a vignette of
+2.6 °C.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, NonNegativeInt
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.scene import Camera
-from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, TrueCamera
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
 STREAM = 16  # of random numbers, so that errors do not change a scene's other draws
-
 NEWTON = 20  # steps that undo a distortion
 WITHIN = 1e-9  # to so much, in normalised coordinates
+SMOOTHING = 4.0  # views, σ; over which the drift keeps its direction
+QUARTIC = 0.5  # share of r⁴ in the vignette, the rest is r²
+COLUMNS = 0.5  # share of the fixed pattern's variance that is common to a column, which is read out by one amplifier
+TAILS = (0.1, 99.9)  # percentiles of an image that automatic gain control stretches to 0 and 255
 
 Two = Annotated[list[Annotated[float, Field(ge=-1000, le=1000)]], Field(min_length=2, max_length=2)]
 Three = Annotated[list[Annotated[float, Field(ge=-45, le=45)]], Field(min_length=3, max_length=3)]
 DegC = Annotated[float, Field(ge=0, le=100)]
+Encoding = Literal["range", "degC", "agc"]
+
+
+@dataclass(frozen=True)
+class ThermalErrors:
+    """What a thermal camera adds to temperatures, beside the temporal noise; all off by default.
+
+    walk_degC: largest deviation of a smooth random walk of the views' offsets, in the order of the views, from its
+    mean. shutter_views: views after which the shutter closes, which sets the walk back to its start; 0: never.
+    gain: gains of the views are uniform in 1 ± gain. vignette_degC: added at the corners; r² and r⁴ from the centre.
+    vignette_x, vignette_y: how far right of the image's centre and below it the vignette's is, as in real cameras;
+    shares of width and height. A vignette off the centre has a linear part, and vignette_degC at the farthest corner.
+    pattern_degC: standard deviation of what each pixel adds in all views, half of its variance by columns.
+    encoding: of the thermal files. `range`: 8 bits of the world's range, which clips, and the world's palette; `degC`:
+    float TIFF; `agc`: 8-bit gray, each image stretched on its own, so that temperatures are lost. None: `degC` if there
+    is an error, else `range`.
+    """
+
+    walk_degC: DegC = 0.0
+    shutter_views: NonNegativeInt = 0
+    gain: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    vignette_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    pattern_degC: DegC = 0.0
+    encoding: Encoding | None = None
+    vignette_x: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    vignette_y: Annotated[float, Field(ge=-1, le=1)] = 0.0
+
+    @property
+    def files(self) -> Encoding:
+        """How the thermal files are encoded."""
+        return self.encoding or ("range" if self == ThermalErrors() else "degC")
+
+    def drawn(
+        self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
+    ) -> TrueCamera:
+        """Draw the camera. size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
+
+        Each kind of error has random numbers of its own, so that one does not change with another.
+        """
+        width, height = size
+        walk, gain, pattern = (np.random.default_rng([*seed, number]) for number in (0, 1, 3))
+        views, (low, high) = len(drifts), span
+        return TrueCamera(
+            reference=(low + high) / 2,
+            offsets=drifts + self.walk_degC * _walk(views, walk, self.shutter_views),
+            gains=1 + self.gain * gain.uniform(-1, 1, views),
+            vignette=self.vignette_degC * vignette(width, height, self.vignette_x, self.vignette_y),
+            pattern=self.pattern_degC * _pattern(height, width, pattern),
+        )
+
+
+@dataclass(frozen=True)
+class TrueCamera:
+    """A thermal camera whose errors are known. Temperatures in °C; V views in the order of their names."""
+
+    reference: float  # temperature that gains leave as it is
+    offsets: np.ndarray  # (V,)
+    gains: np.ndarray  # (V,)
+    vignette: np.ndarray  # (H, W)
+    pattern: np.ndarray  # (H, W)
+    limits: np.ndarray | None = None  # (V, 2), shown as 0 and 255; None without automatic gain control
+
+    def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
+        """Return what the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
+        response = degC + (self.gains[view] - 1) * (degC - self.reference) + (self.vignette + self.pattern)
+        return response + noise + self.offsets[view]
+
+
+def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> np.ndarray:
+    """Return a radial polynomial (height, width): 0 at its centre, 1 at the image's corner that is farthest away.
+
+    right, down: of its centre from the image's, shares of width and height.
+
+    >>> vignette(2, 2).round(2).tolist()
+    [[0.16, 0.16], [0.16, 0.16]]
+    """
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width - 0.5, (np.arange(height) + 0.5) / height - 0.5)
+    x, y = x - right, y - down
+    farthest = ((0.5 + abs(right)) * width) ** 2 + ((0.5 + abs(down)) * height) ** 2
+    radius = ((x * width) ** 2 + (y * height) ** 2) / farthest  # squared, 1 at a corner
+    return (1 - QUARTIC) * radius + QUARTIC * radius**2
+
+
+def limits(degC: np.ndarray) -> tuple[float, float]:
+    """Return temperatures that automatic gain control shows as 0 and 255, of an image (H, W)."""
+    low, high = np.percentile(degC, TAILS)
+    return float(low), max(float(high), float(low) + 1e-3)
+
+
+def levels(degC: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return 8-bit values (H, W) of temperatures (H, W), 0 and 255 for `low` and `high`.
+
+    >>> levels(np.array([[9.0, 10.0, 15.0, 30.0]]), 10, 20)
+    array([[  0,   0, 128, 255]], dtype=uint8)
+    """
+    return np.round(((degC - low) / (high - low)).clip(0, 1) * 255).astype(np.uint8)
+
+
+def _walk(views: int, rng: np.random.Generator, set_back: int = 0) -> np.ndarray:
+    """Return a smooth random walk (views,) of mean 0, largest deviation 1. set_back: views after which it restarts."""
+    curve = np.cumsum(gaussian_filter1d(rng.normal(size=views), SMOOTHING, mode="nearest"))
+    if set_back:
+        curve = curve - curve[np.arange(views) // set_back * set_back]
+    curve -= curve.mean()
+    largest = np.abs(curve).max()
+    return np.asarray(curve / largest if largest > 0 else curve)
+
+
+def _pattern(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
+    """Return a fixed pattern (height, width) of mean 0 and variance 1."""
+    columns, pixels = rng.normal(size=width), rng.normal(size=(height, width))
+    pattern = np.sqrt(COLUMNS) * columns + np.sqrt(1 - COLUMNS) * pixels
+    return pattern - pattern.mean()
 
 
 @dataclass(frozen=True)
@@ -46,17 +172,6 @@ class TrueRig:
         for option in fields(self):  # lists of any kind, to be compared and written
             value = getattr(self, option.name)
             object.__setattr__(self, option.name, float(value) if option.name == "focal" else [float(v) for v in value])
-
-    @property
-    def title(self) -> str:
-        """The options that are not the default, for the name of a folder.
-
-        >>> TrueRig(offset=[0.1, 0, 0], focal=1.2).title
-        '-rig_offset0.1,0,0-rig_focal1.2'
-        """
-        none = TrueRig()
-        changed = (option.name for option in fields(self) if getattr(self, option.name) != getattr(none, option.name))
-        return "".join(f"-rig_{name}{_text(getattr(self, name))}" for name in changed)
 
     def camera(self, given: Camera) -> Camera:
         """Return the thermal camera beside a given one, without its distortion."""
@@ -91,10 +206,6 @@ class TrueRig:
         return K[:2, 2] + (pixels - K[:2, 2]) * factor[:, None]
 
 
-def _text(value: float | list[float]) -> str:
-    return ",".join(f"{number:g}" for number in (value if isinstance(value, list) else [value]))
-
-
 @dataclass(frozen=True)
 class CaptureErrors:
     """Standard deviations of errors, each drawn anew for every view (noise: for every pixel) and normally distributed.
@@ -115,17 +226,6 @@ class CaptureErrors:
     rig: TrueRig = field(default_factory=TrueRig)
 
     @property
-    def title(self) -> str:
-        """The errors that are not the default, for the name of a folder.
-
-        >>> CaptureErrors().title, CaptureErrors(drift_degC=0.5).title
-        ('', '-drift_degC0.5')
-        """
-        numbers = (option for option in fields(self) if option.name not in ("camera", "rig"))
-        changed = (option.name for option in numbers if getattr(self, option.name) != option.default)
-        return "".join(f"-{name}{getattr(self, name):g}" for name in changed) + self.camera.title + self.rig.title
-
-    @property
     def has_truth(self) -> bool:
         """True if the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
         return self.drift_degC > 0 or self.camera != ThermalErrors() or self.rig != TrueRig()
@@ -143,15 +243,11 @@ class CaptureErrors:
         if self.pose_degrees == 0 and self.pose_units == 0:
             return cameras
         rng = np.random.default_rng([seed, STREAM, 1])
-        return [self.misplaced(camera, rng) for camera in cameras]
+        return [self._misplaced(camera, rng.normal(size=(2, 3))) for camera in cameras]
 
-    def misplaced(self, camera: Camera, rng: np.random.Generator) -> Camera:
-        """Return the camera, turned and displaced by errors drawn from `rng`."""
-        return self.moved(camera, np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
-
-    def moved(self, camera: Camera, error_sizes: np.ndarray) -> Camera:
-        """Return the camera with errors (6,) in standard deviations: of the turn, of the displacement."""
+    def _misplaced(self, camera: Camera, errors: np.ndarray) -> Camera:
+        """Return the camera, turned and displaced by errors (2, 3) in standard deviations."""
         error = np.eye(4)
-        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * error_sizes[:3], degrees=True).as_matrix()
-        error[:3, 3] = self.pose_units * error_sizes[3:]
+        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * errors[0], degrees=True).as_matrix()
+        error[:3, 3] = self.pose_units * errors[1]
         return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)

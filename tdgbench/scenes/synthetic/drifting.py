@@ -10,11 +10,11 @@ from pydantic import NonNegativeInt
 
 from tdgbench.scenes.datasets import Dataset, outline_of
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
-from tdgbench.scenes.synthetic.thermal_camera import DegC, ThermalErrors, levels, limits
+from tdgbench.scenes.synthetic.capture import DegC, ThermalErrors, levels, limits
 from tdgbench.scenes.synthetic.truth import CameraTruth
 
 ROOM = 1.0  # °C between the values and the ends of the range
@@ -85,7 +85,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     rng = np.random.default_rng([seed, NOISE])
     shown = []
     for index, view in enumerate(views):
-        degC = nearest_valid(in_degC(view, clean), view.valid)  # a blur mixes pixels
+        degC = in_degC(view, clean)
         shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
     measured = [degC if view.valid is None else degC[view.valid] for degC, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None

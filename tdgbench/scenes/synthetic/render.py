@@ -9,8 +9,7 @@ import numpy as np
 
 from tdgbench.scenes.scene import Camera
 from tdgbench.scenes.synthetic.capture import TrueRig
-from tdgbench.scenes.synthetic.materials import Material, Patches
-from tdgbench.scenes.synthetic.raycast import Solid
+from tdgbench.scenes.synthetic.surfaces import Material, Patches, Solid
 
 AMBIENT = 0.35  # share of ambient light
 

@@ -34,7 +34,7 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
 
 def _against_nearest(shown: ScoredView) -> float:
     """Return the depth consistency with the nearest other test view."""
-    nearest = shown.nearest()
+    nearest = shown.nearest_test_view()
     depth, other = _known(shown.rendered.depth, shown.view), _known(shown.renders[nearest.name].depth, nearest)
     found = depth_consistency(depth, shown.view.camera, other, nearest.camera)
     if found is None:

@@ -1,4 +1,4 @@
-"""PSNR after the best gain and offset of a view: what a drifting camera costs is left out."""
+"""PSNR after the best gain and offset of each view, which removes the effect of a drifting camera."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
-from tdgbench.scoring.scored_view import ImagePair
 
 
 class GainAndOffset(NamedTuple):
@@ -47,10 +46,6 @@ def psnr_affine(image: np.ndarray, target: np.ndarray) -> float:
     return psnr(best_gain_and_offset(image, target).of(image), target)
 
 
-def _of_images(pair: ImagePair) -> float:
-    return psnr_affine(*pair.pixels)
-
-
 METRIC = ImageMetric(
     name="psnr_affine",
     label="PSNR after gain and offset",
@@ -60,6 +55,6 @@ METRIC = ImageMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset",
-    of_images=_of_images,
+    fits_to_test_view="gain and offset",
+    of_images=lambda pair: psnr_affine(*pair.pixels),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
 from tdgbench.scoring.metrics.psnr_affine import best_gain_and_offset
-from tdgbench.scoring.scored_view import ImagePair, NotApplicableError, at_valid
+from tdgbench.scoring.scored_view import NotApplicableError, at_valid
 
 
 def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | None = None) -> float:
@@ -31,10 +31,6 @@ def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | N
     return psnr(best_gain_and_offset(*left).of(right[0]), right[1])
 
 
-def _of_images(pair: ImagePair) -> float:
-    return psnr_right_half(pair.image, pair.target, pair.valid)
-
-
 METRIC = ImageMetric(
     name="psnr_right_half",
     label="right half",
@@ -44,7 +40,7 @@ METRIC = ImageMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset, to the left half",
+    fits_to_test_view="gain and offset, to the left half",
     needs="valid pixels in both halves",
-    of_images=_of_images,
+    of_images=lambda pair: psnr_right_half(pair.image, pair.target, pair.valid),
 )

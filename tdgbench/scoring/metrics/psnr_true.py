@@ -1,4 +1,4 @@
-"""PSNR to the true temperatures, which are known of made scenes: what a thermal camera's errors cost a model."""
+"""PSNR to the true temperatures of made scenes."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ METRIC = ViewMetric(
     digits=2,
     higher_is_better=True,
     limits=(0.0, MAX_PSNR),
-    reads="gain and offset, common to all test views",
+    fits_to_test_view="gain and offset, common to all test views",
     needs="true temperatures, gray images",
     of_view=psnr_true,
 )

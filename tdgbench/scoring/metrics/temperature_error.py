@@ -10,7 +10,7 @@ from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 def differences(shown: ScoredView) -> np.ndarray:
     """Return differences (N, 1) or (H, W, 1) of 8-bit pictures in °C, where gray values are linear in temperature."""
-    if shown.scene is not None and shown.scene.counts is not None:
+    if shown.scene is not None and shown.scene.raw_count_range is not None:
         raise NotApplicableError("raw counts have no °C")
     if shown.scene is None or shown.scene.temperature is None:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")

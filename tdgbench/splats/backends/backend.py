@@ -19,7 +19,7 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, R
 Collect = Callable[[Gradients | PendingGradients], None]
 
 
-Hook = Callable[[Gaussians, int], GaussianTensors]  # of the Gaussians and the SH degree in use
+Hook = Callable[[Gaussians, int], GaussianTensors]  # arguments: the Gaussians and the SH degree in use
 
 
 class StateOptions(NamedTuple):
@@ -30,11 +30,11 @@ class StateOptions(NamedTuple):
     blending: Blending = AS_3DGS
     tolerance: Tolerance | None = None  # of the culling bounds; None: project every Gaussian
     background: torch.Tensor | None = None  # (D,) colour behind the Gaussians; None: black
-    hook: Hook | None = None  # what is rendered of the Gaussians, with gradients; None: they are activated
+    hook: Hook | None = None  # differentiable function from the Gaussians to what is rendered; None: activation
 
     @property
     def of_view(self) -> RenderOptions:
-        """What of it concerns the image."""
+        """The options that also apply to rendered tensors."""
         return RenderOptions(self.depth, self.background, self.blending)
 
 
@@ -46,7 +46,7 @@ class Backend(Protocol):
     """
 
     device: str = "cpu"  # type of the device on which it trains
-    inputs: str = "any float tensors"  # what it takes, for messages
+    inputs: str = "any float tensors"  # supported tensors, for error messages
 
     def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
         """Return whether it renders tensors of a device and type."""
@@ -57,14 +57,14 @@ class Backend(Protocol):
         return None
 
     def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
-        """Return the constants that it always blends with, given AS_3DGS; None: it blends with those that it is given.
+        """Return the fixed blending constants of the backend; None if it uses the requested ones.
 
         packages: versions of the packages that it ran with, by default those that are installed.
         """
         return None
 
     def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
-        """Return a context for the first steps of a training with these channel counts, to compile for it meanwhile."""
+        """Return a context manager for the first steps of a training, which may compile kernels in the background."""
         return nullcontext()
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:

@@ -40,10 +40,7 @@ def project(means, quats, scales, viewmat, K, width, height, eps2d) -> tuple[Ten
     tx = (x / z).clamp((-cx / fx - margin_x).item(), ((width - cx) / fx + margin_x).item())
     ty = (y / z).clamp((-cy / fy - margin_y).item(), ((height - cy) / fy + margin_y).item())
     zero = torch.zeros_like(z)
-    rows = [
-        torch.stack([fx / z, zero, -fx / z * tx], dim=-1),
-        torch.stack([zero, fy / z, -fy / z * ty], dim=-1),
-    ]
+    rows = [torch.stack([fx / z, zero, -fx / z * tx], dim=-1), torch.stack([zero, fy / z, -fy / z * ty], dim=-1)]
     to_image = torch.stack(rows, dim=-2) @ viewmat[:3, :3]
     axes = to_image @ rotation_matrices(quats) * scales[:, None, :]
     covariance = axes @ axes.transpose(-1, -2) + eps2d * torch.eye(2, dtype=means.dtype, device=means.device)

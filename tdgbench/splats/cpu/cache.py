@@ -15,7 +15,6 @@ import shutil
 import stat
 import tempfile
 import time
-import uuid
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -136,19 +135,13 @@ def kernel_cache(function: Callable[..., Any], folder: Path) -> KernelCache | No
     return cache if Path(cache.cache_path).is_relative_to(folder) else None
 
 
-def remove_unused(folder: Path, days: float = UNUSED_DAYS) -> None:
-    """Remove the siblings of a cache folder that no process opened for `days`.
+def remove_unused(folder: Path) -> None:
+    """Remove the siblings of a cache folder that no process opened for UNUSED_DAYS.
 
-    A folder is renamed before it is deleted, so that a process never finds half a cache. A process that still uses it
-    has its kernels in memory; Numba recreates the folder for the next one it compiles.
+    A process that still uses one has its kernels in memory, and recreates the folder for the next one it compiles.
     """
     for sibling in folder.parent.iterdir():
-        if sibling == folder or not _FOLDER.fullmatch(sibling.name):
-            continue
-        try:
-            if time.time() - sibling.stat().st_mtime > days * _DAY:
-                doomed = sibling.with_name(f"removed-{uuid.uuid4().hex}")
-                sibling.rename(doomed)
-                shutil.rmtree(doomed, ignore_errors=True)
-        except OSError:  # another process removed it first
-            continue
+        with suppress(OSError):  # another process removed it first
+            is_old = time.time() - sibling.stat().st_mtime > UNUSED_DAYS * _DAY
+            if sibling != folder and _FOLDER.fullmatch(sibling.name) and is_old:
+                shutil.rmtree(sibling)

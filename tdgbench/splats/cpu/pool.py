@@ -34,11 +34,6 @@ def get_threads() -> int:
     return _threads if _threads is not None else available_cores()
 
 
-def chosen_threads() -> int | None:
-    """Return the number given to `set_threads`; None means every available core."""
-    return _threads
-
-
 def set_threads(count: int | None) -> None:
     """Set the number of threads of the CPU kernels (None: every available core)."""
     global _threads

@@ -34,7 +34,7 @@ def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
     return buffer[start : start + size]
 
 
-def release() -> None:
+def free_buffers() -> None:
     """Free the memory of all free buffers, and give back what C's allocator holds of memory that was freed."""
     _free.clear()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None

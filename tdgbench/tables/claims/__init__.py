@@ -13,23 +13,9 @@ from omegaconf import OmegaConf
 
 from tdgbench.tables.between_papers import gain_against_spread
 from tdgbench.tables.claims import cells, main_table
-from tdgbench.tables.claims.evidence import (
-    FAILS,
-    HOLDS,
-    UNDECIDED,
-    Claim,
-    ClaimEvidence,
-    Finding,
-    MissingError,
-    evidence_of,
-)
+from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER
-
-__all__ = [
-    "CHECKS", "FAILS", "HOLDS", "UNDECIDED", "Claim", "ClaimEvidence", "Finding", "MissingError", "check_all",
-    "check_claim", "evidence_of", "load_claims",
-]  # fmt: skip
 
 Check = Callable[[Claim, ClaimEvidence], Finding]
 OF_TABLES: tuple[Check, ...] = (

@@ -14,9 +14,9 @@ from tdgbench.bench.record import Record
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.long_table import scene_rows, with_averages, with_bold
 from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.records import read_results
-from tdgbench.tables.results import scene_rows, with_averages, with_bold
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 

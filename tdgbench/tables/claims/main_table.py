@@ -12,9 +12,9 @@ import pandas as pd
 from tdgbench.tables import measures, methods
 from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, Claim, ClaimEvidence, Finding, MissingError
+from tdgbench.tables.long_table import with_bold
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import printed_half_unit
-from tdgbench.tables.results import with_bold
 
 
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:

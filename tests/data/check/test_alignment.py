@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tdgbench.data.check.alignment import Offset, Untrusted, ViewPair, edge_offset
+from tdgbench.data.check.alignment import Offset, ViewPair, edge_offset
 from tdgbench.scenes.images import read_image
 from tests.helpers.paths import SHARED
 
@@ -51,22 +51,22 @@ def test_pseudo_colour(tmp_path):
 def test_unrelated_images_have_no_offset():
     pairs = made_pairs((0.0, 0.0), views=6)
     mixed = [ViewPair(a.rgb, b.thermal) for a, b in zip(pairs, pairs[1:] + pairs[:1], strict=True)]
-    assert isinstance(edge_offset(mixed), Untrusted)
+    assert isinstance(edge_offset(mixed), str)
 
 
 def test_flat_images_and_few_views_have_no_offset():
     flat = ViewPair(np.full((100, 120, 3), 0.5, np.float32), np.full((100, 120, 1), 0.5, np.float32))
-    assert isinstance(edge_offset([flat] * 4), Untrusted)
+    assert isinstance(edge_offset([flat] * 4), str)
     small = ViewPair(*(image[:40, :60] for image in flat[:2]))
-    assert "60×40 px are too small" in edge_offset([small] * 4).reason
-    assert "2 views" in edge_offset(made_pairs((0, 0), views=2)).reason
-    assert isinstance(edge_offset([]), Untrusted)
+    assert "60×40 px are too small" in edge_offset([small] * 4)
+    assert "2 views" in edge_offset(made_pairs((0, 0), views=2))
+    assert isinstance(edge_offset([]), str)
 
 
 def test_views_that_disagree_have_no_offset():
     pairs = [made_pairs((5.0 * (i % 2), -5.0 * (i % 3)), views=1, seed=i)[0] for i in range(6)]
     answer = edge_offset(pairs)
-    assert isinstance(answer, Untrusted) or answer.spread > 1
+    assert isinstance(answer, str) or answer.spread > 1
 
 
 def test_edges_of_masks_do_not_count():
@@ -93,4 +93,4 @@ def test_known_shift_of_real_images():
     after = edge_offset(shifted)
     assert (after.x - before.x, after.y - before.y) == pytest.approx((3.5, 2.25), abs=0.2)
     mixed = [ViewPair(a[0], b[1]) for a, b in zip(images, images[3:] + images[:3], strict=True)]
-    assert isinstance(edge_offset(mixed), Untrusted)
+    assert isinstance(edge_offset(mixed), str)

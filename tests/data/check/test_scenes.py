@@ -32,13 +32,13 @@ def test_paper_scenes(tmp_path, small_scene, small_gray_scene):
     place, checks, begun = checked(tmp_path)
     assert place.is_paper and list(checks) == [scene.name for scene in SCENES] and begun == ["RoadBlock", "Lion"]
     block, lion = checks["RoadBlock"], checks["Lion"]
-    assert (block.status, block.layout, block.views, block.published) == ("ok", "RGBT-Scenes", 10, 71)
-    assert (block.train, block.test, block.rgb, block.channels, block.points) == (8, 2, 10, 3, 300)
-    assert block.sizes == [(48, 36)] and block.temperature is None and block.masked == 0
+    assert (block.status, block.layout, block.views, block.views_published) == ("ok", "RGBT-Scenes", 10, 71)
+    assert (block.train, block.test, block.views_with_rgb, block.channels, block.points) == (8, 2, 10, 3, 300)
+    assert block.sizes_px == [(48, 36)] and block.temperature_degC is None and block.masked_share == 0
     assert any("10 views can be used of 71" in note for note in block.notes)
-    assert (lion.status, lion.layout, lion.channels, lion.published) == ("ok", "ThermalMix", 1, None)
+    assert (lion.status, lion.layout, lion.channels, lion.views_published) == ("ok", "ThermalMix", 1, None)
     span = small_gray_scene.temperature
-    assert span.min - 1 < lion.temperature[0] < lion.temperature[1] < span.max + 1
+    assert span.min - 1 < lion.temperature_degC[0] < lion.temperature_degC[1] < span.max + 1
     assert checks["Pan"].status == "missing" and "tdgbench data get thermalmix" in checks["Pan"].problems[0]
     assert checked(tmp_path / "ThermalMix")[1].keys() == {"Laptop", "Pan", "Lion", "Hand", "Face"}
 
@@ -54,9 +54,9 @@ def test_thermalmix_as_downloaded(tmp_path, small_gray_scene):
         "lion": "ok", "panel": "ok", "kettle": "broken", "pan": "broken",
     }  # fmt: skip
     lion = checks["lion"]
-    assert (lion.layout, lion.views, lion.channels, lion.temperature) == ("ThermalMix", 10, 1, (16.8, 48.3))
-    assert lion.masked == pytest.approx(8 / 48) and lion.rgb == 10
-    assert checks["panel"].temperature == (22.7, 55.8)
+    assert (lion.layout, lion.views, lion.channels, lion.temperature_degC) == ("ThermalMix", 10, 1, (16.8, 48.3))
+    assert lion.masked_share == pytest.approx(8 / 48) and lion.views_with_rgb == 10
+    assert checks["panel"].temperature_degC == (22.7, 55.8)
     assert any("set data.temperature=[min,max] in °C" in problem for problem in checks["kettle"].problems)
     assert len(checks["pan"].problems) == 2 and all("warped_thermal/view00" in p for p in checks["pan"].problems)
 
@@ -77,20 +77,20 @@ def test_masked_pixels_and_missing_photos(tmp_path, small_gray_scene):
     (folder / "rgb" / f"{small_gray_scene.views[0].name}.jpg").unlink()
     _, checks, _ = checked(tmp_path)
     check = checks["scene"]
-    assert check.status == "ok" and check.masked == pytest.approx(0.25, abs=0.03) and check.rgb == 9
+    assert check.status == "ok" and check.masked_share == pytest.approx(0.25, abs=0.03) and check.views_with_rgb == 9
     assert any("1 views have no RGB image" in note for note in check.notes)
 
 
 def test_offset_of_a_made_scene(tmp_path, aligned_scene):
     folder = write_rgbt_scenes(aligned_scene, tmp_path / "scene")
     check = checked(folder)[1]["scene"]
-    assert isinstance(check.offset, Offset) and check.offset.px < 0.5
+    assert isinstance(check.edge_offset, Offset) and check.edge_offset.px < 0.5
     for path in (folder / "thermal").rglob("*.jpg"):
         with Image.open(path) as image:
             pixels = np.roll(np.asarray(image), (3, 4), axis=(0, 1))
         Image.fromarray(pixels).save(path, quality=95)
-    shifted = checked(folder)[1]["scene"].offset
-    assert (shifted.x - check.offset.x, shifted.y - check.offset.y) == pytest.approx((4, 3), abs=0.4)
+    shifted = checked(folder)[1]["scene"].edge_offset
+    assert (shifted.x - check.edge_offset.x, shifted.y - check.edge_offset.y) == pytest.approx((4, 3), abs=0.4)
 
 
 def test_broken_scenes_do_not_end_the_check(tmp_path, small_gray_scene):

@@ -13,8 +13,7 @@ import gdown
 import pytest
 import requests
 
-from tdgbench.data.get.fetch import Download, fetch
-from tdgbench.data.get.scenes import FILE, read_record
+from tdgbench.data.get.fetch import RECORD, Download, fetch, read_record
 from tdgbench.data.get.sources import SOURCES, GetError
 from tests.helpers.archives import scene_files, zipped
 from tests.helpers.command import tdgbench_here
@@ -72,7 +71,7 @@ def test_single_files_and_archives(tmp_path, monkeypatch, capsys):
     assert fetch(done) and sorted(path.name for path in done.folder.iterdir()) == [".get", "Ebike", "Truck"]
     for scene, files, folder in (("Truck", TRUCK, "RGBT-Scenes/Truck/"), ("Ebike", BIKE, "Ebikes/")):
         root = done.folder / scene
-        found = {p.relative_to(root).as_posix(): p for p in root.rglob("*") if p.is_file() and p.name != FILE}
+        found = {p.relative_to(root).as_posix(): p for p in root.rglob("*") if p.is_file() and p.name != RECORD}
         assert {name: path.read_bytes() for name, path in found.items()} == {
             name.removeprefix(folder): data for name, data in files.items()
         }

@@ -9,12 +9,12 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare import prepare as module
-from tdgbench.data.prepare.extract import CountScale
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
 from tdgbench.scenes.radiometric import PhotoMapping, read_celsius
+from tdgbench.scenes.temperature import CountScale
 from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius
 from tests.helpers.paths import SHARED

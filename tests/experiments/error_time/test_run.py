@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.experiments.error_time import run as error_time
-from tdgbench.experiments.error_time.curves import attribution, faster_by, milestones, quality_at, seconds_to
+from tdgbench.experiments.error_time.curves import attribution, faster_by, quality_at, seconds_to
 from tdgbench.experiments.error_time.run import ErrorTime, runs_of, sample_all, sample_curve
 from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
@@ -31,12 +31,6 @@ def test_times_and_qualities_lie_between_samples():
     assert seconds_to(SLOW, 19.0) == 10.0 and math.isnan(seconds_to(SLOW, 26.5))
     assert quality_at(SLOW, 30.0) == pytest.approx(25.0)
     assert quality_at(SLOW, 100.0) == 26.0 and math.isnan(quality_at(SLOW, 5.0))
-
-
-def test_milestones():
-    table = milestones(CURVES).set_index("label")
-    assert table.loc["slow", "seconds to 22 dB"] == pytest.approx(15.0)
-    assert table.loc["fast", "dB at 40.0 s (slow)"] == 27.0 and table.loc["short", "end_psnr"] == 24.0
 
 
 def test_shares_of_the_speed_up_add_up():
@@ -151,7 +145,7 @@ def test_an_unknown_method_is_named(data_root):
 def test_tables_and_pictures(tmp_path, data_root, capsys):
     ErrorTime().run(experiment(data_root, f"results={tmp_path}", "budget.iterations=30"))
     folder = tmp_path / "error_time"
-    for name in ("curves", "milestones", "attribution", "faster"):
+    for name in ("curves", "attribution", "faster"):
         assert len(pd.read_csv(folder / f"{name}.csv")) > 0, name
     assert (folder / "curves.png").stat().st_size > 5000
     printed = capsys.readouterr().out

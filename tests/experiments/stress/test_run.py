@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pandas as pd
 import pytest
 
@@ -13,14 +11,13 @@ from tdgbench.experiments.stress.run import Stress, all_cases, backends_of, run_
 from tdgbench.splats.backends import fast_backends
 from tests.helpers.configs import config
 
-CASES = all_cases(config("+experiment=stress", "data.root=unused"), Path("unused"))
+CASES = all_cases(config("+experiment=stress", "data.root=unused"))
 RUNS = [(index, backend) for index, case in enumerate(CASES) for backend in backends_of(case)]
 
 
 @pytest.fixture(scope="module")
-def cases(data_root, tmp_path_factory):
-    cfg = config("+experiment=stress", f"data.root={data_root}")
-    return all_cases(cfg, tmp_path_factory.mktemp("stress"))
+def cases(data_root):
+    return all_cases(config("+experiment=stress", f"data.root={data_root}"))
 
 
 @pytest.mark.parametrize(("index", "backend"), RUNS, ids=[f"{CASES[i].family}: {CASES[i].name}-{b}" for i, b in RUNS])
@@ -29,9 +26,9 @@ def test_case(cases, index, backend):
     assert result.passed, f"expected {result.expected}, observed {result.seen}"
 
 
-def test_there_are_119_cases_with_different_names():
-    assert len(CASES) == len({(case.family, case.name) for case in CASES}) == 119
-    families = {"geometry", "appearance", "losses", "gradients", "training", "determinism"}
+def test_there_are_104_cases_with_different_names():
+    assert len(CASES) == len({(case.family, case.name) for case in CASES}) == 104
+    families = {"geometry", "appearance", "losses", "training", "determinism"}
     assert {case.family for case in CASES} == families
 
 
@@ -47,11 +44,11 @@ def surprise(_backend):
     raise UnexpectedError("it is not so")
 
 
-def test_table_picture_and_status(tmp_path, data_root, capsys, monkeypatch):
+def test_table_and_status(tmp_path, data_root, capsys, monkeypatch):
     cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", "job.cases=appearance")
     Stress().run(cfg)
     table = pd.read_csv(tmp_path / "stress" / "stress.csv")
-    assert len(table) >= 5 and table["passed"].all() and (tmp_path / "stress" / "stress.png").exists()
+    assert len(table) >= 5 and table["passed"].all()
     assert "0 surprises" in capsys.readouterr().out
     monkeypatch.setattr(clouds, "cases", lambda: [Case("appearance", "opacity", "so", surprise)])
     with pytest.raises(SystemExit):

@@ -1,22 +1,26 @@
-"""Small trainings: their options, their faults, their degenerate scenes, and the spread of repeated ones."""
+"""Small trainings: their options, their faults, their and degenerate scenes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from tdgbench.experiments.stress.case import UnexpectedError
-from tdgbench.experiments.stress.small import SmallTraining, shifted, with_cameras_on_a_line, with_points
-from tdgbench.experiments.stress.training import repeated, spread
+from tdgbench.experiments.stress.training import (
+    SmallTraining,
+    check_same_bytes,
+    shifted,
+    with_cameras_on_a_line,
+    with_points,
+)
 from tdgbench.training.method import Frame
 from tdgbench.training.part import NonFiniteError
 from tests.helpers.configs import config
 
 
 @pytest.fixture
-def small(data_root, tmp_path):
-    return SmallTraining(config("+experiment=stress", f"data.root={data_root}", "budget.iterations=9"), tmp_path)
+def small(data_root):
+    return SmallTraining(config("+experiment=stress", f"data.root={data_root}", "budget.iterations=9"))
 
 
 def test_options_of_the_budget(small):
@@ -32,11 +36,11 @@ def test_a_fault_strikes_at_its_step(small, fault):
     assert error.value.iteration == 7
 
 
-def test_a_faulty_method_is_the_method_otherwise(small):
+def test_a_faulty_method_is_the_method_otherwise(small, small_gray_scene):
     trainer, faulty = small.train("cpu", budget={"iterations": 6}, fault="means")
     _, sound = small.train("cpu", budget={"iterations": 6})
     assert [line.loss for line in faulty.lines] == [line.loss for line in sound.lines]
-    camera = small.scene().train[0].camera
+    camera = small_gray_scene.train[0].camera
     image = trainer.method.render(Frame(camera)).image
     assert image.shape == (camera.height, camera.width, 1) and trainer.method.name == "tdg"
 
@@ -62,14 +66,6 @@ def test_a_shifted_scene_projects_to_the_same_pixels(small_gray_scene):
         shifted(replace(small_gray_scene, points=None), 1.0)
 
 
-def test_the_spread_is_measured_where_sums_have_no_order(small):
-    observed = repeated(lambda: small.train("cpu")[0], small.scene().train[0].camera, "another backend")
-    assert observed.numbers == {"spread of a training view": 0.0} and observed.text == "300 to 300 Gaussians"
-    images = torch.zeros(5, 3, 4, 1)
-    images[2, 1, 1] = 1.0
-    assert spread(images) == pytest.approx(0.2**0.5)
-
-
 def test_other_bytes_on_the_cpu_are_a_surprise(small):
     seeds = iter(range(5))
 
@@ -78,4 +74,4 @@ def test_other_bytes_on_the_cpu_are_a_surprise(small):
         return small.train("cpu")[0]
 
     with pytest.raises(UnexpectedError, match="different results"):
-        repeated(train, None, "cpu")
+        check_same_bytes(train)

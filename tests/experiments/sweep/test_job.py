@@ -1,14 +1,15 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.bench.cell import Outcome
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import read_all
-from tdgbench.experiments.sweep.run import OUTCOME, read_outcomes, worker_threads
+from tdgbench.bench.run_cell import Outcome
+from tdgbench.experiments.sweep.run import OUTCOME, read_outcomes, remaining_time, worker_threads
 from tests.helpers.command import command_here
 from tests.helpers.configs import QUICK
 
@@ -30,6 +31,14 @@ def test_workers_share_the_cores(launcher, threads):
     assert worker_threads(OmegaConf.create(launcher), 8) == threads
 
 
+def test_time_left_is_that_of_the_mean_finished_cell():
+    noon = datetime(2024, 1, 1, 12)
+    done = [Outcome("ok", "a", seconds=600.0), Outcome("ok", "b", seconds=1800.0), Outcome("kept", "c")]
+    assert "5 of 8 cells to go, about 0:50:00 left" in remaining_time(8, [*done, Outcome("failed", "d")], 2, noon)
+    assert "1 of 3 cells to go, about 0:20:00 left" in remaining_time(3, done, 4, noon)  # a cell has one worker
+    assert remaining_time(2, done, 1) == remaining_time(1, done, 1) == remaining_time(9, done[2:], 1) == ""
+
+
 def test_a_job_without_a_readable_outcome_has_failed(tmp_path):
     for number, content in enumerate(
         ("{", json.dumps({"status": "ok", "title": "b", "message": ""}), '{"status": "good"}')
@@ -45,7 +54,7 @@ def test_a_job_without_a_readable_outcome_has_failed(tmp_path):
 @pytest.mark.parametrize(
     ("swept", "wrong", "records"),
     [
-        ("seed=0,abc,1", "seed=abc: must be a whole number", 2),  # there is no cell of seed abc
+        ("seed=0,abc,1", "seed=abc: must be a valid integer", 2),  # there is no cell of seed abc
         ("method.method.weight=1,inf,0.5", "weight=inf: must be", 3),
     ],
 )

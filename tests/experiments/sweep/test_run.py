@@ -7,7 +7,7 @@ import sys
 
 CODE = """
 import sys
-import methods.msmg, methods.tdg, tdgbench.bench.cell, tdgbench.experiments.sweep.run
+import methods.msmg, methods.tdg, tdgbench.bench.run_cell, tdgbench.experiments.sweep.run
 print([name for name in ("matplotlib", "pandas", "scipy.stats") if name in sys.modules])
 """
 

@@ -111,14 +111,3 @@ def test_masked_pixels_have_no_part_in_range_and_gain(data_root):
         if encoding is None:
             shown = np.array([in_degC(view, found[0])[valid] for view in found[0].views])
             assert found[0].temperature.min == pytest.approx(shown.min() - 1, abs=1e-3)
-
-
-def test_a_blur_mixes_no_masked_pixel_in(data_root):
-    valid = np.ones((36, 48), bool)
-    valid[:, :8] = False
-    clean = small_dataset(data_root).load("turntable")
-    views = [replace(view, load_valid=lambda: valid) for view in clean.train]
-    scene, _ = drifting(replace(clean, train=views, test=[]), ThermalErrors(blur_px=2.0), 0)
-    for view, before in zip(scene.train, views, strict=True):
-        coldest = in_degC(before, clean)[valid].min()
-        assert in_degC(view, scene)[valid].min() > coldest - 1e-4

@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.scenes.synthetic.thermal_camera import ThermalErrors, limits, vignette
+from tdgbench.scenes.synthetic.capture import ThermalErrors, limits, vignette
 from tests.helpers.configs import config
 
 SIZE, SPAN = (48, 36), (10.0, 30.0)
@@ -52,7 +52,6 @@ def test_a_vignette_off_the_centre_has_a_linear_part():
     assert row == 0 and column in (47, 48) and shape.min() >= 0
     assert shape.max() == shape[-1, 0] == pytest.approx(1, abs=0.05)
     assert np.polyfit(np.linspace(-0.5, 0.5, 64), shape.mean(axis=0), 2)[1] < -0.1
-    assert ThermalErrors(vignette_degC=2.6, vignette_x=0.25).title == "-vignette_degC2.6-vignette_x0.25"
 
 
 def test_vignette_is_radial_and_as_asked_at_the_corners():
@@ -68,17 +67,8 @@ def test_pattern_is_partly_one_of_columns():
     assert pattern.mean(axis=0).std() > 3 * pattern.mean(axis=1).std()
 
 
-def test_blur_and_dead_pixels():
-    degC, still = scene_temperatures(), np.zeros((36, 48))
-    camera = drawn(blur_px=1.5, dead_share=0.02)
-    first, second = camera.shown(degC, 0, still), camera.shown(degC + 1, 1, still)
-    dead = first == second
-    assert dead.mean() == pytest.approx(0.02, rel=0.5) and np.array_equal(dead, np.isfinite(camera.dead))
-    assert np.allclose(first[~dead], gaussian_filter(degC, 1.5, mode="nearest")[~dead])
-
-
 def test_one_error_does_not_change_the_random_numbers_of_another():
-    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1, dead_share=0.1), drawn(gain=0.05)
+    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1), drawn(gain=0.05)
     assert np.array_equal(both.gains, one.gains)
     assert np.array_equal(both.pattern, drawn(pattern_degC=0.1).pattern)
 
@@ -90,10 +80,7 @@ def test_limits_of_gain_control_leave_out_tails():
     assert low == 7 and high > low
 
 
-def test_titles_name_what_is_set():
-    assert ThermalErrors().title == "" and ThermalErrors(walk_degC=4, shutter_views=10).title == (
-        "-walk_degC4-shutter_views10"
-    )
+def test_files_are_in_degC_if_the_camera_has_errors():
     assert [ThermalErrors(**errors).files for errors in ({}, {"gain": 0.1}, {"encoding": "agc"})] == [
         "range", "degC", "agc"
     ]  # fmt: skip

@@ -57,6 +57,11 @@ def test_scenes_without_truth_say_so(tmp_path):
 
 def test_a_damaged_truth_is_named(tmp_path):
     folder = load(tmp_path, gain=0.1).folder
-    (folder / FOLDER / "camera.json").write_text('{"views": {"a": {}}}', encoding="utf-8")
-    with pytest.raises(SceneError, match=r"camera\.json is damaged"):
+    path = folder / FOLDER / "camera.npz"
+    for content in (path.read_bytes()[:-100], b"", b"PK"):
+        path.write_bytes(content)
+        with pytest.raises(SceneError, match=r"camera\.npz is damaged"):
+            read_truth(folder)
+    np.savez(path, names=np.array(["a"]))
+    with pytest.raises(SceneError, match=r"camera\.npz is damaged"):
         read_truth(folder)

@@ -2,7 +2,8 @@
 
 import pytest
 
-from tdgbench.tables.claims import CHECKS, FAILS, HOLDS, UNDECIDED, ClaimEvidence, check_all, load_claims
+from tdgbench.tables.claims import CHECKS, check_all, load_claims
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence
 from tdgbench.tables.published import published_ablation, published_main
 
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)

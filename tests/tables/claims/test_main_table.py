@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tdgbench.tables.claims import FAILS, HOLDS, UNDECIDED, ClaimEvidence, check_claim, load_claims
+from tdgbench.tables.claims import check_claim, load_claims
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence
 from tdgbench.tables.published import published_ablation, published_main
 
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)

@@ -25,11 +25,7 @@ def pixel_weights(valid: np.ndarray, channels: int) -> np.ndarray:
     """
     if not valid.any():
         raise ValueError("no pixel of the image is valid, so that it has no loss")
-    if channels == 1:
-        return valid.astype(F)
-    weights = np.empty((len(valid), valid.shape[1] * channels), np.float32)
-    pool.run_bands(weight_rows, len(valid), valid, channels, weights)
-    return weights
+    return np.repeat(valid, channels, axis=1).astype(F)
 
 
 def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -41,18 +37,6 @@ def without_masked(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     out = np.empty_like(image)
     pool.run_bands(keep_rows, len(image), image, weights, out)
     return out
-
-
-@kernel()
-def weight_rows(start, stop, valid, channels, weights):
-    """Rows [start, stop) of the weights (rows, columns · channels) of a mask (rows, columns)."""
-    c = U(channels)
-    for y in range(start, stop):
-        kept, row = valid[y], weights[y]
-        for x in range(U(kept.shape[0])):
-            weight = ONE if kept[x] else ZERO
-            for i in range(x * c, x * c + c):
-                row[i] = weight
 
 
 @kernel()

@@ -243,7 +243,7 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
         for k in range(3):
             across_rows(slopes, k, g, filtered[k])
         gradient_of_row(a[g], b[g], filtered, scales.l1, scales.ssim, gradient[g])
-        sums[g, 0] = difference_sum(a[g], b[g])
+        sums[g, 0] = difference_sum(a[g], b[g], None, None)
         apply_mask(gradient[g], weights, g)
         if scales.smooth != ZERO:
             add_difference_gradient(g, a, weights, channels, scales.wrap, scales.smooth, gradient[g])

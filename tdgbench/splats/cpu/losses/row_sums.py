@@ -32,29 +32,21 @@ def row_sum(values):
 
 
 @kernel(inline=True)
-def difference_sum(a, b):
-    """Σ |a − b| of rows a and b (columns,)."""
+def difference_sum(a, b, v, w):
+    """Σ v w |a − b| of rows a and b (columns,), with the weights v and w of their values (columns,), or None."""
     count = U(a.shape[0])
     whole = count - count % U(LANES)
     partial = broadcast(ZERO)
     for x in range(U(0), whole, U(LANES)):
-        partial = partial + absolute(load_anywhere(a, x) - load_anywhere(b, x))
+        difference = absolute(load_anywhere(a, x) - load_anywhere(b, x))
+        if v is None:
+            partial = partial + difference
+        else:
+            partial = partial + load_anywhere(v, x) * load_anywhere(w, x) * difference
     total = lane_sum(partial)
     for x in range(whole, count):
-        total += abs(a[x] - b[x])
-    return total
-
-
-@kernel(inline=True)
-def weighted_difference_sum(a, b, v, w):
-    """Σ v w |a − b| of rows a and b with weights v and w (columns,)."""
-    count = U(a.shape[0])
-    whole = count - count % U(LANES)
-    partial = broadcast(ZERO)
-    for x in range(U(0), whole, U(LANES)):
-        weight = load_anywhere(v, x) * load_anywhere(w, x)
-        partial = partial + weight * absolute(load_anywhere(a, x) - load_anywhere(b, x))
-    total = lane_sum(partial)
-    for x in range(whole, count):
-        total += v[x] * w[x] * abs(a[x] - b[x])
+        if v is None:
+            total += abs(a[x] - b[x])
+        else:
+            total += v[x] * w[x] * abs(a[x] - b[x])
     return total

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.losses.masks import pixel_weights, weight_of_pair, without_masked
-from tdgbench.splats.cpu.losses.row_sums import difference_sum, weighted_difference_sum
+from tdgbench.splats.cpu.losses.masks import weight_of_pair
+from tdgbench.splats.cpu.losses.row_sums import difference_sum
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
@@ -44,16 +43,16 @@ def neighbour_differences(y, image, weights, channels, wrap):
     here, under = image[y], row_below(y, image.shape[0], wrap)
     count = here.shape[0]
     if weights is None:
-        total = difference_sum(image[under], here)
-        total += difference_sum(here[channels:], here[: count - channels])
+        total = difference_sum(image[under], here, None, None)
+        total += difference_sum(here[channels:], here[: count - channels], None, None)
         if wrap:
-            total += difference_sum(here[:channels], here[count - channels :])
+            total += difference_sum(here[:channels], here[count - channels :], None, None)
         return total
     w = weights[y]
-    total = weighted_difference_sum(image[under], here, weights[under], w)
-    total += weighted_difference_sum(here[channels:], here[: count - channels], w[channels:], w[: count - channels])
+    total = difference_sum(image[under], here, weights[under], w)
+    total += difference_sum(here[channels:], here[: count - channels], w[channels:], w[: count - channels])
     if wrap:
-        total += weighted_difference_sum(here[:channels], here[count - channels :], w[:channels], w[count - channels :])
+        total += difference_sum(here[:channels], here[count - channels :], w[:channels], w[count - channels :])
     return total
 
 
@@ -82,33 +81,3 @@ def add_difference_gradient(y, image, weights, channels, wrap, scale, out):
             weight = weight_of_pair(weights, y, last, y, x)
             out[last] += scale * sign(here[last] - here[x]) * weight
             out[x] += scale * sign(here[x] - here[last]) * weight
-
-
-@kernel()
-def difference_rows(start, stop, image, weights, channels, wrap, sums, gradient):
-    """Rows [start, stop): sums (rows,) of `neighbour_differences`, and gradient (rows, columns · channels)."""
-    for y in range(start, stop):
-        add_difference_gradient(y, image, weights, channels, wrap, ONE, gradient[y])
-        sums[y] = neighbour_differences(y, image, weights, channels, wrap)
-
-
-def differences_and_gradient(
-    image: np.ndarray, wrap: bool, valid: np.ndarray | None = None
-) -> tuple[float, np.ndarray]:
-    """Return Σ |differences| over the pairs of neighbours in a float32 image (H, W, C), and its gradient (H, W, C).
-
-    valid: bool (H, W), where it is false pixels are masked. Raises ValueError if all are.
-
-    >>> image = np.array([[[1.0], [3.0]]], np.float32)
-    >>> total, gradient = differences_and_gradient(image, wrap=False)
-    >>> total, gradient[..., 0].tolist()
-    (2.0, [[-1.0, 1.0]])
-    """
-    height, width, channels = image.shape
-    flat, weights = image.reshape(height, width * channels), None
-    if valid is not None:
-        weights = pixel_weights(valid, channels)
-        flat = without_masked(flat, weights)
-    sums, gradient = np.empty(height, np.float64), np.zeros_like(flat)
-    pool.run_bands(difference_rows, height, flat, weights, channels, wrap, sums, gradient)
-    return float(sums.sum()), gradient.reshape(image.shape)

@@ -37,15 +37,7 @@ from tdgbench.splats.cpu.raster.types import ImageArrays, Settings, Splats, Tile
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
 from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import any_bit, any_positive
-from tdgbench.splats.cpu.simd.registers import (
-    LANES,
-    broadcast,
-    greater_equal,
-    maximum,
-    minimum,
-    negative_abs,
-    select,
-)
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, greater_equal, maximum, minimum, negative_abs, select
 
 F, U = np.float32, np.uint64
 ZERO = F(0)

@@ -30,8 +30,7 @@ from tdgbench.splats.cpu.raster.types import (
     U_,
     V_,
 )
-from tdgbench.splats.cpu.simd.doubles import narrow, widen
-from tdgbench.splats.cpu.simd.memory import load, store, store_whole
+from tdgbench.splats.cpu.simd.memory import load, store, store_whole, turn_block
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
     broadcast,
@@ -41,12 +40,13 @@ from tdgbench.splats.cpu.simd.registers import (
     is_nan,
     maximum,
     minimum,
+    narrow,
     round_down,
     round_up,
     select,
     square_root,
+    widen,
 )
-from tdgbench.splats.cpu.simd.transpose import turn_block
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.memory import gather, gather_3, load, store
+from tdgbench.splats.cpu.simd.memory import gather, gather_block, load, store
 from tdgbench.splats.cpu.simd.powers import exp2, log2
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
@@ -25,7 +25,6 @@ from tdgbench.splats.cpu.simd.registers import (
     select,
     square_root,
 )
-from tdgbench.splats.cpu.simd.transpose import gather_block
 
 F = np.float32
 ZERO, ONE, TWO = F(0), F(1), F(2)
@@ -50,7 +49,8 @@ def column(parameter, rows, k, offset):
 @kernel(inline=True)
 def three_columns(parameter, rows, k, offset):
     """Columns offset, offset + 1, offset + 2 of a parameter (Columns)."""
-    return gather_3(parameter.values, rows, k, parameter.stride, parameter.first + offset)
+    first, second = column(parameter, rows, k, offset), column(parameter, rows, k, offset + 1)
+    return first, second, column(parameter, rows, k, offset + 2)
 
 
 @kernel(inline=True)

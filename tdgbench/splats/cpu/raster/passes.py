@@ -49,7 +49,7 @@ def forward(source: GaussianSource, settings: Settings) -> ForwardPass:
 
 @dataclass
 class Blended:
-    """A view whose blend is differentiated, and whose projection is not."""
+    """A view after the backward pass of its blend, before that of its projection."""
 
     source: GaussianSource
     settings: Settings
@@ -85,8 +85,7 @@ class Blended:
         source, settings, done = self.source, self.settings, self.done
         shared = (source.parameters, settings.channels, settings.camera, done.splats, self.slots, rows)
         counts = pool.run(
-            projection_backward,
-            [(*span, *shared, step) for span, step in zip(done.splat_spans, steps, strict=True)],
+            projection_backward, [(*span, *shared, step) for span, step in zip(done.splat_spans, steps, strict=True)]
         )
         return [(first, n) for (first, _), n in zip(done.splat_spans, counts)]
 

@@ -13,10 +13,10 @@ import numpy as np
 from tdgbench.splats.columns import MEANS_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.parameters import deviations, rotation, staged_3
-from tdgbench.splats.cpu.simd.doubles import over, widen
 from tdgbench.splats.cpu.simd.registers import (
     broadcast,
     divide,
+    divide_doubles,
     greater,
     greater_equal,
     maximum,
@@ -24,6 +24,7 @@ from tdgbench.splats.cpu.simd.registers import (
     round_up,
     select,
     square_root,
+    widen,
 )
 
 F = np.float32
@@ -185,7 +186,7 @@ def exact_image_point(mean, camera):
     x = mx * D(camera.x_axis[0]) + my * D(camera.x_axis[1]) + mz * D(camera.x_axis[2])
     y = mx * D(camera.y_axis[0]) + my * D(camera.y_axis[1]) + mz * D(camera.y_axis[2])
     z = mx * D(camera.z_axis[0]) + my * D(camera.z_axis[1]) + mz * D(camera.z_axis[2])
-    rz = over(1.0, z)
+    rz = divide_doubles(1.0, z)
     return x * D(camera.fx) * rz + D(camera.cx), y * D(camera.fy) * rz + D(camera.cy)
 
 

@@ -21,9 +21,8 @@ from tdgbench.splats.cpu.raster.parameters import STAGE, collect, staged
 from tdgbench.splats.cpu.raster.projection import footprint_of
 from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch, turn_sums
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
-from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store
+from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store, turn_block
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, select
-from tdgbench.splats.cpu.simd.transpose import turn_block
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, add_length
 
 F, U = np.float32, np.uint64

@@ -50,7 +50,7 @@ class PairTiles(NamedTuple):
 
 
 class ViewSettings(NamedTuple):
-    """What the kernel needs to know of a rendering."""
+    """Settings of a rendering, as the kernel takes them."""
 
     channels: tuple  # Channels
     camera: tuple  # Camera
@@ -68,7 +68,7 @@ class ProjectionScratch(NamedTuple):
 
 
 class ProjectedView(NamedTuple):
-    """Everything that projection leaves behind, for all threads."""
+    """Result of the projection by all threads."""
 
     projected: Projected
     projected_spans: list[Span]

@@ -9,10 +9,9 @@ import numpy as np
 from tdgbench.splats.cpu.adam import prefetch_gaussian
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
-from tdgbench.splats.cpu.simd.memory import load_anywhere, prefetch, prefetch_columns, prefetch_row, store
+from tdgbench.splats.cpu.simd.memory import load_anywhere, prefetch, prefetch_columns, prefetch_row, store, turn_block
 from tdgbench.splats.cpu.simd.reductions import lane_bits
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, is_nonzero
-from tdgbench.splats.cpu.simd.transpose import turn_block
 
 F, U = np.float32, np.uint64
 SLOT = 16  # floats: a slot of six moments and up to four channels, in whole registers

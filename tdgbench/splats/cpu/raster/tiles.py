@@ -145,8 +145,7 @@ def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) 
     keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
     lists = Lists(keys.view(np.uint32), splat_ids, slots)
     pool.run(
-        fill_lists,
-        [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
+        fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)]
     )
     out = Sorted(workspace.take("splat ids", total, np.int32), workspace.take("slots of pairs", total, np.int32))
     sort_tiles(starts, lists, out)

@@ -1,4 +1,4 @@
-"""What the two passes hand from kernel to kernel.
+"""Data types that kernels of the two passes exchange.
 
 Arrays are cut into spans (first, count), one per thread; the rows between spans are unused.
 """
@@ -73,7 +73,7 @@ class Channels(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a rendering needs besides Gaussians."""
+    """Camera, image size and options of a rendering."""
 
     camera: PackedCamera
     width: int  # px
@@ -114,7 +114,7 @@ class TileLists(NamedTuple):
 
 
 class Visits(NamedTuple):
-    """What the blend found, for its gradient."""
+    """Result of the blend that its gradient reuses."""
 
     counts: np.ndarray  # (tiles,) int32: pairs of a tile that were blended before it ended
     active_blocks: np.ndarray  # (pairs,) uint32: blocks in which a pair has weight; only of those counted
@@ -145,7 +145,7 @@ class GradientArrays(NamedTuple):
 
 @dataclass
 class ForwardPass:
-    """Images, and what the backward pass needs again."""
+    """Rendered images and the intermediate results that the backward pass needs."""
 
     images: ImageArrays
     projected: Projected

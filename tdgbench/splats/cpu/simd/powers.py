@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load
-from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, constant, vec
+from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, bits, constant, on_registers, vec
 
 # 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomial of 2^r to 2.5e-7 relative, from the highest power down.
 EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)
+ROOT_HALF = 0x3F3504F3  # the bits of √½
 
 
 def _power_of_two(builder, x, coefficients):
@@ -20,7 +20,7 @@ def _power_of_two(builder, x, coefficients):
     exact = ("contract",)
     magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
     shifted = builder.fadd(x, magic)
-    exponent = builder.shl(builder.bitcast(shifted, BITS), ir.Constant(BITS, [23] * LANES))
+    exponent = builder.shl(builder.bitcast(shifted, BITS), bits(23))
     rest = builder.fsub(x, builder.fsub(shifted, magic))
     square = builder.fmul(rest, rest)
     pairs = [
@@ -33,12 +33,11 @@ def _power_of_two(builder, x, coefficients):
     return builder.bitcast(builder.add(builder.bitcast(result, BITS), exponent), FLOATS)
 
 
-@intrinsic
-def exp2(typing_context, x):
-    """2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks."""
-    return vec(vec), lambda context, builder, signature, args: _power_of_two(
-        builder, args[0], [constant(value) for value in EXP2]
-    )
+exp2 = on_registers(
+    vec,
+    lambda builder, x: _power_of_two(builder, x, [constant(value) for value in EXP2]),
+    "2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.",
+)
 
 
 @intrinsic
@@ -55,32 +54,25 @@ def exp2_by(typing_context, x, coefficients):
     return vec(vec, coefficients), generate
 
 
-@intrinsic
-def log2(typing_context, x):
-    """log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 elsewhere.
+def _log2(builder, x):
+    """x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹."""
+    exact = ("contract",)
+    exponent = builder.ashr(builder.sub(builder.bitcast(x, BITS), bits(ROOT_HALF)), bits(23))
+    m = builder.bitcast(builder.sub(builder.bitcast(x, BITS), builder.shl(exponent, bits(23))), FLOATS)
+    one = constant(1.0)
+    s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
+    square = builder.fmul(s, s)
+    series = constant(1 / 9)
+    for k in (7, 5, 3):
+        series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
+    scaled = builder.fmul(s, constant(2.8853900817779268))
+    tail = builder.fmul(builder.fmul(series, square), scaled)
+    return builder.fadd(builder.sitofp(exponent, FLOATS), builder.fadd(scaled, tail))
 
-    x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹.
-    """
 
-    def generate(context, builder, signature, args):
-        exact = ("contract",)
-        root_half = ir.Constant(BITS, [0x3F3504F3] * LANES)  # the bits of √½
-        bits = builder.sub(builder.bitcast(args[0], BITS), root_half)
-        exponent = builder.ashr(bits, ir.Constant(BITS, [23] * LANES))
-        shift = builder.shl(exponent, ir.Constant(BITS, [23] * LANES))
-        m = builder.bitcast(builder.sub(builder.bitcast(args[0], BITS), shift), FLOATS)
-        one = constant(1.0)
-        s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
-        square = builder.fmul(s, s)
-        series = constant(1 / 9)
-        for k in (7, 5, 3):
-            series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
-        scaled = builder.fmul(s, constant(2.8853900817779268))
-        tail = builder.fmul(builder.fmul(series, square), scaled)
-        whole = builder.sitofp(exponent, FLOATS)
-        return builder.fadd(whole, builder.fadd(scaled, tail))
-
-    return vec(vec), generate
+log2 = on_registers(
+    vec, _log2, "log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 beyond."
+)
 
 
 def _coefficients() -> np.ndarray:

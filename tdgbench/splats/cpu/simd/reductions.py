@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from tdgbench.splats.cpu.simd.registers import LANES, constant, mask, vec
+from tdgbench.splats.cpu.simd.registers import LANES, constant, on_registers, vec
 
 _INDEX = ir.IntType(32)
 
@@ -15,51 +14,36 @@ def _shuffle(builder, a, b, index):
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(index)), index))
 
 
-@intrinsic
-def any_positive(typing_context, x):
-    """True if any lane is above zero."""
-
-    def generate(context, builder, signature, args):
-        bits = builder.bitcast(builder.fcmp_ordered(">", args[0], constant(0.0)), ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0))
-
-    return types.boolean(vec), generate
+def _is_any_bit_set(builder, x, bits: int):
+    whole = ir.IntType(bits)
+    return builder.icmp_unsigned("!=", builder.bitcast(x, whole), whole(0))
 
 
-@intrinsic
-def any_bit(typing_context, x):
-    """True unless all bits of all lanes are zero."""
-
-    def generate(context, builder, signature, args):
-        whole = ir.IntType(32 * LANES)
-        return builder.icmp_unsigned("!=", builder.bitcast(args[0], whole), whole(0))
-
-    return types.boolean(vec), generate
-
-
-@intrinsic
-def lane_bits(typing_context, condition):
-    """A mask as a number: bit l is lane l."""
-
-    def generate(context, builder, signature, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), ir.IntType(64))
-
-    return types.uint64(mask), generate
+any_positive = on_registers(
+    types.boolean,
+    lambda builder, x: _is_any_bit_set(builder, builder.fcmp_ordered(">", x, constant(0.0)), LANES),
+    "True if any lane is above zero.",
+)
+any_bit = on_registers(
+    types.boolean, lambda builder, x: _is_any_bit_set(builder, x, 32 * LANES), "True unless all bits are zero."
+)
+lane_bits = on_registers(
+    types.uint64,
+    lambda builder, x: builder.zext(builder.bitcast(x, ir.IntType(LANES)), ir.IntType(64)),
+    "A mask as a number: bit l is lane l.",
+)
 
 
-@intrinsic
-def lane_sum(typing_context, x):
-    """The sum over the lanes, always in the same order."""
+def _lane_sum(builder, value):
+    width = LANES // 2
+    while width >= 1:
+        low, high = list(range(width)), list(range(width, 2 * width))
+        value = builder.fadd(_shuffle(builder, value, value, low), _shuffle(builder, value, value, high))
+        width //= 2
+    return builder.extract_element(value, _INDEX(0))
 
-    def generate(context, builder, signature, args):
-        value, width = args[0], LANES // 2
-        while width >= 1:
-            low, high = list(range(width)), list(range(width, 2 * width))
-            value = builder.fadd(_shuffle(builder, value, value, low), _shuffle(builder, value, value, high))
-            width //= 2
-        return builder.extract_element(value, _INDEX(0))
 
-    return types.float32(vec), generate
+lane_sum = on_registers(types.float32, _lane_sum, "The sum over the lanes of a register of floats.")
 
 
 def _sum_tree(builder, vectors):
@@ -75,8 +59,7 @@ def _sum_tree(builder, vectors):
         labels = [[(labels[i] + labels[i + 1])[k] for k in low] for i in halves]
         vectors = [
             builder.fadd(
-                _shuffle(builder, vectors[i], vectors[i + 1], low),
-                _shuffle(builder, vectors[i], vectors[i + 1], high),
+                _shuffle(builder, vectors[i], vectors[i + 1], low), _shuffle(builder, vectors[i], vectors[i + 1], high)
             )
             for i in halves
         ]
@@ -88,23 +71,11 @@ def _sum_tree(builder, vectors):
     return total, [labels[0].index(i) for i in range(max(labels[0]) + 1)]
 
 
-@intrinsic
-def lane_sums_of_4(typing_context, v0, v1, v2, v3):
-    """The lane sums of four vectors, in lanes 0 to 3 of the result."""
-
-    def generate(context, builder, signature, args):
-        total, places = _sum_tree(builder, list(args))
-        return _shuffle(builder, total, total, places + [0] * (LANES - 4))
-
-    return vec(*[vec] * 4), generate
+def _lane_sums(builder, *vectors):
+    total, places = _sum_tree(builder, list(vectors))
+    return _shuffle(builder, total, total, places + [0] * (LANES - len(vectors)))
 
 
-@intrinsic
-def lane_sums_of_8(typing_context, v0, v1, v2, v3, v4, v5, v6, v7):
-    """The lane sums of eight vectors, in lanes 0 to 7 of the result: one shuffle tree instead of eight."""
-
-    def generate(context, builder, signature, args):
-        total, places = _sum_tree(builder, list(args))
-        return _shuffle(builder, total, total, places + [0] * (LANES - 8))
-
-    return vec(*[vec] * 8), generate
+# One shuffle tree instead of one for each register. The sums are in the first lanes of the result.
+lane_sums_of_4 = on_registers(vec, lambda builder, a, b, c, d: _lane_sums(builder, a, b, c, d))
+lane_sums_of_8 = on_registers(vec, lambda builder, a, b, c, d, e, f, g, h: _lane_sums(builder, a, b, c, d, e, f, g, h))

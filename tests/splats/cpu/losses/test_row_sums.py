@@ -26,15 +26,19 @@ print([value.hex() for value in values])
 
 
 @kernel()
-def both_sums(a, b):
-    return row_sum(a), difference_sum(a, b)
+def all_sums(a, b):
+    return row_sum(a), difference_sum(a, b, None, None), difference_sum(a, b, a, b)
 
 
 @pytest.mark.parametrize("count", [1, 7, 16, 33, 1920])
 def test_sums_of_rows_of_any_length(count):
     a, b = np.random.default_rng(count).random((2, count)).astype(np.float32)
-    expected = a.sum(dtype=np.float64), np.abs(a - b).sum(dtype=np.float64)
-    assert both_sums(a, b) == pytest.approx(expected, rel=1e-6)
+    expected = (
+        a.sum(dtype=np.float64),
+        np.abs(a - b).sum(dtype=np.float64),
+        (a * b * np.abs(a - b)).sum(dtype=np.float64),
+    )
+    assert all_sums(a, b) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_process_that_compiles_and_the_next_one_get_the_same_bits(tmp_path):

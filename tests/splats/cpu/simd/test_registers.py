@@ -68,3 +68,15 @@ def test_nothing_but_zeros_is_zero():
     a[1:6] = [-0.0, np.nan, 1e-45, -np.inf, 2.0]
     nonzero(a, out)
     assert out[:6].tolist() == [0, 0, 1, 1, 1, 1] and not out[6:].any()
+
+
+@kernel()
+def small_difference(values, large, out):
+    x = simd.widen(memory.load(values, 0))
+    memory.store(out, 0, simd.narrow((x * 3.0 + large) * simd.divide_doubles(1.0, x) - simd.divide_doubles(large, x)))
+
+
+def test_doubles_keep_what_single_precision_loses():
+    values, out = aligned(np.linspace(0.5, 2, LANES)), aligned(np.zeros(LANES))
+    small_difference(values, 1e9, out)
+    assert np.allclose(out, 3.0, rtol=1e-6)

@@ -1,0 +1,255 @@
+"""The work of a cell, stage by stage, from loading its scene to writing its folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import NamedTuple, cast
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from tdgbench.bench import cameras
+from tdgbench.bench.backend_check.choose import auto, training_backend
+from tdgbench.bench.environment import code_version, same_bytes_on
+from tdgbench.bench.key import cell_key, relevant_config
+from tdgbench.bench.masks import masked_share
+from tdgbench.bench.paths import cell_folder_of, files_of, short_name
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import PartReport, Record, SkipRecord
+from tdgbench.bench.renders import render_views, write_renders
+from tdgbench.bench.scores import score_training_views, write_log, write_views
+from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
+from tdgbench.bench.stored import hashes
+from tdgbench.bench.stored_parts import write_parts
+from tdgbench.files import whole_folder
+from tdgbench.scenes import Dataset, Scene
+from tdgbench.scenes.datasets import Outline, outline_of
+from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.splats.ply import save_ply
+from tdgbench.thermal import ImageResponse
+from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.context import training_device
+from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.method import Method
+from tdgbench.training.model import SplatModel
+from tdgbench.training.part import TrainingError
+from tdgbench.training.skips import Finished, Skips, account
+from tdgbench.training.trainer import Trainer
+from tdgbench.training.trial import RigTrial
+
+
+class IdentifiedCell(NamedTuple):
+    """Scene, method and skips of a cell, before any image is decoded."""
+
+    outline: Outline
+    method: Method
+    skips: Skips
+
+
+class TrainedCell(NamedTuple):
+    """A finished training. scene: as it is scored. response: of the thermal camera, for renders."""
+
+    trainer: Trainer
+    scene: Scene
+    response: ImageResponse
+    log: TrainingLog
+    checkpoint: Checkpoint
+    scorer: Scorer
+
+
+class CellRun(SetupObserver):
+    """One run of a cell: `identify`, `load`, `train` and `write`; each takes what the one before returns.
+
+    All of them fill in the record.
+    """
+
+    def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
+        self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
+        self.current = "options"  # name of the current stage
+        self.is_locked = False  # whether this run holds the cell's lock
+        self.remarks: list[str] = []  # what did not work, but changes no result
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the cell's files; final after `locate`."""
+        return cell_folder_of(self.experiment, self.record)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage, which the terminal and a failure name."""
+        self.current = name
+        self.progress.stage(name)
+        start = time.perf_counter()
+        yield
+        self.record.seconds[name] = round(self.record.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
+
+    def count(self, done: int, total: int) -> None:
+        self.progress.count(done, total)
+
+    def note_camera(self, facts: Facts, notes: list[str]) -> None:
+        self.record.camera["estimated"] = facts
+        self.record.notes += notes
+
+    def note_rig(self, trial: RigTrial) -> None:
+        self.record.camera["rig"] = asdict(trial)
+        self.record.notes.append(f"camera: the rig is {'learnt' if trial.pays else 'not learnt'}: {trial.reason}")
+
+    def note_prior(self, description: dict[str, object]) -> None:
+        self.record.prior = description
+
+    def note_points(self, description: dict[str, object]) -> None:
+        self.record.init_points = description
+
+    def locate(self) -> tuple[Dataset, Skips]:
+        """Return the cell's data set and skips; put the names of its scene into the record, without reading it."""
+        record = self.record
+        skips: Skips = instantiate(self.cfg.skip)
+        dataset: Dataset = instantiate(loader_of(self.cfg, skips))
+        place = dataset.describe(self.cfg.scene)
+        record.scene, record.dataset, record.group = place.scene, place.dataset, place.group
+        self.progress.rename(record.title)
+        return dataset, skips
+
+    def identify(self) -> IdentifiedCell:
+        """Compute the cell's key, for which no image is decoded, and make the method."""
+        cfg, record = self.cfg, self.record
+        with self.stage("load"):
+            dataset, skips = self.locate()
+            cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
+            record.config = relevant_config(cfg, cell.method)
+            record.data, record.code = self._fingerprint(cell), code_version(record.config)
+            record.key = cell_key(record)
+        return cell
+
+    def load(self, cell: IdentifiedCell) -> Scene:
+        """Load the scene. While that fails, the cell has no key, so that the next run tries again."""
+        key, self.record.key = self.record.key, ""
+        with self.stage("load"):
+            scene = cell.outline.read()
+        self.record.key = key
+        return scene
+
+    def train(self, cell: IdentifiedCell, scene: Scene) -> TrainedCell:
+        """Set the method up and train it, from the last checkpoint, if there is one, to the end."""
+        self.progress.start(len(scene.train))
+        scorer: Scorer = instantiate(self.cfg.metrics)
+        self.record.backend = training_backend(self.cfg.backend.name)
+        scorer.device = training_device(self.record.backend)
+        self._describe_scene(scene, scorer)
+        priors = self._cache("priors", "depth priors were")
+        ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
+        self._describe_images(ready.scored)
+        with self.stage("train"):
+            checkpoint = self._open_checkpoint()
+            log = checkpoint.resume(ready.trainer)
+            try:
+                log = train(ready.trainer, self.progress.line, checkpoint.write_if_due, log)
+            except TrainingError:
+                self._discard(checkpoint)  # training from it would end at the same iteration
+                raise
+        trained = TrainedCell(*ready, log, checkpoint, scorer)
+        self._describe_training(trained, cell.skips)
+        return trained
+
+    def write(self, trained: TrainedCell) -> None:
+        """Render and score the views; write the cell's folder whole or not at all."""
+        record = self.record
+        trainer, scene, response, log, checkpoint, scorer = trained
+        with whole_folder(self.folder) as part:
+            with self.stage("render"):
+                renders = render_views(trainer, scene.test, response)
+                write_renders(renders, scene.test, part)
+            with self.stage("score"):
+                scores = scorer.score(scene, renders)
+            with self.stage("score_train"):
+                record.train_scores = score_training_views(trainer, scene, scorer, response)
+            record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
+            with self.stage("write"):
+                for name, model in trainer.gaussians.items():
+                    save_ply(model.gaussians, part / files_of(name).model)
+                write_parts(trainer, part)
+                cameras.write_cameras(part / cameras.FILE, scene)
+                write_views(part / "views.csv", scores)
+                write_log(part / "log.csv", log)
+            record.hashes = hashes(part)
+            record.write(part)
+        self._discard(checkpoint)
+
+    def discard_checkpoint(self) -> None:
+        """Remove the cell's checkpoint, if there is one."""
+        self._discard(Checkpoint(self._checkpoint_path, {}, None))
+
+    def _discard(self, checkpoint: Checkpoint) -> None:
+        try:
+            checkpoint.discard()
+        except OSError as error:
+            self.remarks.append(f"its checkpoint could not be removed: {error}")
+
+    def _cache(self, name: str, what: str) -> Path | None:
+        """Return the folder of what cells of a scene share; None, with a remark, if it cannot be written."""
+        folder = Path(self.cfg.results) / "cache" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=folder):
+                return folder
+        except OSError as error:
+            self.remarks.append(f"{what} not cached: {error}")
+            return None
+
+    def _fingerprint(self, cell: IdentifiedCell) -> str:
+        """Return the fingerprint of the scene's files, and of those that its prior is read from."""
+        scene, needs_prior = cell.outline.scene, cell.method.needs_prior
+        files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
+        return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
+
+    def _describe_scene(self, scene: Scene, scorer: Scorer) -> None:
+        """Put facts about the scene, its metrics and its backend into the record."""
+        record = self.record
+        record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
+        record.convention = scorer.convention
+        record.views = {"train": len(scene.train), "test": len(scene.test)}
+        if self.cfg.backend.name == "auto" and auto().line:
+            record.notes.append(f"backend: {auto().line}")
+
+    def _describe_images(self, scene: Scene) -> None:
+        """Put the temperature range and the contrast of the images into the record. scene: as it is scored."""
+        span, contrast = scene.temperature, self.cfg.contrast.training
+        self.record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
+        if contrast != "none":
+            self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
+
+    def _describe_training(self, trained: TrainedCell, skips: Skips) -> None:
+        """Put facts about the finished training into the record."""
+        record, trainer, scene, log = self.record, trained.trainer, trained.scene, trained.log
+        record.masked = {"train": masked_share(scene.train), "test": masked_share(scene.test)}
+        record.resumed = log.resumed
+        record.notes += trained.checkpoint.notes
+        record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
+        record.train_processor_seconds = round(log.processor_seconds, 3)
+        work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
+        curricula = [(context.curriculum, context.budget.iterations) for context in trainer.contexts]
+        budget, method = trainer.whole_context.budget, trainer.method
+        finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
+        record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]
+        record.parts = cast(dict[str, PartReport], trainer.reports())
+
+    @property
+    def _checkpoint_path(self) -> Path:
+        return self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
+
+    def _open_checkpoint(self) -> Checkpoint:
+        """Return the checkpoint of this cell; with overwrite=always a stored one is removed."""
+        made_with = {
+            "settings, data or code": self.record.key,
+            "backend": self.record.backend,
+            **same_bytes_on(self.record.environment),
+        }
+        checkpoint = Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)
+        if self.cfg.overwrite == "always":
+            self._discard(checkpoint)
+        return checkpoint

@@ -1,0 +1,156 @@
+"""Run a cell, unless its result is there or another process runs it; a failure becomes a record."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from tdgbench.bench import failures, stored
+from tdgbench.bench.backend_check.choose import training_backend
+from tdgbench.bench.cell_stages import CellRun
+from tdgbench.bench.environment import describe_environment
+from tdgbench.bench.key import why_differs
+from tdgbench.bench.lock import cell_lock
+from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
+from tdgbench.bench.options import check_names, check_options
+from tdgbench.bench.outcome import Outcome, Status, finished
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record import Record
+from tdgbench.files import settle
+from tdgbench.priors import PriorUnavailableError
+from tdgbench.scenes import MissingScenesError
+from tdgbench.splats.cpu import pool
+from tdgbench.training.context import training_device
+
+
+def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
+    """Run the cell that a resolved configuration describes.
+
+    A failure of the cell is an outcome, not an exception, whatever its cause. Interrupts are raised, after the locks
+    are released.
+    """
+    run, held = None, ExitStack()
+    try:
+        record = _record_of(cfg, variant)
+        run = CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
+        progress.begin(record.title)
+        outcome = _run(run, held)
+    except MissingScenesError as error:
+        outcome = Outcome("missing", _title(cfg, run), str(error))
+    except (Exception, SystemExit) as error:  # plug-ins may call sys.exit
+        status: Status = "no prior" if isinstance(error, PriorUnavailableError) else "failed"
+        outcome = Outcome(status, _title(cfg, run), _keep_failure(error, run))
+    finally:
+        remarks = _close(held, progress)
+    return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))
+
+
+def _record_of(cfg: DictConfig, variant: str) -> Record:
+    """Return the record of a cell before its scene is known. Raises OptionError if the options name no cell."""
+    check_names(cfg)
+    method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
+    return Record(method, "", scene, init, int(cfg.seed), experiment, variant)
+
+
+def _title(cfg: DictConfig, run: CellRun | None) -> str:
+    """Return the name of a cell in messages, also if its options name none."""
+    if run is not None:
+        return run.record.title
+    keys = ("method.name", "scene", "init.name", "seed")
+    method, scene, init, seed = (OmegaConf.select(cfg, key, throw_on_resolution_failure=False) for key in keys)
+    return f"{method} on {scene}, {init}, seed {seed}"
+
+
+def _run(run: CellRun, held: ExitStack) -> Outcome:
+    """Run a cell if it has to; locks are in `held` at the end."""
+    cfg, record = run.cfg, run.record
+    record.environment = describe_environment()
+    check_options(cfg)
+    pool.set_threads(cfg.threads)
+    torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
+    record.environment = describe_environment()  # with these threads
+    cell = run.identify()
+    if not held.enter_context(cell_lock(run.experiment, run.folder)):
+        return Outcome("elsewhere", record.title, "another process is running it")
+    run.is_locked = True
+    settle(run.folder)
+    existing = stored.readable_record(run.folder)
+    skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
+    if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
+        skipped = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
+    if skipped is not None:
+        if skipped.status == "kept" and existing is not None and existing.key == record.key:
+            run.discard_checkpoint()  # a run may have been ended between its result and this
+        return replace(skipped, message="; ".join(filter(None, [skipped.message, *run.remarks])))
+    on_gpu = training_device(training_backend(cfg.backend.name)).type == "cuda"
+    if on_gpu:
+        torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
+        record.environment = describe_environment()
+    with PeakMemory(on_gpu) as memory:
+        trained = run.train(cell, run.load(cell))
+    record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
+    run.write(trained)
+    return finished(record, "; ".join([*_remarks(existing, record), *run.remarks]))
+
+
+def _remarks(existing: Record | None, record: Record) -> list[str]:
+    """Return why a cell with a record ran again, and where its training resumed."""
+    changes = [] if existing is None else why_differs(existing, record)
+    remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
+    return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
+
+
+def _keep_failure(error: BaseException, run: CellRun | None) -> str:
+    """Write the record of a failure if possible, and return the message of the outcome.
+
+    Without a run, since its options name no cell, there is no record.
+    """
+    message = failures.message(error)
+    if run is None:
+        return message
+    stage = run.current
+    failure = failures.failure_of(error, stage)
+    try:
+        if not run.record.dataset:
+            with suppress(Exception, SystemExit):
+                run.locate()  # so that its record is where its result would be
+        with ExitStack() as held:
+            if not run.is_locked and not held.enter_context(cell_lock(run.experiment, run.folder)):
+                raise OSError("another process is running the cell")
+            stored.write_failure(run.folder, run.record, failure)
+    except Exception as unwritten:
+        message += f" (its record could not be written: {unwritten})"
+    return f"{stage}: {message}"
+
+
+def _close(held: ExitStack, progress: CellProgress) -> list[str]:
+    """Release the locks and end the progress bar. Returns what did not work: it changes no outcome."""
+    remarks = []
+    for close in (held.close, progress.end):
+        try:
+            close()
+        except Exception as error:
+            remarks.append(f"clearing up: {failures.message(error)}")
+    return remarks
+
+
+def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:
+    """Return the outcome of a cell that can be skipped, or None if it has to run."""
+    if existing.failure is not None:
+        is_retried = existing.failure.of_environment or cfg.overwrite == "always" or cfg.retry_failed
+        if existing.key != record.key or is_retried:
+            return None
+        failure = f"{existing.failure.stage}: {existing.failure.error}"
+        return Outcome("failed", record.title, f"{failure} (in an earlier run; retry_failed=true runs it again)")
+    if cfg.overwrite == "always":
+        return None
+    if existing.key == record.key:
+        return Outcome("kept", record.title)
+    if cfg.overwrite == "never":
+        changes = "; ".join(why_differs(existing, record))
+        return Outcome("kept", record.title, f"overwrite=never keeps a result of other settings ({changes})")
+    return None

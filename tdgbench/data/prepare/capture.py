@@ -1,0 +1,183 @@
+"""Read all camera files of a capture, and store their content until the scene is written."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.data.prepare.report import FileReport, Report
+from tdgbench.data.prepare.resample import Size
+from tdgbench.data.prepare.sources import ViewFiles, find_sources
+from tdgbench.data.progress import step
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.images import COUNT_MODES, read_image, whole_image
+from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.radiometric import PhotoMapping, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
+
+JPEG = (".jpg", ".jpeg")
+
+
+class Kind(NamedTuple):
+    """What the files of all views of one scene must have in common. Sizes are (width, height) in px."""
+
+    rgb: Size
+    thermal: Size
+    is_celsius: bool
+    is_one_file: bool  # the RGB image is the photo inside the thermal file
+
+    def __str__(self) -> str:
+        sizes = f"RGB {self.rgb[0]}×{self.rgb[1]} and thermal {self.thermal[0]}×{self.thermal[1]}"
+        return sizes + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
+
+
+@dataclass(frozen=True)
+class ViewContent:
+    """Content of a view's files.
+
+    thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
+    float32 in [0, 1]. mapping: as a FLIR file states it, of its own photo. settings: of the camera, in words.
+    """
+
+    thermal: np.ndarray
+    rgb: np.ndarray
+    mapping: PhotoMapping | None = None
+    settings: str = ""
+
+
+@dataclass
+class Capture:
+    """Views of one kind, whose images wait in a folder. names: image file by view.
+
+    mappings: where thermal images lie in the photos inside their files, by view, where the files state it.
+    """
+
+    folder: Path
+    kind: Kind
+    names: dict[str, str] = field(default_factory=dict)
+    mappings: dict[str, PhotoMapping] = field(default_factory=dict)
+
+    def rgb(self, view: str) -> np.ndarray:
+        """Return the RGB image (h, w, 3), float32 in [0, 1]."""
+        return read_rgb(self.folder / self.names[view])
+
+    def thermal(self, view: str) -> np.ndarray:
+        """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
+        return np.load(self.folder / f"{self.names[view]}.npy", allow_pickle=False)
+
+
+def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale: CountScale, report: Report) -> Capture:
+    """Read all files, and store their content in `work`.
+
+    scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. Files that cannot be read are
+    reported. Raises SceneError if none can, and for views of several kinds.
+    """
+    sources = find_sources(folder, pairs)
+    report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
+    radiometry = read_radiometry(folder / FILE)
+    if not scale.is_known and radiometry is not None:
+        scale = radiometry.scale
+    capture = Capture(work, Kind((0, 0), (0, 0), False, False))
+    kinds: dict[Kind, list[str]] = {}
+    settings = Counter[str]()
+    with step("files to read", len(sources.views)) as count:
+        for index, files in enumerate(sources.views):
+            rgb = "inside" if files.rgb is None else str(files.rgb)
+            entry = FileReport(str(files.thermal), rgb, files.view, "written")
+            report.files.append(entry)
+            try:
+                content = read_view(files, scale)
+            except SceneError as error:
+                entry.status, entry.reason = "not read", str(error)
+            else:
+                _store(capture, files, content, index)
+                sizes = content.rgb.shape[1::-1], content.thermal.shape[1::-1]
+                kinds.setdefault(Kind(*sizes, content.thermal.ndim == 2, files.rgb is None), []).append(files.view)
+                settings[content.settings] += 1
+            count(index + 1)
+    if not kinds:
+        raise too_few(folder, 0, report)
+    if len(kinds) > 1:
+        found = [
+            f"{len(views)} with {kind} ({views[0]} …)"
+            for kind, views in sorted(kinds.items(), key=lambda item: -len(item[1]))
+        ]
+        raise SceneError(
+            f"{folder} holds views of different cameras or settings: {'; '.join(found[:4])}. One scene is of one pair "
+            "of cameras in one orientation: prepare each kind from a folder of its own"
+        )
+    (capture.kind,) = kinds
+    report.rgb_size, report.thermal_size = capture.kind.rgb, capture.kind.thermal
+    if not capture.kind.is_celsius:
+        known = f"whose °C {folder / FILE} gives" if is_there(folder / FILE) else "without °C: errors need a range"
+        report.assumptions.append(f"thermal images show values {known}")
+    for stated, number in settings.most_common(1):
+        others = f" in {number} files; {len(settings) - 1} other settings" if len(settings) > 1 else ""
+        if stated:
+            report.assumptions.append(f"temperatures are the object's, as set in the camera: {stated}{others}")
+    return capture
+
+
+def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
+    """Read a view's files. Raises SceneError naming the file."""
+    if files.rgb is None:
+        thermogram = read_thermogram(files.thermal)
+        if thermogram.photo is None:
+            raise SceneError(f"{files.thermal} holds no photo; put an RGB image of the same name beside it")
+        photo = thermogram.photo.astype(np.float32) / 255
+        return ViewContent(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
+    if holds_celsius(files.thermal, scale):
+        return ViewContent(read_celsius(files.thermal, scale), read_rgb(files.rgb))
+    return ViewContent(read_image(files.thermal), read_rgb(files.rgb))
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    """Read an RGB image (H, W, 3), float32 in [0, 1]. Raises SceneError."""
+    image = read_image(path)
+    return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
+
+
+def holds_celsius(path: Path, scale: CountScale) -> bool:
+    """Return whether temperatures can be read from a thermal file; else it shows values without a scale."""
+    if is_radiometric(regular_file(path)):
+        return True
+    with whole_image(path) as image:
+        return image.mode in COUNT_MODES and scale.is_known
+
+
+def too_few(folder: Path, count: int, report: Report) -> SceneError:
+    """Return the error of a folder with too few views for a scene."""
+    reasons = "; ".join(file.reason for file in report.files if file.reason)[:400]
+    return SceneError(
+        f"{folder} holds {count} usable pictures; structure from motion needs 3, and a good scene 30 or more. "
+        "Take more, or extract temperatures alone with --no-sfm" + (f" ({reasons})" if reasons else "")
+    )
+
+
+def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int) -> None:
+    """Store a view's images in the folder. COLMAP reads focal lengths from the EXIF data of JPEG files."""
+    is_jpeg = files.rgb is not None and files.rgb.suffix.lower() in JPEG
+    name = f"{index:06d}{'.jpg' if is_jpeg else '.png'}"  # without spaces, which lists of pairs cannot have
+    if is_jpeg and files.rgb is not None:
+        shutil.copyfile(files.rgb, capture.folder / name)
+    else:
+        Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
+    np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
+    capture.names[files.view] = name
+    if content.mapping is not None:
+        capture.mappings[files.view] = content.mapping
+
+
+def _in_words(settings: dict[str, float]) -> str:
+    """Say what a FLIR file's temperatures were corrected with."""
+    return (
+        f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
+        f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
+        f"{settings['ir_window_transmission']:.2f}"
+    )

@@ -1,0 +1,224 @@
+"""Surfaces of synthetic scenes: exact ray casting of simple solids, and their albedo and temperature.
+
+World axes: x, y on the ground, z up; rays are not normalised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+EPSILON = 1e-9
+NEWTON = 8  # steps, that meet hills within rounding
+
+
+class Solid(Protocol):
+    """A surface that rays can hit."""
+
+    def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the smallest t > 0 (N,) with origin + t · rays (N, 3) on the surface, else inf; normals (N, 3)."""
+
+
+@dataclass(frozen=True)
+class Sphere:
+    center: tuple[float, float, float]
+    radius: float
+
+    def intersect(self, origin, rays):
+        offset = origin - np.array(self.center)
+        a = (rays * rays).sum(axis=1)
+        b = rays @ offset
+        discriminant = b * b - a * (offset @ offset - self.radius**2)
+        root = np.sqrt(np.maximum(discriminant, 0))
+        near, far = (-b - root) / a, (-b + root) / a
+        t = np.where(near > EPSILON, near, far)
+        t = np.where((discriminant >= 0) & (t > EPSILON), t, np.inf)
+        normal = (offset + np.where(np.isfinite(t), t, 0)[:, None] * rays) / self.radius
+        return t, normal
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A flat patch: centre and two perpendicular half-edge vectors."""
+
+    center: tuple[float, float, float]
+    half_u: tuple[float, float, float]
+    half_v: tuple[float, float, float]
+
+    def intersect(self, origin, rays):
+        u, v = np.array(self.half_u), np.array(self.half_v)
+        normal = np.cross(u, v)
+        normal = normal / np.linalg.norm(normal)
+        facing = rays @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (np.array(self.center) - origin) @ normal / facing
+            hit = origin + t[:, None] * rays - np.array(self.center)
+            inside = (np.abs(hit @ u) <= u @ u) & (np.abs(hit @ v) <= v @ v)
+        t = np.where(inside & (t > EPSILON), t, np.inf)
+        return t, np.where(facing[:, None] > 0, -normal, normal)
+
+
+@dataclass(frozen=True)
+class Cuboid:
+    """A box turned by `yaw` (radians) about the vertical axis."""
+
+    center: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+    yaw: float = 0.0
+
+    def intersect(self, origin, rays):
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        to_box = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        o, d = to_box @ (origin - np.array(self.center)), rays @ to_box.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t1, t2 = (-np.array(self.half_size) - o) / d, (np.array(self.half_size) - o) / d
+        entry, leave = np.minimum(t1, t2), np.maximum(t1, t2)
+        axis = entry.argmax(axis=1)
+        near, far = entry.max(axis=1), leave.min(axis=1)
+        t = np.where((near <= far) & (near > EPSILON), near, np.inf)
+        local = np.zeros_like(rays)
+        rows = np.arange(len(rays))
+        local[rows, axis] = -np.sign(d[rows, axis])
+        return t, local @ to_box
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright cylinder with a flat top; `base` is the centre of its bottom."""
+
+    base: tuple[float, float, float]
+    radius: float
+    height: float
+
+    def intersect(self, origin, rays):
+        offset = origin - np.array(self.base)
+        a = (rays[:, :2] ** 2).sum(axis=1)
+        b = rays[:, :2] @ offset[:2]
+        discriminant = b * b - a * (offset[:2] @ offset[:2] - self.radius**2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            side = (-b - np.sqrt(np.maximum(discriminant, 0))) / a
+            z = offset[2] + side * rays[:, 2]
+            on_side = (discriminant >= 0) & (side > EPSILON) & (z >= 0) & (z <= self.height)
+            top = (self.height - offset[2]) / rays[:, 2]
+            in_top_plane = offset[:2] + top[:, None] * rays[:, :2]
+            on_top = (top > EPSILON) & ((in_top_plane**2).sum(axis=1) <= self.radius**2)
+        side, top = np.where(on_side, side, np.inf), np.where(on_top, top, np.inf)
+        t = np.minimum(side, top)
+        hit = offset + np.where(np.isfinite(t), t, 0)[:, None] * rays
+        radial = np.concatenate([hit[:, :2] / self.radius, np.zeros((len(rays), 1))], axis=1)
+        return t, np.where((side <= top)[:, None], radial, np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Hills:
+    """Undulating ground without end: z is a sum of waves, for rays steeper than its slopes, which meet it once."""
+
+    waves: tuple[tuple[float, float, float, float], ...]  # height in m, wave numbers in x and y in 1/m, phase
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return z (N,) at x, y (N,), and its slopes along them."""
+        z, along_x, along_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+        for size, kx, ky, phase in self.waves:
+            angle = kx * x + ky * y + phase
+            z += size * np.sin(angle)
+            along_x += size * kx * np.cos(angle)
+            along_y += size * ky * np.cos(angle)
+        return z, along_x, along_y
+
+    def intersect(self, origin, rays):
+        falling = rays[:, 2] < -EPSILON
+        down = np.where(falling[:, None], rays, [0.0, 0.0, -1.0])
+        t = -origin[2] / down[:, 2]
+        for _ in range(NEWTON):
+            x, y, z = (origin + t[:, None] * down).T
+            ground, along_x, along_y = self.height(x, y)
+            t = t - (z - ground) / (down[:, 2] - along_x * down[:, 0] - along_y * down[:, 1])
+        x, y, _ = (origin + t[:, None] * down).T
+        _, along_x, along_y = self.height(x, y)
+        normal = np.stack([-along_x, -along_y, np.ones_like(x)], axis=1)
+        return np.where(falling & (t > EPSILON), t, np.inf), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """A band-limited pattern in [0, 1]: the mean of plane waves with random directions and phases."""
+
+    seed: int
+    per_metre: float  # highest frequency, waves per metre
+    count: int = 6
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return values (N,) at points (N, 3)."""
+        rng = np.random.default_rng(self.seed)
+        directions = rng.normal(size=(self.count, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        wave_numbers = directions * (2 * np.pi * self.per_metre * rng.uniform(0.4, 1.0, (self.count, 1)))
+        phases = rng.uniform(0, 2 * np.pi, self.count)
+        return 0.5 + 0.5 * np.sin(points @ wave_numbers.T + phases).mean(axis=1) * np.sqrt(self.count / 2)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A warmer or colder spot: degC × exp(−½ |(p − center) / size|²)."""
+
+    center: tuple[float, float, float]
+    size: tuple[float, float, float]
+    degC: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return the temperature differences (N,) in °C at points (N, 3)."""
+        scaled = (points - np.array(self.center)) / np.array(self.size)
+        return self.degC * np.exp(-0.5 * (scaled**2).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Material:
+    """Two colours mixed by a pattern, and a temperature with a pattern, a vertical gradient and spots."""
+
+    color_a: tuple[float, float, float]
+    color_b: tuple[float, float, float]
+    pattern: Waves
+    degC: float
+    degC_pattern: float = 0.0
+    degC_per_metre: float = 0.0
+    spots: tuple[Spot, ...] = field(default_factory=tuple)
+    sharpness: float = 4.0
+
+    def albedo(self, points: np.ndarray) -> np.ndarray:
+        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
+        mix = 1 / (1 + np.exp(-self.sharpness * 4 * (self.pattern(points) - 0.5)))
+        return mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
+
+    def temperature(self, points: np.ndarray) -> np.ndarray:
+        """Return temperatures (N,) in °C at points (N, 3)."""
+        pattern = self.degC_pattern * (self.pattern(points) - 0.5)
+        return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """A ground of patches: each of its points is of the material whose site is nearest in x and y."""
+
+    sites: np.ndarray  # (P, 2), m
+    materials: list[Material]  # (P,)
+
+    def albedo(self, points: np.ndarray) -> np.ndarray:
+        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
+        return self._each(points, Material.albedo, np.zeros((len(points), 3)))
+
+    def temperature(self, points: np.ndarray) -> np.ndarray:
+        """Return temperatures (N,) in °C at points (N, 3)."""
+        return self._each(points, Material.temperature, np.zeros(len(points)))
+
+    def _each(
+        self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], found: np.ndarray
+    ) -> np.ndarray:
+        """Fill `found` (N, ...) with the value of each point's material."""
+        owner = cKDTree(self.sites).query(points[:, :2])[1]
+        for index in np.unique(owner):
+            found[owner == index] = value(self.materials[index], points[owner == index])
+        return found

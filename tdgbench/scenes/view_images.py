@@ -1,0 +1,131 @@
+"""Images of a scene's views: read, masked, undistorted and resized to the view's camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tdgbench.scenes.colmap import RegisteredImage
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.images import is_gray, read_image, resize
+from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.temperature import Radiometry
+
+ASPECT_TOLERANCE = 0.01
+UNMEASURED = 0.0  # image value of pixels that are not valid
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """Files of a view's thermal image, its camera, and the size that it is resampled to."""
+
+    path: Path
+    posed: RegisteredImage
+    width: int  # px
+    height: int  # px
+    mask: Path | None = None
+
+
+class MaskedImage(NamedTuple):
+    """An image, and where it was measured."""
+
+    image: np.ndarray  # (H, W, C) float32
+    valid: np.ndarray | None  # (H, W) bool; None: everywhere
+
+
+@dataclass(frozen=True)
+class ThermalImages:
+    """Thermal images of a scene, by view name. raw_count_range: of image values 0 and 1, without °C."""
+
+    images: Mapping[str, MaskedImage]
+    channels: int
+    temperature: TemperatureRange | None
+    notes: list[str] = field(default_factory=list)
+    raw_count_range: tuple[int, int] | None = None
+
+
+def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
+    """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
+    images = {name: _read_shown(source, radiometry) for name, source in sources.items()}
+    channels = decide_channels(wanted, all(view.image.shape[2] == 1 for view in images.values()))
+    images = {name: with_channels(view, channels) for name, view in images.items()}
+    return ThermalImages(images, channels, None if radiometry is None else radiometry.range)
+
+
+def decide_channels(wanted: int | str, are_gray: bool) -> int:
+    """Return the number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
+    if wanted not in ("auto", 1, 3):
+        raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
+    return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
+
+
+def with_channels(view: MaskedImage, channels: int) -> MaskedImage:
+    """Return a thermal image with 1 or 3 channels: gray is repeated, colours are averaged."""
+    image = view.image
+    if channels == 1 and image.shape[2] == 3:
+        image = image.mean(axis=2, keepdims=True)
+    if channels == 3 and image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    return MaskedImage(np.ascontiguousarray(image, np.float32), view.valid)
+
+
+def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> MaskedImage:
+    image = read_image(source.path, radiometry)
+    if is_gray(image):
+        image = np.ascontiguousarray(image[..., :1])
+    image, valid = resample(image, read_hidden(source, image), source)
+    if valid is not None:
+        image[~valid] = UNMEASURED
+    return MaskedImage(image, valid)
+
+
+def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
+    """Read the pixels (H, W) bool of an image (H, W, C) that the view's mask hides, or None. Raises SceneError.
+
+    A mask hides where all its channels are 0. One of another size is resized; a pixel that is partly hidden is hidden.
+    """
+    if source.mask is None:
+        return None
+    mask = read_image(source.mask)
+    check_aspect(source.mask, mask, source.posed)
+    hidden = (mask == 0).all(axis=2, keepdims=True).astype(np.float32)
+    return resize(hidden, image.shape[1], image.shape[0])[..., 0] > 0
+
+
+def resample(image: np.ndarray, invalid: np.ndarray | None, source: ImageSource) -> MaskedImage:
+    """Undistort and resize an image (H, W, C) whose `invalid` pixels (H, W) bool count for nothing.
+
+    A pixel of the result is valid if it is made of valid pixels alone. Raises SceneError if none is, or if image and
+    camera have different aspect ratios.
+    """
+    check_aspect(source.path, image, source.posed)
+    if invalid is None or not invalid.any():
+        return MaskedImage(_resample(image, source), None)
+    spoiled = _resample(invalid[..., None].astype(np.float32), source)[..., 0] > 0  # weights are not negative
+    if spoiled.all():
+        raise SceneError(
+            f"{source.path} has no valid pixel: all of them are masked, or not measured; correct its mask or its "
+            "values, or leave the view out"
+        )
+    return MaskedImage(_resample(np.where(invalid[..., None], np.float32(0), image), source), ~spoiled)
+
+
+def _resample(image: np.ndarray, source: ImageSource) -> np.ndarray:
+    if source.posed.undistortion is not None:
+        image = source.posed.undistortion.apply(image)
+    return resize(image, source.width, source.height)
+
+
+def check_aspect(path: Path, image: np.ndarray, posed: RegisteredImage) -> None:
+    """Raise SceneError unless an image (H, W, ...) has the aspect ratio of its camera."""
+    height, width = image.shape[:2]
+    source = posed.source_size
+    if abs(width / height * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
+        raise SceneError(
+            f"{path} is {width}×{height}, but its camera is {source[0]}×{source[1]}: the aspect ratios differ; "
+            "export the image again, or correct the camera"
+        )

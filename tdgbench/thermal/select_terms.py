@@ -1,0 +1,255 @@
+"""Choose and fit the response and fixed pattern that explain the values of points in different views.
+
+Held-out views decide which terms are fitted. A jackknife over clusters of points then shrinks uncertain parameters.
+Errors outside the model (reflections, sunlit slopes, moving points) are correlated over large parts of a scene. They
+become large in directions that the values hardly determine, and standard errors do not show them. A direction whose
+estimate varies as much as it is large when a cluster is left out is shrunk towards an ideal camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from tdgbench.thermal.camera import ViewResponses
+from tdgbench.thermal.error_priors import NORMAL, Drift, PriorStds, fit_drift
+from tdgbench.thermal.fit import HUBER, Fit, PointSamples, System, Terms, deviation, fit, predict
+from tdgbench.thermal.maps import TERMS, line_pattern
+from tdgbench.thermal.observations import BLUR
+
+PASSES = 2  # over response and fixed pattern
+LADDER = (  # from the simplest
+    Terms(), Terms(vignette=True), Terms(offsets=True), Terms(vignette=True, offsets=True),
+    Terms(offsets=True, gains=True), Terms(vignette=True, offsets=True, gains=True),
+)  # fmt: skip
+FOLDS = 4  # groups of views that are held out in turn
+BETTER = 0.98  # share of the simpler terms' error that further ones must reach
+BETTER_WITH_GAINS = 0.9  # of gains, which blur and misregistration of a view look like
+POINTS_TO_CHOOSE = 3_000
+CUT = 3.0  # standard deviations; larger errors of prediction count as this large
+FEWEST_VALUES = 10  # of a held-out view
+FIT_ROUNDS = 10
+RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
+
+Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
+MIN_VARIANCE = 1e-9  # variance of a direction, in those of the prior
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """A fit; columns (W,) and rows (H,) of the fixed pattern, None where there is none."""
+
+    fit: Fit
+    columns: np.ndarray | None = None
+    rows: np.ndarray | None = None
+
+    def blurred(self, data: PointSamples) -> np.ndarray:
+        """Return fixed pattern (S,) in the blurred values."""
+        return _at(_smooth(self.columns), _smooth(self.rows), data)
+
+
+def fit_selected_terms(
+    data: PointSamples, stds: PriorStds, positions: np.ndarray
+) -> tuple[ResponseFit, Terms, Drift | None]:
+    """Fit the terms that held-out views support, alternating between response and fixed pattern.
+
+    positions: (V,) positions of the views in the sequence, NaN if unknown.
+    """
+    terms = choose_terms(data, stds, positions)
+    found = fit(data, terms, prior(data, stds))
+    drift = _drift(found, data, terms, stds, positions)
+    precision = prior(data, stds, drift, positions)
+    if drift is not None:
+        found = fit(data, terms, precision)
+    best = ResponseFit(shrink_towards_ideal(data, found, terms, precision))
+    for _ in range(PASSES if data.size != (0, 0) else 0):
+        weights = best.fit.weights
+        left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
+        lines = _lines(data, left, weights)
+        if not terms.pattern:
+            used = weights > 0
+            without = left[used]
+            remaining = (left - _held_out_pattern(data, left, weights))[used]
+            terms = terms._replace(pattern=_size(remaining, without) < BETTER * _size(without, without))
+        if not terms.pattern:
+            break
+        cleaned = replace(data, value=data.value - ResponseFit(best.fit, *lines).blurred(data))
+        again = shrink_towards_ideal(cleaned, fit(cleaned, terms, precision), terms, precision)
+        best = ResponseFit(replace(again, before=best.fit.before), *lines)
+    return best, terms, drift
+
+
+def choose_terms(data: PointSamples, stds: PriorStds, positions: np.ndarray) -> Terms:
+    """Choose the simplest terms that clearly improve the prediction of held-out views.
+
+    A drift outside the model, or a reflection, can look like a gain; held-out views show that correcting it does not
+    improve the temperatures of the points. Two errors are measured, as for test views: without reading any value of the
+    view, and after the gain and offset fitted to its other half. Terms must lower one of them, and their product.
+    """
+    some = data.select(data.point % max(1, -(-data.points // POINTS_TO_CHOOSE)) == 0)
+    best, least = LADDER[0], held_out_errors(some, LADDER[0], stds, positions)
+    for terms in LADDER[1:]:
+        errors = held_out_errors(some, terms, stds, positions)
+        change = [_size(b, a) / _size(a, a) for a, b in zip(least, errors, strict=True)]
+        needed = BETTER_WITH_GAINS if terms.gains and not best.gains else BETTER
+        if min(change) < needed and change[0] * change[1] < needed:
+            best, least = terms, errors
+    return best
+
+
+def prior(
+    data: PointSamples, stds: PriorStds, drift: Drift | None = None, positions: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has its std."""
+    variances = np.r_[np.full(data.views, stds.gains**2), stds.of_vignette() ** 2]
+    precision = np.diag(1 / np.r_[np.full(data.views, stds.offsets**2), variances])
+    if drift is not None and positions is not None:
+        precision[: data.views, : data.views] = np.linalg.inv(drift.prior(positions))
+    return precision
+
+
+def _drift(found: Fit, data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray) -> Drift | None:
+    """Fit how the offsets change along the sequence; None if offsets are not estimated or there is no sequence."""
+    if not terms.offsets or np.isnan(positions).any():
+        return None
+    offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
+    return fit_drift(positions, offsets - offsets[known].mean(), known, stds.offsets)
+
+
+def _within_points(values: np.ndarray, weights: np.ndarray, data: PointSamples) -> np.ndarray:
+    """Return values (S,) less the weighted mean of their point."""
+    total = np.maximum(np.bincount(data.point, weights, data.points), 1e-12)
+    return values - (np.bincount(data.point, weights * values, data.points) / total)[data.point]
+
+
+def _lines(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> Lines:
+    """Return patterns of columns and rows of what is left (S,) of the values."""
+    columns = line_pattern(left, weights, data.column, data.size[0])
+    rows = line_pattern(left - _at(columns, None, data), weights, data.row, data.size[1])
+    return columns, rows
+
+
+def _held_out_pattern(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return fixed pattern (S,) at values, each from views of other folds."""
+    pattern, fold = np.zeros(len(left)), data.view % FOLDS
+    for number in range(FOLDS):
+        pattern[fold == number] = _at(*_lines(data, left, np.where(fold == number, 0, weights)), data)[fold == number]
+    return pattern
+
+
+def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
+    """Return the root mean square of errors (S,), cut off at CUT robust standard deviations of the simplest model's."""
+    if not simplest.size:
+        return 1.0
+    cut = CUT * NORMAL * float(np.median(np.abs(simplest)))
+    return float(np.sqrt(np.mean(np.minimum(errors**2, cut**2)))) or 1e-12
+
+
+def held_out_errors(
+    data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict the values of views, held out in turn, from the points' temperatures in other views; return two errors.
+
+    The first use no value of the view: its offset is interpolated from its neighbours in the sequence, its gain is 1.
+    The second are after the gain and offset that fit the other half of the image.
+    """
+    present = np.unique(data.view)
+    unread, halves = [np.zeros(0)], [np.zeros(0)]
+    for fold in range(FOLDS):
+        held = np.isin(data.view, present[fold::FOLDS])
+        rest = data.select(~held)
+        seen = np.bincount(rest.point, minlength=data.points) >= 2
+        found = fit(rest, terms, prior(data, stds))
+        drift = _drift(found, rest, terms, stds, positions)
+        expected = np.zeros(data.views)
+        if drift is not None:
+            known = np.unique(rest.view)
+            expected = drift.expected(positions, positions[known], found.response.offsets[known])
+        test = data.select(held & seen[data.point])
+        shown = test.value - test.terms @ found.vignette
+        for view in np.unique(test.view):
+            of_view = test.view == view
+            predicted, value = found.temperatures[test.point[of_view]], shown[of_view]
+            unread.append(value - predicted - expected[view])
+            halves.append(_halves(predicted, value, test.terms[of_view, RIGHTWARDS] > 0))
+    return np.concatenate(unread), np.concatenate(halves)
+
+
+def _halves(x: np.ndarray, y: np.ndarray, is_right: np.ndarray) -> np.ndarray:
+    """Return errors (N,) of values in each half of an image, after the robust line through those of the other half."""
+    left = [np.zeros(0)]
+    for half in (is_right, ~is_right):
+        if np.count_nonzero(~half) >= FEWEST_VALUES and half.any():
+            gain, offset = _line(x[~half], y[~half])
+            left.append(y[half] - gain * x[half] - offset)
+    return np.concatenate(left)
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return the gain and offset of a robust line through values."""
+    terms, weights = np.stack([x - x.mean(), np.ones_like(x)], axis=1), np.ones_like(x)
+    line = np.zeros(2)
+    for _ in range(FIT_ROUNDS):
+        root = np.sqrt(weights)
+        line = np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0]
+        left = y - terms @ line
+        sigma = max(NORMAL * float(np.median(np.abs(left))), 1e-9)
+        weights = HUBER / np.maximum(np.abs(left) / sigma, HUBER)
+    return float(line[0]), float(line[1] - line[0] * x.mean())
+
+
+def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
+    return None if lines is None else gaussian_filter1d(lines, BLUR, mode="nearest")
+
+
+def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: PointSamples) -> np.ndarray:
+    """Return pattern (S,) of columns and rows at values."""
+    across = 0.0 if columns is None else columns[data.column]
+    return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
+
+
+def shrink_towards_ideal(data: PointSamples, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
+    """Shrink each direction of a fit towards an ideal camera, by its variance under the jackknife."""
+    free = terms.free(data)
+    if not free.any():
+        return found
+    theta = np.concatenate([*found.response, found.vignette])
+    system = System(data, theta, found.temperatures, found.reference, found.weights)
+    information, axes = system.directions(precision, free)
+    given = precision[np.ix_(free, free)]
+    others = [_change_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
+    moved = np.stack(others)[:, free] @ given @ axes
+    count = len(others)
+    variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
+    drawn = information / (information + 1)  # the share of a value that the prior leaves
+    known = np.minimum(information, drawn**2 / np.maximum(variance, MIN_VARIANCE))
+    place = (theta - data.ideal)[free] @ given @ axes
+    kept = np.where(drawn > 0, place / np.maximum(drawn, MIN_VARIANCE), 0.0) * known / (known + 1)
+    theta = data.ideal
+    theta[free] += axes @ kept
+    temperatures = _temperatures(data, theta, found)
+    residuals = data.value - predict(data, theta, temperatures, found.reference)
+    response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
+    return replace(
+        found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
+        after=deviation(residuals), known=lambda: known,
+    )  # fmt: skip
+
+
+def _change_without(
+    data: PointSamples, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
+) -> np.ndarray:
+    """Return the change (2 V + K,) of the parameters when a cluster of points is left out."""
+    keep = data.cluster != cluster
+    rest, residuals = data.select(keep), found.residuals[keep]
+    system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])
+    return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
+
+
+def _temperatures(data: PointSamples, theta: np.ndarray, found: Fit) -> np.ndarray:
+    """Return temperatures (P,) that fit the values best, given the other parameters."""
+    system = System(data, theta, found.temperatures, found.reference, found.weights)
+    residuals = data.value - predict(data, theta, found.temperatures, found.reference)
+    return found.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))

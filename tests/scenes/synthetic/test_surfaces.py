@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from tdgbench.scenes.synthetic.surfaces import (
+    Cuboid,
+    Cylinder,
+    Hills,
+    Material,
+    Patches,
+    Rectangle,
+    Sphere,
+    Spot,
+    Waves,
+)
+
+DOWN = np.array([[0.0, 0.0, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("solid", "height"),
+    [(Sphere((0, 0, 1), 0.5), 1.5), (Cuboid((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
+     (Rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0)), 0.5)],
+)  # fmt: skip
+def test_rays_from_above(solid, height):
+    t, normal = solid.intersect(np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2)
+    hit = 5.0 - 2 * t[0]
+    assert hit == pytest.approx(height, abs=0.02)
+    assert normal[0, 2] > 0.95 and np.linalg.norm(normal[0]) == pytest.approx(1)
+    missed, _ = solid.intersect(np.array([9.0, 9.0, 5.0]), DOWN)
+    assert np.isinf(missed[0])
+    behind, _ = solid.intersect(np.array([0.0, 0.0, 5.0]), -DOWN)
+    assert np.isinf(behind[0])
+
+
+def test_points_lie_on_their_surfaces():
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(5000, 3))
+    cylinder = Cylinder((0.2, 0.1, -0.5), 0.8, 1.0)
+    origin = np.array([3.0, 1.0, 1.0])
+    t, _ = cylinder.intersect(origin, rays)
+    hit = (origin + t[:, None] * rays)[np.isfinite(t)] - np.array(cylinder.base)
+    radius = np.linalg.norm(hit[:, :2], axis=1)
+    on_side, on_top = np.isclose(radius, 0.8), np.isclose(hit[:, 2], 1.0)
+    assert len(hit) > 10 and (on_side | on_top).all() and (radius < 0.8 + 1e-9).all()
+
+
+def test_rays_meet_hills_on_their_surface():
+    hills = Hills(((0.8, 0.4, 0.1, 0.3), (0.5, -0.2, 0.4, 1.0)))
+    rng = np.random.default_rng(0)
+    rays = np.concatenate([rng.uniform(-0.6, 0.6, (2000, 2)), np.full((2000, 1), -1.0)], axis=1)
+    origin = np.array([3.0, -1.0, 20.0])
+    t, normal = hills.intersect(origin, rays)
+    x, y, z = (origin + t[:, None] * rays).T
+    step = 1e-5
+    slopes = [(hills.height(x + step * (1 - i), y + step * i)[0] - z) / step for i in range(2)]
+    assert np.ptp(z) > 2 and np.abs(z - hills.height(x, y)[0]).max() < 1e-9
+    assert -normal[:, :2].T / normal[:, 2] == pytest.approx(np.array(slopes), abs=1e-4)
+    assert np.isinf(hills.intersect(origin, -rays)[0]).all()
+
+
+def test_waves_are_smooth_and_seeded():
+    points = np.random.default_rng(0).normal(size=(2000, 3))
+    values = Waves(1, 2.0)(points)
+    assert values.min() > -0.5 and values.max() < 1.5 and values.std() > 0.1
+    assert np.array_equal(values, Waves(1, 2.0)(points)) and not np.array_equal(values, Waves(2, 2.0)(points))
+    step = 1e-4
+    assert np.abs(Waves(1, 2.0)(points + step) - values).max() < 2 * np.pi * 2.0 * 2 * step * np.sqrt(3)
+
+
+def test_temperature_adds_up():
+    spot = Spot((0, 0, 1), (0.5, 0.5, 0.5), 8.0)
+    material = Material((1, 1, 1), (0, 0, 0), Waves(0, 1.0), 20.0, 0.0, 2.0, (spot,))
+    at = material.temperature(np.array([[0.0, 0, 1], [9, 9, 1]]))
+    assert at.tolist() == pytest.approx([20 + 2 + 8, 20 + 2])
+
+
+def test_albedo_lies_between_its_colors():
+    material = Material((0.9, 0.5, 0.1), (0.1, 0.2, 0.3), Waves(0, 1.0), 0.0)
+    albedo = material.albedo(np.random.default_rng(0).normal(size=(100, 3)))
+    assert (albedo >= np.array([0.1, 0.2, 0.1]) - 1e-9).all() and (albedo <= np.array([0.9, 0.5, 0.3]) + 1e-9).all()
+
+
+def test_a_patch_is_of_the_nearest_site_s_material():
+    warm, cold = (Material((degC / 30,) * 3, (degC / 30,) * 3, Waves(0, 1.0), degC) for degC in (30.0, 10.0))
+    ground = Patches(np.array([[0.0, 0.0], [2.0, 0.0]]), [warm, cold])
+    points = np.array([[0.9, 5.0, 1.0], [1.1, -5.0, 0.0], [-8.0, 0.0, 0.0]])
+    assert ground.temperature(points).tolist() == [30, 10, 30]
+    assert ground.albedo(points)[:, 0] == pytest.approx([1, 1 / 3, 1])
