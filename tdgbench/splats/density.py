@@ -65,6 +65,10 @@ class DensityRules:
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
 
+    def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:
+        """Return density control by these rules; see `DensityControl`."""
+        return DensityControl(self, extent, state, iterations)
+
     def has_recovered(self, iteration: int, iterations: int) -> bool:
         """Return whether the model at an iteration, before density control, has recovered from all rounds and resets.
 
@@ -86,6 +90,7 @@ class DensityChange:
     cloned: int = 0
     split: int = 0
     pruned: int = 0
+    relocated: int = 0
     not_grown: int = 0  # above the gradient threshold, but rejected by another growth rule
 
 
@@ -156,6 +161,13 @@ class DensityControl:
         """Return whether `update` changes Gaussians at an iteration."""
         is_reset = self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
         return self.is_round(iteration) or is_reset
+
+    def regularised(self, gradients: Gradients | PendingGradients) -> Gradients | PendingGradients:
+        """Return the gradients of an iteration with those of terms of the loss that are density control's own."""
+        return gradients
+
+    def after_step(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> None:
+        """Change Gaussians after the optimiser's step; 3DGS does not."""
 
     def is_round(self, iteration: int) -> bool:
         """Return whether `update` clones, splits and prunes at an iteration."""

@@ -46,8 +46,17 @@ class LearningRates:
         >>> [round(rates.position(iteration), 6) for iteration in (0, 25, 50, 500)]
         [0.01, 0.001, 0.0001, 0.0001]
         """
-        t = min(max(iteration / self.position_steps, 0.0), 1.0)
-        return math.exp(math.log(self.position_initial) * (1 - t) + math.log(self.position_final) * t)
+        return log_linear(self.position_initial, self.position_final, iteration / self.position_steps)
+
+
+def log_linear(first: float, last: float, share: float) -> float:
+    """Return what falls log-linearly from `first` at a share of 0 to `last` at 1, and stays there (3DGS).
+
+    >>> round(log_linear(1e-2, 1e-4, 0.5), 6)
+    0.001
+    """
+    t = min(max(share, 0.0), 1.0)
+    return math.exp(math.log(first) * (1 - t) + math.log(last) * t)
 
 
 class Tolerance(NamedTuple):
@@ -136,6 +145,10 @@ class Adam:
     def _first_marked(self, bad: np.ndarray) -> str | None:
         """Return the name of the first parameter with a nonzero column in `bad` (columns,)."""
         return next((name for name in self.steps if bad[self.state.columns_of(name)].any()), None)
+
+    def position_rate(self, iteration: int) -> float:
+        """Return the learning rate of the means at an iteration, world units."""
+        return self.slowdown * float(self._rate_of("means", iteration))
 
     def stale(self) -> Stale:
         """Return all rows with their deferred steps, which a kernel applies to a row before it reads the row."""

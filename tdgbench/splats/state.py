@@ -145,6 +145,10 @@ class TrainingState:
                 array[: self.count] = array[: self.count][order]
         self._ordered_at = self.count
 
+    def refresh_bounds(self) -> None:
+        """Let culling know that rows were changed from outside. All rows must be current."""
+        self._bounds[: self.count] = _bounds_of(self.values)
+
     def state_dict(self) -> dict[str, Any]:
         """Return all rows, deferred steps not applied; the tensors share memory with the state where possible."""
         return {

@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import Significance
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
-from tdgbench.training.part import Network, Part, RandomStream, State
+from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips
 from tdgbench.training.stopping import hold_out
@@ -136,12 +136,13 @@ class Context:
         start: Gaussians | None = None,
         extra_fields: Mapping[str, torch.Tensor] | None = None,
         learning_rates: Mapping[str, float | str] | None = None,
+        position_unit: float | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
         start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
         learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
-        rate it shares.
+        rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
         """
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
@@ -151,7 +152,8 @@ class Context:
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         significance = self._significance(images, background, rig)
-        options = ModelOptions(name or modality, rig, significance, background, dict(learning_rates or {}))
+        rates = dict(learning_rates or {})
+        options = ModelOptions(name or modality, rig, significance, background, rates, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
@@ -162,9 +164,10 @@ class Context:
             name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum)
         )
 
-    def network(self, name: str, module: torch.nn.Module, rate: float) -> Network:
-        """Make a network with Adam at a learning rate. torch draws its weights when `module` is made:
-        call `torch.manual_seed(self.seed)` before.
+    def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
+        """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).
+
+        torch draws its weights when `module` is made: call `torch.manual_seed(self.seed)` before.
         """
         return self.add_part(name, Network(module.to(self.device), rate))
 

@@ -13,7 +13,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import DensityControl, GrowthDecision
+from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -32,7 +32,8 @@ class ModelOptions:
 
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
     significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
-    black. rates: learning rates of fields, in the place of the budget's; see `Adam`.
+    black. rates: learning rates of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
+    means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
@@ -40,6 +41,7 @@ class ModelOptions:
     significance: Significance | None = None
     background: torch.Tensor | None = None
     rates: Mapping[str, float | str] = field(default_factory=dict)
+    position_unit: float | None = None
 
 
 class SplatModel(Part):
@@ -62,8 +64,8 @@ class SplatModel(Part):
         self.budget = budget
         self.backend = backend
         self.degree = 0
-        self.optimizer = Adam(self.state, budget.rates, extent, options.rates)
-        self.density = DensityControl(budget.density, extent, self.state, budget.iterations)
+        self.optimizer = Adam(self.state, budget.rates, options.position_unit or extent, options.rates)
+        self.density = budget.density.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
         self.significance, self.background = options.significance, options.background
@@ -93,11 +95,19 @@ class SplatModel(Part):
         optimizer.flush()
         return state.split(state.values)
 
-    def render(self, camera: Camera | Pinhole, *, depth: bool = False, hook: Hook | None = None) -> Render:
+    def render(
+        self,
+        camera: Camera | Pinhole,
+        *,
+        depth: bool = False,
+        hook: Hook | None = None,
+        background: torch.Tensor | None = None,
+    ) -> Render:
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
         hook: differentiable function from the Gaussians and the SH degree to the tensors that are rendered. Steps are
         slower with a hook, or a pose that requires a gradient: the gradients of all Gaussians pass through torch.
+        background: (D,) behind the D channels that a hook renders; by default the model's.
         """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
@@ -110,7 +120,8 @@ class SplatModel(Part):
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
         if self.rig is not None:
             hook, pinhole = self.rig.through(hook, pinhole)
-        options = StateOptions(self.degree, depth, self.blending, tolerance, self.background, hook)
+        background = self.background if background is None else background
+        options = StateOptions(self.degree, depth, self.blending, tolerance, background, hook)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 
     def state_dict(self) -> State:
@@ -135,7 +146,8 @@ class SplatModel(Part):
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
-        return {**counts, "pruned": self.work.pruned, **behind}
+        moved = {"relocated": self.work.relocated} if self.work.relocated else {}
+        return {**counts, "pruned": self.work.pruned, **moved, **behind}
 
     def not_finite(self) -> str | None:
         if torch.isfinite(self.state.values.sum()):  # one pass in the usual case
@@ -145,8 +157,7 @@ class SplatModel(Part):
     def begin(self, iteration: int) -> None:
         """Raise the SH degree if it is due."""
         self._iteration = iteration
-        if self.budget.active_degree(iteration) > self.budget.active_degree(iteration - 1):
-            self.degree += 1
+        self.degree = max(self.degree, self.budget.active_degree(iteration))
 
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
@@ -180,11 +191,13 @@ class SplatModel(Part):
         self.work.add_change(change)
         bad = None
         if gradients is not None:
+            gradients = self.density.regularised(gradients)
             bad = self.optimizer.step(
                 gradients, iteration, "opacity_logits" if change.opacity_reset else None, statistics
             )
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
+        self.density.after_step(self.optimizer, iteration, self._generator)
         self._forget(views)
         if len(self) == 0:
             raise EmptyModelError(iteration, self.name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -77,20 +77,27 @@ class RandomStream(Part):
         self.generator.set_state(saved["generator"])
 
 
+Rate = float | Callable[[int], float]
+
+
 class Network(Part):
     """A torch module with its optimiser, by default Adam."""
 
     needed_to_render = True
 
     def __init__(
-        self, module: torch.nn.Module, rate: float, optimizer: type[torch.optim.Optimizer] = torch.optim.Adam
+        self, module: torch.nn.Module, rate: Rate, optimizer: Callable[..., torch.optim.Optimizer] = torch.optim.Adam
     ) -> None:
-        """rate: learning rate of all parameters."""
-        self.module, self.rate = module, rate
-        self.optimizer = optimizer(module.parameters(), lr=rate)  # type: ignore[call-arg]
+        """rate: learning rate of all parameters, or that at an iteration (1-based)."""
+        self.module = module
+        self.rate: Callable[[int], float] = rate if callable(rate) else lambda iteration: rate
+        self.optimizer = optimizer(module.parameters(), lr=self.rate(1))
+        self._slowdown = 1.0
 
     def begin(self, iteration: int) -> None:
         self.optimizer.zero_grad(set_to_none=True)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._slowdown * self.rate(iteration)
 
     def step(self, iteration: int) -> str | None:
         for name, parameter in self.module.named_parameters():
@@ -100,18 +107,19 @@ class Network(Part):
         return None
 
     def scale_learning_rates(self, factor: float) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = factor * self.rate
+        self._slowdown = factor
 
     def not_finite(self) -> str | None:
         return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
 
     def state_dict(self) -> State:
-        return {"module": dict(self.module.state_dict()), "optimizer": self.optimizer.state_dict()}
+        module, optimizer = dict(self.module.state_dict()), self.optimizer.state_dict()
+        return {"module": module, "optimizer": optimizer, "slowdown": self._slowdown}
 
     def load_state_dict(self, saved: State) -> None:
         self.module.load_state_dict(saved["module"])
         self.optimizer.load_state_dict(saved["optimizer"])
+        self._slowdown = saved["slowdown"]
 
     def report(self) -> Report:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}

@@ -87,6 +87,7 @@ class Work:
     cloned: int = 0  # Gaussians
     split: int = 0
     pruned: int = 0
+    relocated: int = 0
     not_grown: int = 0
 
     def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
@@ -100,6 +101,7 @@ class Work:
         self.cloned += change.cloned
         self.split += change.split
         self.pruned += change.pruned
+        self.relocated += change.relocated
         self.not_grown += change.not_grown
 
 

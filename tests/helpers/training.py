@@ -11,9 +11,11 @@ import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
+from tdgbench.splats.gradients import Gradients
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
+from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
@@ -96,3 +98,9 @@ def _bytes_of(state) -> Iterator[bytes]:
             yield from _bytes_of(one[1])
     else:
         yield repr(state).encode()
+
+
+def take_gradients(model: SplatModel) -> Gradients:
+    """Return the sum of a model's gradients since its last step, which it forgets."""
+    views, model._views = model._views, []
+    return Gradients.total([view.gradients.compute() for view in views], len(model))

@@ -1,0 +1,80 @@
+"""OMMG, one multimodal Gaussian model: two colour sets on one geometry (ThermalGaussian, Lu et al. 2024).
+
+As released (chen-hangyu/Thermal-Gaussian-main, branch OMMG, commit 5d3243ac, train-OMMG.py): one rasterisation blends
+both colour sets with the same weights, so that density control reads the gradient of the weighted sum of both losses.
+"""
+
+from __future__ import annotations
+
+import torch
+from pydantic import NonNegativeFloat
+from torch import Tensor
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.view import GaussianTensors, Render
+from tdgbench.training.context import Context
+from tdgbench.training.images import RGB, THERMAL
+from tdgbench.training.losses import photometric, thermal_loss
+from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+
+SH_RGB = "sh_rgb"  # the further field
+
+
+class OMMG(Method):
+    """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
+
+    Both colour sets start from the points' colours. RGB renders are over black.
+    """
+
+    name = "ommg"
+    modalities = ("thermal", "rgb")
+    renders_plain_gaussians = False
+
+    def __init__(
+        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
+    ) -> None:
+        self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
+
+    def setup(self, context: Context) -> None:
+        points, degree = context.points, context.budget.sh_degree
+        sh_rgb = gaussians_from_points(points.points, points.colors, 3, degree).sh
+        self.model = context.gaussians(extra_fields={SH_RGB: sh_rgb}, learning_rates={SH_RGB: "sh"})
+        self.views = context.views()
+
+    def step(self, iteration: int) -> Step:
+        view = self.views.next()
+        render = self.model.render(view.camera, hook=with_both, background=self._background())
+        channels = self.model.state.channels
+        image, rgb = render.image.split([channels, 3], dim=2)
+        target, valid = THERMAL.tensors_of(view, image.device)
+        loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
+        render.image = image
+        terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
+        return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
+
+    @torch.no_grad()
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        if modality == "rgb":
+            return self.model.render(frame.camera, hook=with_rgb, background=torch.zeros(3, device=self._device))
+        return self.model.render(frame.camera, depth=True)
+
+    @property
+    def _device(self) -> torch.device:
+        return self.model.state.values.device
+
+    def _background(self) -> Tensor | None:
+        """Return what is behind both images (C + 3,); None: black."""
+        behind = self.model.background
+        return None if behind is None else torch.cat([behind, behind.new_zeros(3)])
+
+
+def with_both(gaussians: Gaussians, degree: int) -> GaussianTensors:
+    """Return the Gaussians with the channels of both colour sets, thermal ones first."""
+    return gaussians.activated(degree)._replace(colors=torch.cat([gaussians.sh, gaussians.extra_fields[SH_RGB]], dim=2))
+
+
+def with_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
+    """Return the Gaussians with their RGB colours."""
+    return gaussians.activated(degree)._replace(colors=gaussians.extra_fields[SH_RGB])

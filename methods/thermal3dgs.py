@@ -1,0 +1,214 @@
+"""Thermal3D-GS (Chen et al. 2024): thermal images with networks of atmospheric transmission and thermal conduction.
+
+As released (mzzcdf/Thermal3DGS, commit 03366b2a). There the corner weight is 1 where the render is flat and 0 at edges
+(no window sums the structure tensor, so that its determinant is 0), and the conduction module is zero for good in about
+half of its random starts, else a brightness of about 1/√height.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import torch
+from pydantic import NonNegativeFloat, PositiveFloat
+from torch import Tensor
+from torch.nn import functional as F
+
+from tdgbench.splats import Gaussians
+from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.optimizer import log_linear
+from tdgbench.splats.view import GaussianTensors, Pinhole, Render
+from tdgbench.training.context import Context
+from tdgbench.training.images import THERMAL
+from tdgbench.training.losses import l1_and_dssim
+from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.part import Network
+
+ADAM = partial(torch.optim.Adam, eps=1e-15)  # of both networks
+HARRIS = 0.04  # find_corners
+
+
+class Transmission(torch.nn.Module):
+    """ATF: the factor of a Gaussian's colour at a time, exp((a + s) d), of its place; utils/ATF_utils.py.
+
+    Eight layers, of which the sixth also gets the input; three heads a, s and d without activation.
+    """
+
+    def __init__(self, width: int = 256, layers: int = 8, frequencies: int = 10) -> None:
+        super().__init__()
+        self.skip = layers // 2
+        self.bands = [2.0**k for k in range(frequencies)]
+        inputs = 4 * (1 + 2 * frequencies)
+        sizes = [inputs, *(width + inputs * (i == self.skip) for i in range(layers - 1))]
+        self.layers = torch.nn.ModuleList(torch.nn.Linear(size, width) for size in sizes)
+        self.absorption, self.distance, self.scattering = (torch.nn.Linear(width, 1) for _ in range(3))
+
+    def forward(self, means: Tensor, time: float) -> Tensor:
+        """Return the factor (N, 1) of Gaussians at means (N, 3), world units, at a time in [0, 1]."""
+        times = torch.full_like(means[:, :1], time)
+        inputs = torch.cat([self._encoded(means), self._encoded(times)], dim=1)
+        hidden = inputs
+        for i, layer in enumerate(self.layers):
+            hidden = F.relu(layer(hidden))
+            if i == self.skip:
+                hidden = torch.cat([inputs, hidden], dim=1)
+        factor: Tensor = torch.exp((self.absorption(hidden) + self.scattering(hidden)) * self.distance(hidden))
+        return factor
+
+    def _encoded(self, values: Tensor) -> Tensor:
+        waves = [wave(values * band) for band in self.bands for wave in (torch.sin, torch.cos)]
+        return torch.cat([values, *waves], dim=1)
+
+
+class Conduction(torch.nn.Module):
+    """TCM: what is added to all channels of a render, from its first one; utils/TCM_utils.py.
+
+    Three 1×1 convolutions of the image and its second differences, each followed by the normalisation of every image
+    column and ReLU.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = torch.nn.ModuleList(torch.nn.Conv2d(inputs, 1, kernel_size=1) for inputs in (2, 1, 1))
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Return what is added (H, W, 1) to an image (H, W, C)."""
+        first = image[..., 0]
+        edges = sum(torch.gradient(torch.gradient(first, dim=axis)[0], dim=axis)[0].abs() for axis in (1, 0))
+        values = torch.stack([first, torch.as_tensor(edges)])
+        for layer in self.layers:
+            values = F.relu(F.normalize(layer(values), dim=1))
+        return values.permute(1, 2, 0)
+
+
+class ConductionPart(Network):
+    """The conduction module in training; it reports whether it does anything."""
+
+    def __init__(self, module: Conduction, rate: Any) -> None:
+        super().__init__(module, rate, ADAM)
+        self.largest = 0.0  # that it added to the last image
+
+    def added(self, image: Tensor) -> Tensor:
+        """Return an image (H, W, C) with what the module adds."""
+        added = self.module(image)
+        self.largest = float(added.detach().amax())
+        return image + added
+
+    def report(self) -> dict[str, Any]:
+        return {**super().report(), "adds_at_most": self.largest, "dead": self.largest == 0.0}
+
+
+class Thermal3DGS(Method):
+    """L = (1 − λ_ssim − λ_corner) L1 + λ_ssim (1 − SSIM) + λ_corner max(1 − t / corner_end, 0) L_corner."""
+
+    name = "thermal3dgs"
+    renders_plain_gaussians = False
+
+    def __init__(
+        self,
+        lambda_ssim: Share,
+        lambda_corner: Share,
+        corner_end: Share,
+        transmission: bool,
+        conduction: bool,
+        transmission_rates: list[PositiveFloat],
+        conduction_rates: list[PositiveFloat],
+        position_unit: NonNegativeFloat | None,
+    ) -> None:
+        """corner_end: share of all iterations. transmission, conduction: whether there is such a network. rates: first
+        and last; they fall log-linearly, as the position rate does. position_unit: world units; None: the extent.
+        """
+        self.lambda_ssim, self.lambda_corner, self.corner_end = lambda_ssim, lambda_corner, corner_end
+        self.has_transmission, self.has_conduction = transmission, conduction
+        self.transmission_rates, self.conduction_rates = transmission_rates, conduction_rates
+        self.position_unit = position_unit
+
+    def setup(self, context: Context) -> None:
+        self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
+        self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.method_iterations
+        steps = context.budget.rates.position_steps
+        torch.manual_seed(context.seed)
+        self.transmission = self.conduction = None
+        if self.has_transmission:
+            first, last = self.transmission_rates
+            rate = _falling(first, last, steps)
+            self.transmission = context.add_part("transmission", Network(Transmission().to(context.device), rate, ADAM))
+        if self.has_conduction:
+            first, last = self.conduction_rates
+            rate = _falling(first, last, steps)
+            self.conduction = context.add_part("conduction", ConductionPart(Conduction().to(context.device), rate))
+
+    def step(self, iteration: int) -> Step:
+        view = self.views.next()
+        render = self._rendered(self.frame(view))
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        weight = self.lambda_corner * max(1 - iteration / max(self.corner_iterations, 1), 0.0)
+        loss = l1_and_dssim(render.image, target, 1 - self.lambda_ssim - self.lambda_corner, self.lambda_ssim, valid)
+        terms = {"thermal": loss.item()}
+        if weight > 0:
+            corner = corner_loss(render.image, target, valid)
+            loss, terms["corner"] = loss + weight * corner, corner.item()
+        return Step(loss, terms, render, target, valid)
+
+    @torch.no_grad()
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        return self._rendered(frame, depth=True)
+
+    def _rendered(self, frame: Frame, depth: bool = False) -> Render:
+        def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
+            return transmitted(gaussians, degree, Pinhole.of(frame.camera).to(gaussians.means), network, frame.time)
+
+        network = None if self.transmission is None else self.transmission.module
+        render = self.model.render(frame.camera, depth=depth, hook=None if network is None else hook)
+        if self.conduction is not None:
+            render.image = self.conduction.added(render.image)
+        return render
+
+
+def transmitted(
+    gaussians: Gaussians, degree: int, camera: Pinhole, network: torch.nn.Module | None, time: float
+) -> GaussianTensors:
+    """Return Gaussians with colours times the network's factor, which is left at 1 where the camera does not look."""
+    means, rotation = gaussians.means, camera.viewmat[:3, :3]
+    center = -rotation.T @ camera.viewmat[:3, 3]
+    colors = colors_from_sh(gaussians.sh, F.normalize(means - center, dim=1), degree)
+    seen = in_sight(means.detach(), gaussians.scales.detach(), camera)
+    factor = torch.ones_like(colors[:, :1])
+    if network is not None and len(seen):
+        factor = factor.index_put((seen,), network(means[seen].detach(), time))
+    return gaussians.activated(degree)._replace(colors=colors * factor, sh_degree=None)
+
+
+def in_sight(means: Tensor, scales: Tensor, camera: Pinhole) -> Tensor:
+    """Return the indices of all Gaussians that may reach the image, and of few others."""
+    x, y, z = (means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).unbind(1)
+    reach = 4 * scales.amax(dim=1)  # the rasteriser's 3 σ, and the blur of its EWA filter
+    near = z.clamp_min(camera.near_plane)
+    sides = []
+    for across, focal, at, size in (
+        (x, camera.K[0, 0], camera.K[0, 2], camera.width),
+        (y, camera.K[1, 1], camera.K[1, 2], camera.height),
+    ):
+        px, radius = across / near * focal + at, 2 * reach / near * focal + 3
+        sides.append((px + radius > 0) & (px - radius < size))
+    return ((z > camera.near_plane) & sides[0] & sides[1]).nonzero().squeeze(1)
+
+
+def corner_loss(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
+    """Return the mean of |image − target| · w over valid pixels, w = exp(R) / max exp(R); images (H, W, C) in [0, 1].
+
+    R = −0.04 (Ix² + Iy²)², with Sobel responses Ix, Iy of the image in 0 to 255, summed over three channels
+    (`corners_loss`). The gradient also flows through w.
+    """
+    gray = 255 * (image.sum(dim=2) if image.shape[2] == 3 else 3 * image[..., 0])
+    kernel = image.new_tensor([[-1.0, -2.0, -1.0], [0.0, 0.0, 0.0], [1.0, 2.0, 1.0]])
+    responses = F.conv2d(gray[None, None], torch.stack([kernel, kernel.T])[:, None], padding=1)[0]
+    strength = -HARRIS * responses.square().sum(dim=0).square()
+    weighted = (image - target).abs().mean(dim=2) * torch.exp(strength - strength.max())
+    return weighted.mean() if valid is None else weighted[valid].mean()
+
+
+def _falling(first: float, last: float, steps: int) -> Any:
+    """Return the learning rate by iteration (1-based), which changes after each step."""
+    return lambda iteration: log_linear(first, last, (iteration - 1) / steps)

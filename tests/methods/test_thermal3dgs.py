@@ -1,0 +1,79 @@
+"""Thermal3D-GS: whom its network is asked about, its loss, and what its record says of the conduction module."""
+
+import math
+
+import pytest
+import torch
+
+from methods.thermal3dgs import corner_loss, in_sight, transmitted
+from tdgbench.splats.backends.backend import RenderOptions
+from tdgbench.splats.backends.reference import BACKEND
+from tdgbench.splats.view import Pinhole
+from tdgbench.training.losses import l1_and_dssim
+from tests.helpers.gaussians import model
+from tests.helpers.training import ready_to_train, train
+
+ALL_TERMS = ("method.method.transmission=true", "method.method.conduction=true")
+
+
+def test_gaussians_out_of_sight_have_no_effect_and_are_not_asked_about():
+    gaussians = model(3, 1, count=400).map(torch.Tensor.double)
+    gaussians.means[:] = 3 * torch.randn(400, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[2, 3] = 2.0
+    camera = Pinhole(viewmat, torch.tensor([[50.0, 0, 24], [0, 50, 18], [0, 0, 1]], dtype=torch.float64), 48, 36)
+    seen = in_sight(gaussians.means, gaussians.scales, camera)
+    assert 0 < len(seen) < 300
+    asked = []
+
+    def network(means, time):
+        asked.append(len(means))
+        return 1 + 0.1 * means[:, :1].sin()
+
+    active = transmitted(gaussians, 1, camera, network, 0.5)
+    everywhere = gaussians.activated(1)
+    without = transmitted(gaussians, 1, camera, None, 0.5)
+    every = without._replace(colors=without.colors * network(gaussians.means, 0.5))
+    images = [
+        BACKEND.render(tensors, camera, RenderOptions()).image for tensors in (active, every, without, everywhere)
+    ]
+    assert asked[0] == len(seen)
+    assert torch.equal(images[0], images[1]) and not torch.allclose(images[0], images[2])
+    assert torch.allclose(images[2], images[3])  # the colours are those of the harmonics
+
+
+def test_the_loss_has_a_corner_term_until_it_ends(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "thermal3dgs", 30, *ALL_TERMS)
+    for iteration, weight in ((1, 0.2 * (1 - 1 / 5)), (6, 0.0), (30, 0.0)):
+        step = trainer.stage.step(iteration)
+        expected = l1_and_dssim(step.render.image, step.target, 0.6, 0.2).item()
+        expected += weight * corner_loss(step.render.image, step.target).item()
+        assert step.loss.item() == pytest.approx(expected) and ("corner" in step.terms) == (weight > 0)
+
+
+def test_the_corner_loss_counts_valid_pixels_only():
+    image, target = torch.rand(2, 12, 14, 1, generator=torch.Generator().manual_seed(2))
+    image = 0.5 + image / 5000
+    valid = torch.ones(12, 14, dtype=torch.bool)
+    valid[:, 7:] = False
+    changed = target.clone()
+    changed[:, 7:] += 0.5
+    assert corner_loss(image, target, valid) == corner_loss(image, changed, valid) != corner_loss(image, changed)
+
+
+def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
+    found = set()
+    for seed in range(6):
+        trainer = ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed)
+        train(trainer)
+        report = trainer.reports()["conduction"]
+        found.add(report["dead"])
+        assert report["parameters"] == 7 and report["dead"] == (report["adds_at_most"] == 0)
+        if not report["dead"]:
+            assert report["adds_at_most"] < 3 / math.sqrt(36)
+    assert found == {True, False}
+
+
+def test_the_parameters_are_as_many_as_the_authors(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "thermal3dgs", 1)
+    assert trainer.reports()["transmission"]["parameters"] == 504_579
