@@ -105,3 +105,9 @@ def test_ci_deselects_nothing():
     assert "-m 'not slow'" in options["addopts"]
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert "sed -n 2p) -m ''\"" in script and 'bash -c "$command"' in script
+
+
+@pytest.mark.parametrize("page", ["architecture.md", "splat-core.md"])
+def test_the_files_that_a_page_on_the_code_names_are_there(page):
+    named = set(re.findall(r"`([\w/]+/[a-z_0-9]+\.py)`", (ROOT / "docs" / page).read_text()))
+    assert sorted(name for name in named if not ((ROOT / name).exists() or (ROOT / "tdgbench" / name).exists())) == []

@@ -175,11 +175,11 @@ class DensityControl:
 
     @torch.no_grad()
     def update(
-        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, decision: GrowthDecision | None = None
     ) -> DensityChange:
         """Clone, split, prune and reset opacities as due at an iteration; children's positions are random.
 
-        verdict: replaces the gradient threshold of 3DGS.
+        decision: replaces the gradient threshold of 3DGS.
         """
         rules, change = self.rules, DensityChange()
         if not self.is_active(iteration):
@@ -190,7 +190,7 @@ class DensityControl:
             optimizer.flush()
         if change.densified:
             free_buffers()  # of renders: the new Gaussians need the memory
-            self.state.replace_rows(*self._removed_and_added(change, iteration, generator, verdict))
+            self.state.replace_rows(*self._removed_and_added(change, iteration, generator, decision))
             self._clear()
             free_buffers()
         if change.opacity_reset:
@@ -200,23 +200,23 @@ class DensityControl:
         return change
 
     def _removed_and_added(
-        self, change: DensityChange, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None
+        self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
         by_gradients = self._by_gradients()
-        verdict = verdict or by_gradients
-        change.not_grown = int((by_gradients.grow & ~verdict.grow).sum())
+        decision = decision or by_gradients
+        change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
-        grow = verdict.grow
+        grow = decision.grow
         if rules.max_gaussians is not None:
-            grow = _strongest(grow, verdict.strength, rules.max_gaussians - len(old))
+            grow = _strongest(grow, decision.strength, rules.max_gaussians - len(old))
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        remove = (old.opacities < rules.min_opacity) | verdict.prune
+        remove = (old.opacities < rules.min_opacity) | decision.prune
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:

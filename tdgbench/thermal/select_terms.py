@@ -58,9 +58,9 @@ def fit_selected_terms(
     positions: (V,) positions of the views in the sequence, NaN if unknown.
     """
     terms = choose_terms(data, stds, positions)
-    found = fit(data, terms, prior(data, stds))
+    found = fit(data, terms, prior_precision(data, stds))
     drift = _drift(found, data, terms, stds, positions)
-    precision = prior(data, stds, drift, positions)
+    precision = prior_precision(data, stds, drift, positions)
     if drift is not None:
         found = fit(data, terms, precision)
     best = ResponseFit(shrink_towards_ideal(data, found, terms, precision))
@@ -99,7 +99,7 @@ def choose_terms(data: PointSamples, stds: PriorStds, positions: np.ndarray) -> 
     return best
 
 
-def prior(
+def prior_precision(
     data: PointSamples, stds: PriorStds, drift: Drift | None = None, positions: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has its std."""
@@ -161,7 +161,7 @@ def held_out_errors(
         held = np.isin(data.view, present[fold::FOLDS])
         rest = data.select(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
-        found = fit(rest, terms, prior(data, stds))
+        found = fit(rest, terms, prior_precision(data, stds))
         drift = _drift(found, rest, terms, stds, positions)
         expected = np.zeros(data.views)
         if drift is not None:

@@ -186,8 +186,8 @@ class SplatModel(Part):
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
             self._forget(views)
-        verdict = self._decide_growth(iteration)
-        change = self.density.update(self.optimizer, iteration, self._generator, verdict)
+        decision = self._decide_growth(iteration)
+        change = self.density.update(self.optimizer, iteration, self._generator, decision)
         self.work.add_change(change)
         bad = None
         if gradients is not None:

@@ -38,6 +38,11 @@ def windows(rule: SettlingRule, psnrs: list[list[float]]) -> tuple[np.ndarray, n
     return values[-size:].mean(axis=0), values[-2 * size : -size].mean(axis=0)
 
 
+def psnr_of_error(error: np.ndarray) -> float:
+    """Return the PSNR (dB) of the difference between a render and its image, of any shape."""
+    return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))
+
+
 class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
@@ -124,11 +129,7 @@ class Settling(Stopping):
     @torch.no_grad()
     def _held_out_psnrs(self) -> list[float]:
         """Return the PSNR of the held-out views over valid pixels, at full resolution, dB."""
-        values = []
-        for view in self.curriculum.held_out:
-            mse = float(np.square(self.errors(view)).mean(dtype=np.float64))
-            values.append(-10 * math.log10(max(mse, MIN_MSE)))
-        return values
+        return [psnr_of_error(self.errors(view)) for view in self.curriculum.held_out]
 
 
 class Plateau(Stopping):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from copy import deepcopy
 from dataclasses import dataclass, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from tdgbench.training.context import Context
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method
-from tdgbench.training.stopping import MIN_MSE, spread
+from tdgbench.training.stopping import psnr_of_error, spread
 from tdgbench.training.trainer import Trainer
 
 ITERATIONS = 1000  # of either training, at most
@@ -48,12 +47,8 @@ def try_rig(method: Method, whole: Context) -> RigTrial:
         context = replace(whole, scene=scene, budget=budget, skips=deepcopy(whole.skips), learns_rig=learns_rig)
         trainer = Trainer(method, context)
         train(trainer)
-        psnrs.append([_psnr(trainer.error_image(view)) for view in held_out])
+        psnrs.append([psnr_of_error(trainer.error_image(view)) for view in held_out])
     gains = np.array(psnrs[0]) - np.array(psnrs[1])
     mean, error = float(gains.mean()), float(gains.std(ddof=1)) / len(gains) ** 0.5
     reason = f"{mean:+.2f} ± {error:.2f} dB at {len(gains)} held-out training views"
     return RigTrial([round(float(gain), 3) for gain in gains], mean >= max(GAIN, ERRORS * error), reason)
-
-
-def _psnr(error: np.ndarray) -> float:
-    return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))

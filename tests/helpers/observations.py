@@ -7,7 +7,7 @@ import numpy as np
 from tdgbench.thermal.error_priors import PriorStds
 from tdgbench.thermal.fit import PATCHES, PointSamples
 from tdgbench.thermal.maps import TERMS, legendre_basis
-from tdgbench.thermal.select_terms import prior
+from tdgbench.thermal.select_terms import prior_precision
 
 SIZE = (64, 48)
 DEGC = PriorStds.of("°C", 5.0)
@@ -17,7 +17,7 @@ CLUSTERS = 10
 
 def loose(data: PointSamples) -> np.ndarray:
     """Precision of a prior in which each view's offset is by itself."""
-    return prior(data, DEGC, None, np.full(data.views, np.nan))
+    return prior_precision(data, DEGC, None, np.full(data.views, np.nan))
 
 
 def observations(

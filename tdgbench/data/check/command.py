@@ -29,14 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Check the scenes in a folder. Exit status 0 if all that should be there can be used, else 1."""
     place = find_place(arguments.root, arguments.split)
-    if not is_there(arguments.root):
+    exists = is_there(arguments.root)
+    if not exists:
         say(f"{arguments.root} does not exist", stderr=True)
-    elif place.is_paper and len(place.dataset.missing(place.names)) == len(place.names):
-        say(
-            f"no scene in {arguments.root}: for layouts, see docs/data.md; the paper's scenes:",
-            stderr=True,
-        )
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
+    if exists and place.is_paper and all(check.status == "missing" for check in checks):
+        say(f"no scene in {arguments.root}: for layouts, see docs/data.md; the paper's scenes:", stderr=True)
     if arguments.json:
         say(checks_as_json(arguments.root, checks, place.is_paper))
     else:
