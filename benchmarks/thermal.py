@@ -106,7 +106,7 @@ def _scenes(args: argparse.Namespace) -> Iterator[Scene]:
         yield from (FolderDataset(str(folder), ReadOptions()).load(None) for folder in args.folder)
         return
     width, height = (int(number) for number in args.size.split("x"))
-    capture = CaptureErrors(camera=ThermalErrors(encoding="degC"))
+    capture = CaptureErrors(thermal_camera=ThermalErrors(encoding="degC"))
     dataset = SyntheticDataset(
         str(args.data), ReadOptions(), width, height, args.views, args.points, seed=0, errors=capture
     )  # fmt: skip

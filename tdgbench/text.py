@@ -27,10 +27,10 @@ def shortened(text: str, most: int = 300) -> str:
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
-def some(names: Iterable[str]) -> str:
+def first_few(names: Iterable[str]) -> str:
     """Return the first few names in alphabetical order, for a message that has said how many there are.
 
-    >>> some("gfedcba")
+    >>> first_few("gfedcba")
     'a, b, c, d, e'
     """
     return ", ".join(sorted(names)[:MOST_NAMED])

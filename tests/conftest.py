@@ -127,6 +127,6 @@ def masked_results(tmp_path_factory, data_root) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SyntheticDataset, "outline", masked)
-        for overrides in (["scene=turntable", "method=msmg"], ["scene=facade", "method=splat"]):
+        for overrides in (["scene=turntable", "method=msmg"], ["scene=facade", "method=3dgs"]):
             assert run_cell(config(*common, *overrides), "", progress).status == "ok"
     return results / "single"

@@ -36,7 +36,6 @@ def test_every_plug_in_has_its_yaml():
     methods = {p.stem for p in (ROOT / "methods").glob("*.py")} - {"__init__"}
     files = (ROOT / "conf" / "method").glob("*.yaml")
     named = {p.stem: config(f"method={p.stem}").method.method._target_ for p in files}
-    assert methods <= set(named)
     assert {target.split(".")[1] for target in named.values()} == methods  # one method, several sets of constants
     priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {
         "__init__",

@@ -86,7 +86,7 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
 def test_part_of_an_experiment_with_both_splits(tmp_path, data_root):
     """Plain Hydra overrides choose what an experiment sweeps over."""
     run = command_here(
-        tmp_path, "+experiment=readings", "dataset=synthetic", "scene=turntable", "method=tdg,splat_smooth",
+        tmp_path, "+experiment=readings", "dataset=synthetic", "scene=turntable", "method=tdg,3dgs_smooth",
         "data.split=eighty_twenty,every_8th", f"data.root={data_root}", *QUICK, "budget.iterations=6,12",
     )  # fmt: skip
     assert run.returncode == 0 and "8 cells run" in run.stdout, run.stdout + run.stderr[-3000:]
@@ -94,16 +94,16 @@ def test_part_of_an_experiment_with_both_splits(tmp_path, data_root):
     readings, effects = (pd.read_csv(tables / f"{name}.csv") for name in ("readings", "effects"))
     assert set(readings["split"]) == {"eighty_twenty", "every_8th"} and set(readings["iterations"]) == {6, 12}
     assert {"depth, as written", "fewer iterations: tdg"} <= set(effects["effect"])
-    assert "fewer iterations: splat_smooth (every_8th)" in (tables.parent / "report.html").read_text()
+    assert "fewer iterations: 3dgs_smooth (every_8th)" in (tables.parent / "report.html").read_text()
     main = pd.read_csv(tables / "main.csv")
     assert main["method"].nunique() == 8 and set(main["split"]) == {"eighty_twenty", "every_8th"}
 
 
 def test_a_sweep_resumes_and_survives_a_failure(tmp_path, data_root):
-    sweep = ("-m", "method=splat,msmg", "scene=night,moon,facade", f"data.root={data_root}", *QUICK)
+    sweep = ("-m", "method=3dgs,msmg", "scene=night,moon,facade", f"data.root={data_root}", *QUICK)
     run = command_here(tmp_path, *sweep)
     assert run.returncode == 1 and "no synthetic scene moon" in run.stderr
-    sweep = ("-m", "method=splat,msmg", "scene=night,facade", f"data.root={data_root}", *QUICK)
+    sweep = ("-m", "method=3dgs,msmg", "scene=night,facade", f"data.root={data_root}", *QUICK)
     first = command_here(tmp_path, *sweep, "hydra.sweeper.max_batch_size=1")
     assert first.returncode == 0 and "4 cells run, 0 already there" in first.stdout, first.stderr
     again = command_here(tmp_path, *sweep)
@@ -126,16 +126,16 @@ def test_existing_scenes_run_while_others_are_missing(tmp_path, data_root, small
 
 
 def test_one_cell_without_an_experiment(tmp_path, data_root):
-    run = command_here(tmp_path, "method=splat", "scene=facade", f"data.root={data_root}", *QUICK)
+    run = command_here(tmp_path, "method=3dgs", "scene=facade", f"data.root={data_root}", *QUICK)
     assert run.returncode == 0 and "1 cell run" in run.stdout
     record = read_all(tmp_path / "results" / "single")[0]
-    assert (record.scene, record.method, record.variant) == ("facade", "splat", "")
+    assert (record.scene, record.method, record.variant) == ("facade", "3dgs", "")
 
 
 def test_other_swept_keys_separate_cells(tmp_path, data_root):
     sweep = (
         "-m",
-        "method=splat",
+        "method=3dgs",
         "scene=facade",
         "method.method.lambda_ssim=0.2,0.5",
         f"data.root={data_root}",
@@ -175,18 +175,20 @@ def test_tools_take_the_words_after_their_name(tmp_path, small_results):
 def test_a_method_with_the_name_of_another_one_is_refused(tmp_path, data_root):
     """As a copied YAML file has it: its cells would be those of the other method."""
     (tmp_path / "yaml" / "method").mkdir(parents=True)
-    shutil.copy(ROOT / "conf" / "method" / "splat.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
+    shutil.copy(ROOT / "conf" / "method" / "3dgs.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
     run = command(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
     assert run.returncode == 1
-    assert "method.name=splat: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
+    assert "method.name=3dgs: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
 
 
 def test_plug_ins_in_the_working_folder(tmp_path, data_root):
     """A method and its YAML outside the checkout: `--config-dir` finds one, the working folder the other."""
-    (tmp_path / "mine.py").write_text("from methods.splat import Splat\n\n\nclass Mine(Splat):\n    pass\n")
+    (tmp_path / "mine.py").write_text(
+        "from methods.gaussian_splatting import GaussianSplatting as Base\n\n\nclass Mine(Base):\n    pass\n"
+    )
     (tmp_path / "yaml" / "method").mkdir(parents=True)
-    text = (ROOT / "conf" / "method" / "splat.yaml").read_text()
-    text = text.replace("name: splat", "name: mine").replace("methods.splat.Splat", "mine.Mine")
+    text = (ROOT / "conf" / "method" / "3dgs.yaml").read_text()
+    text = text.replace("name: 3dgs", "name: mine").replace("methods.gaussian_splatting.GaussianSplatting", "mine.Mine")
     (tmp_path / "yaml" / "method" / "mine.yaml").write_text(text)
     run = command(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
     assert run.returncode == 0, run.stderr[-3000:]

@@ -73,7 +73,7 @@ def test_the_download_trains(small_gray_scene, tmp_path):
 
 def test_options_are_typed_as_data(small_gray_scene, tmp_path):
     write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
-    words = ("budget.iterations=2", "data.root=lion", "dataset=folder", "method=splat")
+    words = ("budget.iterations=2", "data.root=lion", "dataset=folder", "method=3dgs")
     (record,) = run(tmp_path, *words, "data.temperature=[16.8,48.3]", "data.principal_point=center", "data.fillers=[0]")
     assert record.temperature == [16.8, 48.3] and record.config["dataset"]["options"]["fillers"] == [0]
     for option, message in (

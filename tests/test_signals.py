@@ -16,7 +16,7 @@ from tests.helpers.configs import QUICK
 from tests.helpers.paths import ROOT
 from tests.helpers.waiting import waited
 
-LONG = (*QUICK, "budget.iterations=1000000", "budget.plateau=null", "checkpoint=0.2", "method=splat", "scene=turntable")
+LONG = (*QUICK, "budget.iterations=1000000", "budget.plateau=null", "checkpoint=0.2", "method=3dgs", "scene=turntable")
 
 
 def started(tmp_path: Path, *words: str) -> subprocess.Popen[str]:

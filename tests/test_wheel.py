@@ -84,7 +84,7 @@ def test_works_from_an_empty_folder(programs, tmp_path):
     assert where.startswith(str(programs.parent))
     assert "+experiment=NAME" in run(tdgbench, "--help", cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
-    sweep = ("-m", "method=splat", "scene=orbit,facade", *QUICK, "budget.iterations=20")
+    sweep = ("-m", "method=3dgs", "scene=orbit,facade", *QUICK, "budget.iterations=20")
     assert "2 cells run" in run(tdgbench, *sweep, cwd=tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "results"]
     assert "orbit" in run(tdgbench, "tables", "results/single", cwd=tmp_path)
@@ -107,4 +107,4 @@ def test_an_editable_installation_reads_the_checkout_s_folders(sources, tmp_path
     code = "from tdgbench import resources as r; print(r.conf_folder(), r.paper_tables_folder())"
     where = run(programs / "python", "-c", code, cwd=environment).split()
     assert where == [str(sources / "conf"), str(sources / "paper_tables")]
-    assert "name: splat" in run(programs / "tdgbench", "--cfg", "job", "method=splat", cwd=environment)
+    assert "name: 3dgs" in run(programs / "tdgbench", "--cfg", "job", "method=3dgs", cwd=environment)

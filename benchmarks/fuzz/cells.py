@@ -109,7 +109,7 @@ def outputs_lost(experiment: Path, scene: str) -> str:
     return "" if scene in scenes else f"the table lacks {scene}"
 
 
-SWEEP = ["-m", *CELL, "method=splat", f"scene={SCENE},{GOOD},broken"]
+SWEEP = ["-m", *CELL, "method=3dgs", f"scene={SCENE},{GOOD},broken"]
 RESUMED = [*CELL, "method=tdg", f"scene={SCENE}", "budget.iterations=8", "checkpoint=0"]
 STOP_AT = 5  # iterations
 

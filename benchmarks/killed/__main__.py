@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.killed.sweep import SIGNALS, Plan, Sweep, kill_many
 
 SMALL = (
-    "-m", "method=splat,tdg", "scene=orbit,turntable", "dataset.loader.width=32", "dataset.loader.height=24",
+    "-m", "method=3dgs,tdg", "scene=orbit,turntable", "dataset.loader.width=32", "dataset.loader.height=24",
     "dataset.loader.views=8", "dataset.loader.points=200", "prior=synthetic", "budget=demo", "budget.iterations=150",
     "metrics.lpips.download=false", "checkpoint=0.2", "data.root=data",
 )  # fmt: skip

@@ -46,11 +46,11 @@ def of_environment(error: BaseException) -> bool:
     return isinstance(error, PriorUnavailableError) or _environment_kind(error) is not None
 
 
-def failure_of(error: BaseException, stage: str) -> Failure:
-    """Return the failure of a cell in a stage, for its record; to be called while the error is handled."""
+def failure_of(error: BaseException, phase: str) -> Failure:
+    """Return the failure of a cell in a phase, for its record; to be called while the error is handled."""
     training = error if isinstance(error, TrainingError) else None
     return Failure(
-        stage=stage,
+        phase=phase,
         error=f"{type(error).__name__}: {_text(error)}",
         traceback=traceback.format_exc(),
         iteration=None if training is None else training.iteration,

@@ -30,7 +30,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "budget": plain["budget"],
         "metrics": metrics,
         "skip": plain["skip"],
-        "camera": plain["camera"],
+        "thermal_camera": plain["thermal_camera"],
         "contrast": plain["contrast"],
         "seed": plain["seed"],
     }

@@ -163,7 +163,7 @@ class _Backend(_Group):
     name: Annotated[str, AfterValidator(_backend)]
 
 
-class _Camera(_PlugIn):
+class _ThermalCamera(_PlugIn):
     estimate: bool
     rig: bool | Literal["auto"]
 
@@ -197,7 +197,7 @@ class _Options(_Group):
     budget: dict[str, Any]
     metrics: dict[str, Any]
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
-    camera: _Camera
+    thermal_camera: _ThermalCamera
     contrast: _Contrast
     job: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]

@@ -22,7 +22,7 @@ WORDS: dict[Status, str] = {
 }
 COMPLETE: tuple[Status, ...] = ("ok", "kept")  # the cell has a result
 SUCCESS: tuple[Status, ...] = (*COMPLETE, "elsewhere")  # nothing went wrong
-ONCE = "compile"  # stage that only the first cell of a machine spends time in
+ONCE = "compile"  # phase that only the first cell of a machine spends time in
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Outcome:
 
 def finished(record: Record, message: str) -> Outcome:
     """Return the outcome of a cell that ran."""
-    seconds = sum(time for stage, time in record.seconds.items() if stage != ONCE)
+    seconds = sum(time for phase, time in record.seconds.items() if phase != ONCE)
     return Outcome("ok", record.title, message, scores_in_words(record), seconds)
 
 

@@ -1,4 +1,4 @@
-"""Progress of a cell (stage, loss, PSNR, Gaussians, time left): a bar on a terminal, a few lines elsewhere."""
+"""Progress of a cell (phase, loss, PSNR, Gaussians, time left): a bar on a terminal, a few lines elsewhere."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ class CellProgress:
         if self._bar is None:
             self._print(f"starts, {self._iterations} iterations on {views} training views")
 
-    def stage(self, name: str) -> None:
-        """Begin a stage."""
+    def phase(self, name: str) -> None:
+        """Begin a phase."""
         self._stage, self._mark = name, None
         if self._bar is not None:
             if name == "train":
                 self._bar.reset(self._task, total=self._iterations)
             self._bar.update(self._task, state=name)
         elif self._is_due():
-            self._print(f"stage {name}")
+            self._print(f"phase {name}")
 
     def count(self, done: int, total: int) -> None:
-        """Show how many of a stage's views are done."""
+        """Show how many of a phase's views are done."""
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total)
         else:
@@ -97,7 +97,7 @@ class CellProgress:
             self._task = self._bar.add_task(title, total=None, state="")
 
     def _report(self, done: int, total: int, state: str) -> None:
-        """Print what the stage has done, if a line is due."""
+        """Print what the phase has done, if a line is due."""
         now = self._clock()
         if self._is_due():
             self._print(state + self._left(now, done, total))

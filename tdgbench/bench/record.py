@@ -27,7 +27,7 @@ from tdgbench.text import one_line, shortened
 FILE = "record.json"
 SCHEMA = 2
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
-READ_STAGE = "read"  # of the failure that stands for a record that cannot be read
+READ_PHASE = "read"  # of the failure that stands for a record that cannot be read
 LARGEST = 2**63 - 1
 MOST_SHOWN = 60  # characters of a wrong value
 
@@ -83,7 +83,7 @@ class Failure:
 
     __pydantic_config__: ClassVar[ConfigDict] = CLOSED
 
-    stage: str
+    phase: str
     error: str  # type and message
     traceback: str
     iteration: Integer | None = None  # of the first number that was not finite
@@ -127,7 +127,7 @@ class Record:
     peak_gpu_mb: Megabytes | None = None  # reserved by torch; None on the CPU
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
-    camera: dict[str, dict[str, Any]] = field(default_factory=dict)  # thermal camera as `estimated`; `rig`: trial
+    thermal_camera: dict[str, dict[str, Any]] = field(default_factory=dict)  # `estimated`: response; `rig`: trial
     backend: str = ""
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -147,7 +147,7 @@ class Record:
         if self.failure is None:
             return ""
         error = (self.failure.error.splitlines() or [""])[0]
-        return error if self.failure.stage == READ_STAGE else f"failed in {self.failure.stage}: {error}"
+        return error if self.failure.phase == READ_PHASE else f"failed in {self.failure.phase}: {error}"
 
     @property
     def gaussians(self) -> dict[str, int]:
@@ -224,7 +224,7 @@ def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
     seed, _, variant = last.removeprefix("seed").partition(",")
     number = int(seed) if seed.isascii() and seed.isdigit() and len(seed) < 19 else 0
     record = Record(method or "unknown", dataset, scene, init, number, experiment.name, variant, status="failed")
-    record.failure = Failure(READ_STAGE, f"its record cannot be read: {error}", "")
+    record.failure = Failure(READ_PHASE, f"its record cannot be read: {error}", "")
     return record
 
 

@@ -91,7 +91,7 @@ def background_of(record: Record, modality: str) -> Tensor | None:
 
 def response_of(record: Record) -> ImageResponse:
     """Return what the thermal camera of a cell shows of renders. Raises ValueError for a record that is wrong there."""
-    return read_response(record.camera.get("estimated", {}).get("response"))
+    return read_response(record.thermal_camera.get("estimated", {}).get("response"))
 
 
 def blending_of(record: Record) -> Blending:

@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench import failures, stored
 from tdgbench.bench.backend_check.choose import training_backend
-from tdgbench.bench.cell_stages import CellRun
+from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.environment import describe_environment
 from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
@@ -112,8 +112,8 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
     message = failures.message(error)
     if run is None:
         return message
-    stage = run.current
-    failure = failures.failure_of(error, stage)
+    phase = run.current
+    failure = failures.failure_of(error, phase)
     try:
         if not run.record.dataset:
             with suppress(Exception, SystemExit):
@@ -124,7 +124,7 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
             stored.write_failure(run.folder, run.record, failure)
     except Exception as unwritten:
         message += f" (its record could not be written: {unwritten})"
-    return f"{stage}: {message}"
+    return f"{phase}: {message}"
 
 
 def _close(held: ExitStack, progress: CellProgress) -> list[str]:
@@ -144,7 +144,7 @@ def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> O
         is_retried = existing.failure.of_environment or cfg.overwrite == "always" or cfg.retry_failed
         if existing.key != record.key or is_retried:
             return None
-        failure = f"{existing.failure.stage}: {existing.failure.error}"
+        failure = f"{existing.failure.phase}: {existing.failure.error}"
         return Outcome("failed", record.title, f"{failure} (in an earlier run; retry_failed=true runs it again)")
     if cfg.overwrite == "always":
         return None

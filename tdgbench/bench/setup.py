@@ -45,14 +45,14 @@ class Training(NamedTuple):
 class SetupObserver:
     """Receives the progress and the facts of a set-up; this one ignores them."""
 
-    def stage(self, name: str) -> AbstractContextManager[None]:
-        """Enter a stage: images, camera, prior, init, compile or rig."""
+    def phase(self, name: str) -> AbstractContextManager[None]:
+        """Enter a phase: images, thermal_camera, prior, init, compile or rig."""
         return nullcontext()
 
     def count(self, done: int, total: int) -> None:
-        """Called after each of the stage's views."""
+        """Called after each of the phase's views."""
 
-    def note_camera(self, facts: Facts, notes: list[str]) -> None:
+    def note_thermal_camera(self, facts: Facts, notes: list[str]) -> None:
         """Called once the thermal camera is estimated, if it is, with facts and notes for the record."""
 
     def note_rig(self, trial: RigTrial) -> None:
@@ -75,7 +75,7 @@ def set_up(
     observer: SetupObserver | None = None,
     compiles: bool = True,
 ) -> Training:
-    """Make a method ready to train on a scene, whose thermal images are changed first by `camera` and `contrast`.
+    """Make a method ready to train on a scene, whose images `thermal_camera` and `contrast` change first.
 
     method: instance to set up, by default the configured one. skips: by default all are allowed. prior_cache: folder
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
@@ -85,31 +85,31 @@ def set_up(
     skips = skips or Skips()
     budget = instantiate(cfg.budget)
     method = instantiate(cfg.method.method) if method is None else method
-    with observer.stage("images"):  # all of them, so that a broken image fails here and training does not wait
+    with observer.phase("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
-    camera: CameraOptions = instantiate(cfg.camera)
+    thermal_camera: ThermalCameraOptions = instantiate(cfg.thermal_camera)
     scored, is_changed = scene, cfg.contrast.training != "none"
-    corrected_scene, response = _correct_camera(scene, camera, is_changed, observer)
+    corrected_scene, response = _correct_thermal_camera(scene, thermal_camera, is_changed, observer)
     scene = with_contrast(corrected_scene, cfg.contrast.training)  # what it cannot change fails before priors
     priors = {}
     if method.needs_prior:
         priors = _estimate_priors(cfg, corrected_scene, skips, prior_cache, observer)
     backend = training_backend(cfg.backend.name)
-    with observer.stage("init"):
+    with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
         context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
     if compiles:
-        with observer.stage("compile"):
+        with observer.phase("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
             masked = any(view.valid is not None for view in scene.train)
             compile_kernels(channels, budget, backend, masked=masked)
-    if camera.rig == "auto":
-        with observer.stage("rig"):
+    if thermal_camera.rig == "auto":
+        with observer.phase("rig"):
             trial = try_rig(method, context)
         observer.note_rig(trial)
-    context.learns_rig = trial.pays if camera.rig == "auto" else camera.rig
-    with observer.stage("init"):
+    context.learns_rig = trial.pays if thermal_camera.rig == "auto" else thermal_camera.rig
+    with observer.phase("init"):
         trainer = Trainer(method, context)
     return Training(trainer, scene if is_changed else scored, response)
 
@@ -152,20 +152,20 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
 
 
-def _correct_camera(
-    scene: Scene, camera: CameraOptions, contrast_changes: bool, observer: SetupObserver
+def _correct_thermal_camera(
+    scene: Scene, options: ThermalCameraOptions, contrast_changes: bool, observer: SetupObserver
 ) -> tuple[Scene, ImageResponse]:
     """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
 
     Where the contrast is changed as well, renders are those of an ideal camera: the camera never showed such images.
     """
-    if not camera.estimate:
+    if not options.estimate:
         return scene, IDEAL
-    with observer.stage("camera"):
+    with observer.phase("thermal_camera"):
         scene, facts, notes, response = correct_scene(scene)
         if contrast_changes:
             scene, response = in_one_range(scene, response), IDEAL
-    observer.note_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
+    observer.note_thermal_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
     return scene, response
 
 
@@ -173,7 +173,7 @@ def _estimate_priors(
     cfg: DictConfig, scene: Scene, skips: Skips, cache: Path | None, observer: SetupObserver
 ) -> dict[str, DepthPrior]:
     """Return the depth priors of the training views by name, from the cache where it has them."""
-    with observer.stage("prior"):
+    with observer.phase("prior"):
         estimator = instantiate(cfg.prior.estimator)
         priors, estimated = estimate_all(estimator, scene, cache if skips.prior.allowed else None, observer.count)
         views, cached = len(scene.train), len(scene.train) - estimated
@@ -201,8 +201,8 @@ Facts = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class CameraOptions:
-    """What is done about the thermal camera's errors; see `conf/camera/`."""
+class ThermalCameraOptions:
+    """What is done about the thermal camera's errors; see `conf/thermal_camera/`."""
 
     estimate: bool  # its response, before training, from sparse points; training views are then corrected
     rig: bool | Literal["auto"] = False  # learn its pose and lens with the Gaussians; auto: if `try_rig` finds a gain
@@ -219,14 +219,14 @@ class CorrectedScene(NamedTuple):
 
 def correct_scene(scene: Scene) -> CorrectedScene:
     """Estimate the camera and correct the training views; where it cannot be estimated, images stay as they are."""
-    found = estimate_camera(scene)
-    if isinstance(found, Unknown):
-        notes = [f"camera: images stay as they are: {found.reason}"]
-        return CorrectedScene(scene, {"unknown": found.reason}, notes)
+    estimate = estimate_camera(scene)
+    if isinstance(estimate, Unknown):
+        notes = [f"thermal camera: images stay as they are: {estimate.reason}"]
+        return CorrectedScene(scene, {"unknown": estimate.reason}, notes)
     before = len(scene.notes)
-    scene, response = corrected(scene, found)
-    notes = [f"camera: {note}" for note in scene.notes[before:]]
-    return CorrectedScene(scene, _estimated(found), notes, response)
+    scene, response = corrected(scene, estimate)
+    notes = [f"thermal camera: {note}" for note in scene.notes[before:]]
+    return CorrectedScene(scene, _estimated(estimate), notes, response)
 
 
 def _estimated(camera: ThermalCamera) -> Facts:

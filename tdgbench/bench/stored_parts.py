@@ -42,8 +42,8 @@ class StoredMethod:
         """cameras: of all views. Raises ValueError, naming file or method, if they cannot be restored."""
         method = _method_of(record)
         context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
-        trial = record.camera.get("rig", {})  # of `camera.rig=auto`
-        context.learns_rig = trial.get("pays", bool(record.setting("camera.rig")))
+        trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
+        context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))
         trainer = Trainer(method, context)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():
@@ -63,7 +63,7 @@ class StoredMethod:
         return self._trainer.method.modalities
 
     @torch.no_grad()
-    def render(self, camera: Camera, modality: str = "thermal", view: str | None = None) -> Render:
+    def render_from(self, camera: Camera, modality: str = "thermal", view: str | None = None) -> Render:
         """Render a modality from a camera, at the time of a view, if one is named."""
         frames, frame = self._trainer.context.frames, Frame(camera)
         if view in frames:

@@ -54,7 +54,7 @@ class Experiment(ABC):
         for word in words:
             key, _, value = word.partition("=")
             of_job = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
-            if of_job is not None and "@job." not in key:  # `+camera@job.cameras.mine=ideal` is an option of the job
+            if of_job is not None and "@job." not in key:  # such as `+method@job.methods.mine=tdg`: the job's
                 problems.append(Problem(key, f"is set by the experiment; give {of_job} instead", value))
         if problems:
             raise OptionError(problems)

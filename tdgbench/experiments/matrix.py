@@ -62,8 +62,8 @@ def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
 def groups_of(option: str, choices: Mapping[Any, Any], variant: str = "") -> list[AxisValue]:
     """Return an axis of configurations of an option, by name. variant: name of the axis in the cells' variants.
 
-    >>> groups_of("camera", {"ideal": {"estimate": False}}, variant="camera")
-    [AxisValue(label='ideal', options={'camera': {'estimate': False}}, variant='camera=ideal')]
+    >>> groups_of("thermal_camera", {"ideal": {"estimate": False}}, variant="thermal_camera")
+    [AxisValue(label='ideal', options={'thermal_camera': {'estimate': False}}, variant='thermal_camera=ideal')]
     """
     return [
         AxisValue(str(name), {option: config}, f"{variant}={name}" if variant else "")

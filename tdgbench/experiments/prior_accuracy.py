@@ -72,8 +72,8 @@ def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorE
     kind = next(iter(maps.values())).kind
     if not source(scene):
         return PriorErrors(kind)
-    found = {view.name: _of_view(maps[view.name], known_depth(view, points)) for view in scene.train}
-    return PriorErrors(kind, {name: error for name, error in found.items() if error is not None})
+    by_view = {view.name: _of_view(maps[view.name], known_depth(view, points)) for view in scene.train}
+    return PriorErrors(kind, {name: error for name, error in by_view.items() if error is not None})
 
 
 def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:

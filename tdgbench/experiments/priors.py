@@ -100,7 +100,7 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
     priors, cache = cfg.job.priors, Path(cfg.results) / "cache" / "priors"
     errors = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
-    available = {prior: priors[prior] for prior, found in errors.items() if not found.reason}
+    available = {prior: priors[prior] for prior, error in errors.items() if not error.reason}
     without = AxisValue(NONE, {"method": cfg.job.without}, f"prior={NONE}")
     axes = {
         "scene": values_of("scene", [scene.name]),
@@ -109,21 +109,21 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     }
     cells, rows, views = run_cells(cfg, axes), [], []
     scores = {prior: _scores(cells, prior) for prior in (NONE, *errors)}
-    for prior, found in {NONE: PriorErrors(), **errors}.items():
+    for prior, error in {NONE: PriorErrors(), **errors}.items():
         place = {"scene": scene.name, "prior": prior}
-        failed = "" if found.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
+        failed = "" if error.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
         rows.append(
             {
                 **place,
                 "made_from": "" if prior == NONE else str(priors[prior].get("made_from") or ""),
-                **_error_columns(found, source(scene)),
+                **_error_columns(error, source(scene)),
                 "seeds": len(scores[prior]),
                 **scores[prior].mean(skipna=False),
                 "psnr_gain": np.nan if prior == NONE else (scores[prior]["psnr"] - scores[NONE]["psnr"]).mean(),
-                "reason": found.reason or failed,
+                "reason": error.reason or failed,
             }
         )
-        views += [{**place, "view": view, **error._asdict()} for view, error in found.views.items()]
+        views += [{**place, "view": view, **accuracy._asdict()} for view, accuracy in error.views.items()]
     return SceneTables(cells, rows, views)
 
 
@@ -134,10 +134,10 @@ def _scores(cells: Sequence[MatrixCell], prior: str) -> pd.DataFrame:
     return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
 
 
-def _error_columns(found: PriorErrors, truth: str) -> dict[str, Any]:
+def _error_columns(errors: PriorErrors, truth: str) -> dict[str, Any]:
     """Return the errors of a prior, means over the training views, and what they are errors against."""
-    mean = found.mean or Accuracy(np.nan, np.nan, np.nan)
-    known = {"kind": found.kind, "truth": truth if found.mean else "", "views": len(found.views)}
+    mean = errors.mean or Accuracy(np.nan, np.nan, np.nan)
+    known = {"kind": errors.kind, "truth": truth if errors.mean else "", "views": len(errors.views)}
     return {**known, **mean._asdict()}
 
 

@@ -24,7 +24,7 @@ NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
-BEFORE = ("load", "images", "camera", "prior", "init", "compile", "rig")  # training
+BEFORE = ("load", "images", "thermal_camera", "prior", "init", "compile", "rig")  # training
 QUALITY = ("psnr", "ssim", "lpips")
 SHOWN = {  # on the terminal: title, format
     "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
@@ -90,12 +90,12 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
     if unknown:
         raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
     together = {name: name in names and usual[name] for name in NAMES}
-    found = {NONE: dict.fromkeys(NAMES, False), ALL: together}
+    choices = {NONE: dict.fromkeys(NAMES, False), ALL: together}
     for name in names:
-        found[ALONE.format(name)] = {**found[NONE], name: True}
+        choices[ALONE.format(name)] = {**choices[NONE], name: True}
         if usual[name]:
-            found[WITHOUT.format(name)] = {**together, name: False}
-    return found
+            choices[WITHOUT.format(name)] = {**together, name: False}
+    return choices
 
 
 def numbers(record: Record) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def numbers(record: Record) -> dict[str, Any]:
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
         "train_seconds": record.seconds["train"],
-        "seconds_before": sum(record.seconds.get(stage, 0.0) for stage in BEFORE),
+        "seconds_before": sum(record.seconds.get(phase, 0.0) for phase in BEFORE),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
         "peak_rss_mb": record.peak_rss_mb,

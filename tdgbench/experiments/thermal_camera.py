@@ -1,4 +1,4 @@
-"""`+experiment=thermal_camera`: each method on captures with known errors of the thermal camera, with each `camera`."""
+"""`+experiment=thermal_camera`: each method and `thermal_camera` on captures with known errors of one."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ from tdgbench.thermal.maps import TERMS, evaluate
 SCORES = (
     "psnr", "ssim", "lpips", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC", "mae_degC_without_offset",
 )  # fmt: skip
-PLACE = ["scene", "capture", "method", "camera"]
+PLACE = ["scene", "capture", "method", "thermal_camera"]
 JUDGED = "psnr_true"  # by which what is lost and recovered is measured
 ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 LOST = 0.5  # dB; of a smaller loss no share is given
 SHOWN = {  # on the terminal: title, format
-    "capture": ("capture", "{}"), "method": ("method", "{}"), "camera": ("camera", "{}"), "psnr": ("PSNR", "{:.2f}"),
+    "capture": ("capture", "{}"), "method": ("method", "{}"), "thermal_camera": ("camera", "{}"),
+    "psnr": ("PSNR", "{:.2f}"),
     "psnr_affine": ("affine", "{:.2f}"), "psnr_right_half": ("right half", "{:.2f}"), "psnr_true": ("true", "{:.2f}"),
     "psnr_true_error": ("±", "{:.2f}"), "recovered": ("recovered", "{:.0%}"), "ssim": ("SSIM", "{:.3f}"),
     "mae_degC": ("°C", "{:.3f}"), "mae_degC_without_offset": ("°C, no offset", "{:.3f}"),
@@ -56,23 +57,25 @@ SHOWN = {  # on the terminal: title, format
 
 
 @dataclass(frozen=True)
-class ThermalCameraOptions(MatrixOptions):
+class CaptureStudyOptions(MatrixOptions):
     """Options in `cfg.job`: what is combined.
 
-    captures: errors by name, as `dataset.loader.errors.camera`, and noise_degC. cameras: as in `conf/camera/`.
+    captures: errors by name, as `dataset.loader.errors.thermal_camera`, and noise_degC. thermal_cameras: as in
+    `conf/thermal_camera/`.
     """
 
     methods: Annotated[dict[str, Any], Field(min_length=1)]
     captures: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
-    cameras: Annotated[dict[str, Any], Field(min_length=1)]
+    thermal_cameras: Annotated[dict[str, Any], Field(min_length=1)]
 
 
 class ThermalCameraExperiment(Experiment):
     """Cells of all combinations, and their tables."""
 
-    options = ThermalCameraOptions
+    options = CaptureStudyOptions
     sets: ClassVar[Mapping[str, str]] = {
-        "scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]", "method": "job.methods", "camera": "job.cameras",
+        "scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]", "method": "job.methods",
+        "thermal_camera": "job.thermal_cameras",
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
@@ -100,14 +103,14 @@ class ThermalCameraExperiment(Experiment):
 
 
 def axes(cfg: DictConfig) -> Axes:
-    """Return the axes: scenes, captures with errors of the camera, methods, the choices of `camera`, and seeds."""
+    """Return the axes: scenes, captures with errors of the camera, methods, choices of `thermal_camera`, seeds."""
     job = cfg.job
     captures = [AxisValue(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
     return {
         "scene": values_of("scene", job.scenes),
         "capture": captures,
         "method": groups_of("method", job.methods),
-        "camera": groups_of("camera", job.cameras, variant="camera"),
+        "thermal_camera": groups_of("thermal_camera", job.thermal_cameras, variant="thermal_camera"),
         "seed": values_of("seed", job.seeds),
     }
 
@@ -127,14 +130,14 @@ def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
 def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
     """Return the names of the capture without errors and of the camera that does nothing; None where there is none."""
     clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
-    ideal = (str(name) for name, camera in cfg.job.cameras.items() if not camera.estimate)
+    ideal = (str(name) for name, camera in cfg.job.thermal_cameras.items() if not camera.estimate)
     return next(clean, None), next(ideal, None)
 
 
 def response_errors(cells: Sequence[MatrixCell]) -> dict[str, dict[str, float]]:
     """Return the `camera_errors` of the finished cells that have temperatures, by the cell's title."""
     truths: dict[tuple[Any, ...], tuple[CameraTruth, list[str]]] = {}
-    found = {}
+    errors_by_cell = {}
     for cell in cells:
         if cell.record is None or not _has_errors(cell.record, cell.cfg.dataset.loader):
             continue  # a result of other options, which overwrite=never left
@@ -143,8 +146,8 @@ def response_errors(cells: Sequence[MatrixCell]) -> dict[str, dict[str, float]]:
             dataset: DriftingDataset = instantiate(cell.cfg.dataset.loader)
             train = [view.name for view in dataset.outline(cell.record.scene).scene.train]
             truths[key] = dataset.truth(cell.record.scene), train
-        found[cell.record.title] = camera_errors(cell.record, *truths[key])
-    return found
+        errors_by_cell[cell.record.title] = camera_errors(cell.record, *truths[key])
+    return errors_by_cell
 
 
 def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> dict[str, float]:
@@ -155,17 +158,17 @@ def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> d
     """
     if record.temperature is None or truth.camera.limits is not None:
         return {}
-    facts = record.camera.get("estimated", {})
+    facts = record.thermal_camera.get("estimated", {})
     if "offsets" not in facts:
         nothing = {"offsets": np.zeros(len(train)), "gains": np.ones(len(train)), "vignette": np.zeros(len(TERMS))}
         facts = {"views": train, "reference": truth.camera.reference, **nothing}
     offsets, gains, vignette = (np.array(facts[name], np.float64) for name in ("offsets", "gains", "vignette"))
     true = normalized_truth(truth, list(facts["views"]), float(facts["reference"]))
     height, width = true.vignette.shape
-    found = normalized(ViewResponses(offsets, gains))
+    estimated = normalized(ViewResponses(offsets, gains))
     parts = (
-        found.offsets - true.response.offsets,
-        found.gains - true.response.gains,
+        estimated.offsets - true.response.offsets,
+        estimated.gains - true.response.gains,
         evaluate(vignette, width, height) - true.vignette,
     )
     values = [float(value) for part in parts for value in (np.sqrt(np.mean(part**2)), np.abs(part).max())]
@@ -184,11 +187,11 @@ def numbers(record: Record, errors: Mapping[str, float]) -> dict[str, Any]:
     return {
         **{name: np.nan if score is None else score for name, score in scores.items()},
         "train_seconds": record.seconds["train"],
-        "camera_seconds": record.seconds.get("camera", 0.0),
+        "camera_seconds": record.seconds.get("thermal_camera", 0.0),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
         **{name: errors.get(name, np.nan) for name in ERRORS},
-        "notes": "; ".join(note for note in record.notes if note.startswith("camera: ")),
+        "notes": "; ".join(note for note in record.notes if note.startswith("thermal camera: ")),
     }
 
 
@@ -209,10 +212,10 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
     """Return the share of the lost PSNR that each cell recovers; NaN where little was lost or a cell is missing."""
     score = cells.set_index([*PLACE, "seed"])[JUDGED].to_dict()
-    found = []
+    recovered = []
     for row in cells.itertuples():
         best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)
         without = score.get((row.scene, row.capture, row.method, ideal, row.seed), np.nan)
-        is_known = best - without >= LOST and row.capture != clean and row.camera != ideal
-        found.append((getattr(row, JUDGED) - without) / (best - without) if is_known else np.nan)
-    return found
+        is_known = best - without >= LOST and row.capture != clean and row.thermal_camera != ideal
+        recovered.append((getattr(row, JUDGED) - without) / (best - without) if is_known else np.nan)
+    return recovered

@@ -39,8 +39,8 @@ class DepthAnythingPrior:
         height, width = view.thermal.shape[:2]
         image = np.broadcast_to(np.clip(view.thermal * 255 + 0.5, 0, 255).astype(np.uint8), (height, width, 3))
         inputs = processor(images=np.ascontiguousarray(image), return_tensors="pt").to(network.device)
-        (found,) = processor.post_process_depth_estimation(network(**inputs), target_sizes=[(height, width)])
-        return DepthPrior(found["predicted_depth"].float().cpu().numpy(), "disparity")
+        (estimate,) = processor.post_process_depth_estimation(network(**inputs), target_sizes=[(height, width)])
+        return DepthPrior(estimate["predicted_depth"].float().cpu().numpy(), "disparity")
 
     @cached_property
     def _network(self) -> tuple[Any, Any]:

@@ -63,18 +63,18 @@ class OnnxPrior:
             image = normalized(image)
         tensor = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)[None]
         try:
-            (found,) = network.session.run([network.output], {network.input: tensor})
+            (output,) = network.session.run([network.output], {network.input: tensor})
         except Exception as error:  # onnxruntime's errors have no common type
             reason = shortened(str(error))
             raise PriorError(
                 f"view {view.name}: {self._path} cannot run at {width} × {height} px ({reason}); set "
                 "prior.estimator.width or prior.estimator.multiple to what the network takes"
             ) from error
-        values = as_map(np.asarray(found))
+        values = as_map(np.asarray(output))
         if values is None:
             raise PriorError(
-                f"view {view.name}: output {network.output!r} of {self._path} has shape {np.shape(found)}, which is no "
-                "depth map (1, 1, H, W); name another with prior.estimator.output"
+                f"view {view.name}: output {network.output!r} of {self._path} has shape {np.shape(output)}, which is "
+                "no depth map (1, 1, H, W); name another with prior.estimator.output"
             )
         full = resize(values.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
         return DepthPrior(full, self.kind)
@@ -129,7 +129,7 @@ class OnnxNetwork(NamedTuple):
 
 def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
-    inputs, outputs = session.get_inputs(), [found.name for found in session.get_outputs()]
+    inputs, outputs = session.get_inputs(), [out.name for out in session.get_outputs()]
     shape = list(inputs[0].shape) if inputs else []
     sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
     is_image = len(sides) == 4 and sides[0] in (1, None) and sides[1] in (1, 3) and inputs[0].type == "tensor(float)"

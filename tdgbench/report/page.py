@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tdgbench.bench.record import READ_STAGE, Record
+from tdgbench.bench.record import READ_PHASE, Record
 from tdgbench.files import write_text
 from tdgbench.report.scene import scene_section
 from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
@@ -42,7 +42,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         changes=None if tables.effects is None else changes_as_text(tables.effects),
         scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
         skips=[{"title": cell.record.title, "skips": cell.record.skips} for cell in cells],
-        failures=[(r.title, r.failure.stage, r.failure.error) for r in records if r.failure is not None],
+        failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         problems=tables.problems,
         environments=_environments(records),
     )
@@ -58,9 +58,9 @@ def _visible(value: Any) -> Any:
 
 def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
     """Return the distinct machines and versions that the cells ran on; unreadable records say nothing of them."""
-    found = []
+    groups = []
     for record in records:
-        if record.failure is not None and record.failure.stage == READ_STAGE:
+        if record.failure is not None and record.failure.phase == READ_PHASE:
             continue
         e = record.environment
         packages = ", ".join(f"{name} {version}" for name, version in _entries(e, "packages") if version)
@@ -74,9 +74,9 @@ def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
             ("commit", commit),
             ("metrics", record.convention),
         ]
-        if rows not in found:
-            found.append(rows)
-    return found
+        if rows not in groups:
+            groups.append(rows)
+    return groups
 
 
 def _entries(environment: dict[str, Any], name: str) -> list[tuple[str, Any]]:

@@ -49,7 +49,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
 def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> dict[str, Any]:
     """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
     psnr, described = cell.record.scores.get("psnr"), measure("psnr")
-    found = {
+    shown = {
         **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""),
         **dict.fromkeys(("depth_range", "train_views"), "n/a"),
         "label": label,
@@ -57,10 +57,10 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
     }
     for draw in (_pictures, _depth):
         try:
-            found |= draw(cell.folder, view)
+            shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
             problems.append(f"{cell.record.title}: {error_text(error)}")
-    return found
+    return shown
 
 
 def _pictures(folder: Path, view: str) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from tdgbench.scenes.scene import Camera, Scene, View, read_map
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, resample
-from tdgbench.text import some
+from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 TRUE = "temperature"  # folder of true temperatures
@@ -50,39 +50,41 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     if layout is None:
         looks = "; ".join(f"{known.title}: {known.looks}" for known in LAYOUTS.values())
         raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
-    found = layout.find(folder)
-    thermal = _radiometric_files(folder, found) if options.thermal == "radiometric" else found.thermal
-    names, notes = _paired(folder, found.posed, thermal, options.skip_unpaired)
-    train, test, left_out = _split(folder, names, options.split, found.shipped)
+    scene_files = layout.find(folder)
+    thermal = _radiometric_files(folder, scene_files) if options.thermal == "radiometric" else scene_files.thermal
+    names, notes = _paired(folder, scene_files.posed, thermal, options.skip_unpaired)
+    train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names = sorted([*train, *test])
     masks = find_optional(folder / "masks", "masks")
-    cameras = {name: _camera(found.posed[name], options) for name in names}
+    cameras = {name: _camera(scene_files.posed[name], options) for name in names}
     sources = {
-        name: ImageSource(thermal[name], found.posed[name], cameras[name].width, cameras[name].height, masks.get(name))
+        name: ImageSource(
+            thermal[name], scene_files.posed[name], cameras[name].width, cameras[name].height, masks.get(name)
+        )
         for name in names
     }
-    views = {name: _make_view(folder, sources[name], cameras[name], found.rgb.get(name)) for name in names}
+    views = {name: _make_view(folder, sources[name], cameras[name], scene_files.rgb.get(name)) for name in names}
     truth = [path for name in names for path in (_truth(folder, "depth", name), _truth(folder, TRUE, name)) if path]
-    files = [*thermal.values(), *found.rgb.values(), *masks.values(), *found.files, *truth]
+    files = [*thermal.values(), *scene_files.rgb.values(), *masks.values(), *scene_files.files, *truth]
     scene = Scene(
         name=description.scene,
         dataset=description.dataset,
         group=description.group,
         train=[views[n] for n in train],
         test=[views[n] for n in test],
-        points=found.points,
+        points=scene_files.points,
         temperature=None,
         split=options.split,
         fingerprint=_fingerprint(folder, files),
         channels=0,
         notes=[
             *([f"{LAYOUT_NOTE}{layout.title}: {layout.looks}"] if detected else []),
-            *found.notes, *notes, *left_out, *_about_masks(masks, names),
+            *scene_files.notes, *notes, *left_out, *_about_masks(masks, names),
         ],
         folder=folder,
     )  # fmt: skip
     published = layout.published(description.scene)
-    return Outline(scene, lambda: _with_images(scene, thermal_images(found, sources, train, options, published)))
+    return Outline(scene, lambda: _with_images(scene, thermal_images(scene_files, sources, train, options, published)))
 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
@@ -97,20 +99,21 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     )  # fmt: skip
 
 
-def _radiometric_files(folder: Path, found: SceneFiles) -> dict[str, Path]:
+def _radiometric_files(folder: Path, scene_files: SceneFiles) -> dict[str, Path]:
     """Return files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
-    if found.in_celsius:
-        return found.thermal
+    if scene_files.in_celsius:
+        return scene_files.thermal
     if not is_folder(folder / RAW_IMAGES):
         raise SceneError(
             f"{folder} has no {RAW_IMAGES}/ folder of radiometric files, which data.thermal=radiometric reads; add it, "
             "or use data.thermal=shown"
         )
     raw = find_files(folder / RAW_IMAGES)[0]
-    if not set(raw) & set(found.thermal):
+    if not set(raw) & set(scene_files.thermal):
         raise SceneError(
             f"{folder / RAW_IMAGES} and the thermal images have no view in common ({sorted(raw)[:2]}, "
-            f"{sorted(found.thermal)[:2]}); rename the radiometric files after the views, or use data.thermal=shown"
+            f"{sorted(scene_files.thermal)[:2]}); rename the radiometric files after the views, or use "
+            "data.thermal=shown"
         )
     return raw
 
@@ -122,15 +125,15 @@ def _paired(
     notes = []
     unposed = sorted(set(thermal) - set(posed))
     if unposed:
-        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {some(unposed)}")
+        notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {first_few(unposed)}")
     unpaired = sorted(set(posed) - set(thermal))
     if unpaired and not skip_unpaired:
         raise SceneError(
-            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({some(unpaired)}); "
+            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({first_few(unpaired)}); "
             "add them, or set data.skip_unpaired=true"
         )
     if unpaired:
-        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {some(unpaired)}")
+        notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {first_few(unpaired)}")
     names = sorted(set(posed) & set(thermal))
     if not names:
         raise SceneError(
@@ -149,7 +152,9 @@ def _split(
         unplaced = [name for name in names if name not in shipped]
         names = [name for name in names if name in shipped]
         if unplaced:
-            notes.append(f"{len(unplaced)} views are in no part of the shipped split and are omitted: {some(unplaced)}")
+            notes.append(
+                f"{len(unplaced)} views are in no part of the shipped split and are omitted: {first_few(unplaced)}"
+            )
     try:
         return *split_names(names, how, shipped), notes
     except ValueError as error:
@@ -210,7 +215,7 @@ def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
     unknown = sorted(set(masks) - set(names))
     notes = [f"masks/ hides pixels of {len(masks) - len(unknown)} of {len(names)} views"]
     if unknown:
-        notes.append(f"{len(unknown)} masks belong to no view and are not used: {some(unknown)}")
+        notes.append(f"{len(unknown)} masks belong to no view and are not used: {first_few(unknown)}")
     return notes
 
 

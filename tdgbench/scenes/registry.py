@@ -40,10 +40,10 @@ class RegisteredScene:
         """Find this scene's folder inside that of its data set, or None. Raises SceneError if there are two."""
         if not is_folder(dataset_folder):
             return None
-        found = [p for p in listed(dataset_folder) if not is_hidden(p.name) and self.matches(p.name) and is_folder(p)]
-        if len(found) > 1:
-            raise SceneError(f"{' and '.join(map(str, found))} are both the scene {self.name}; keep one of them")
-        return found[0] if found else None
+        folders = [p for p in listed(dataset_folder) if not is_hidden(p.name) and self.matches(p.name) and is_folder(p)]
+        if len(folders) > 1:
+            raise SceneError(f"{' and '.join(map(str, folders))} are both the scene {self.name}; keep one of them")
+        return folders[0] if folders else None
 
 
 def plain_name(name: str) -> str:

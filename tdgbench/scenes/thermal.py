@@ -15,11 +15,11 @@ from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import CountScale, Radiometry, check_range
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.warped import WarpedPictures, is_picture
-from tdgbench.text import some
+from tdgbench.text import first_few
 
 
 def thermal_images(
-    found: SceneFiles,
+    scene_files: SceneFiles,
     sources: Mapping[str, ImageSource],
     train: list[str],
     options: ReadOptions,
@@ -30,7 +30,7 @@ def thermal_images(
     train: views whose temperatures give the range, unless it is known. published: °C of black and white in gray images
     of this scene, used if neither the options nor the scene's files say it.
     """
-    radiometry = found.radiometry
+    radiometry = scene_files.radiometry
     if options.temperature is not None:
         try:
             given = check_range(*options.temperature)
@@ -38,11 +38,11 @@ def thermal_images(
             raise SceneError(f"data.temperature={list(options.temperature)}: {error}") from error
         radiometry = Radiometry(given) if radiometry is None else replace(radiometry, range=given)
     pictures = [name for name, source in sources.items() if is_picture(source.path)]
-    if found.in_celsius and pictures:
-        return _of_pictures(found, sources, pictures, train, options, radiometry, published)
-    if found.in_celsius or options.thermal == "radiometric":
+    if scene_files.in_celsius and pictures:
+        return _of_pictures(scene_files, sources, pictures, train, options, radiometry, published)
+    if scene_files.in_celsius or options.thermal == "radiometric":
         scale = CountScale() if radiometry is None else radiometry.scale
-        reader = partial(read_npy if found.in_celsius else read_radiometric, scale=scale)
+        reader = partial(read_npy if scene_files.in_celsius else read_radiometric, scale=scale)
         return measured_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
     return _of_images(sources, train, options, radiometry)
 
@@ -56,7 +56,7 @@ def _of_images(
         stored.setdefault(storage(source.path), []).append(name)
     hold_counts = radiometry is None and "16-bit" in stored
     if len(stored) > 1 and ("float" in stored or hold_counts):
-        parts = ", ".join(f"{len(names)} {kind} ({some(names)})" for kind, names in sorted(stored.items()))
+        parts = ", ".join(f"{len(names)} {kind} ({first_few(names)})" for kind, names in sorted(stored.items()))
         raise SceneError(
             f"{next(iter(sources.values())).path.parent} holds images of several kinds: {parts}. Float images are in "
             "°C, the others are not; export all of them alike"
@@ -72,7 +72,7 @@ def _of_images(
 
 
 def _of_pictures(
-    found: SceneFiles,
+    files: SceneFiles,
     sources: Mapping[str, ImageSource],
     pictures: list[str],
     train: list[str],
@@ -92,12 +92,13 @@ def _of_pictures(
         radiometry = Radiometry(published)
     if len(pictures) < len(sources):
         arrays = len(sources) - len(pictures)
-        notes.append(f"{arrays} views are read from arrays, {len(pictures)} from gray images: {some(pictures)}")
-    alone = [name for name in pictures if name not in found.unwarped]
+        notes.append(f"{arrays} views are read from arrays, {len(pictures)} from gray images: {first_few(pictures)}")
+    alone = [name for name in pictures if name not in files.unwarped]
     if alone and options.fillers is None:
         notes.append(
-            f"{len(alone)} gray images have none from before the warp; only constant fillers are found: {some(alone)}"
+            f"{len(alone)} gray images have none from before the warp; only constant fillers are found: "
+            f"{first_few(alone)}"
         )
-    reader = WarpedPictures(radiometry, found.unwarped, options.fillers is None)
+    reader = WarpedPictures(radiometry, files.unwarped, options.fillers is None)
     images = measured_images(sources, reader, train, options, radiometry.range)
     return replace(images, notes=[*notes, *images.notes])

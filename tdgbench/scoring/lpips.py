@@ -102,9 +102,9 @@ def _unit(x: Tensor) -> Tensor:
 
 def _heads(net: Net) -> list[Tensor]:
     """Return the linear heads (1, C, 1, 1) from the files of the lpips package, without importing it."""
-    found = importlib.util.find_spec("lpips")
-    if found is None or not found.submodule_search_locations:
+    package = importlib.util.find_spec("lpips")
+    if package is None or not package.submodule_search_locations:
         raise BackboneUnavailableError("the lpips package, which holds the linear heads, is not installed")
-    path = Path(found.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
+    path = Path(package.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
     state = torch.load(path, map_location="cpu", weights_only=True)
     return [state[f"lin{i}.model.1.weight"] for i in range(len(SPECS[net].ends))]

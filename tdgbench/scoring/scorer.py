@@ -38,8 +38,8 @@ class LPIPSOptions:
 class Scorer:
     """Scores 8-bit renders against 8-bit targets, as published tables do.
 
-    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Views are scored
-    at once, one thread each (`at_once`): the scores do not depend on the number of threads.
+    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Threads score a
+    view each (`at_once`); the scores do not depend on their number.
     """
 
     device = CPU  # where the LPIPS network runs; set before the first score
@@ -106,13 +106,13 @@ class _Scored(NamedTuple):
 
 
 def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> _Scored:
-    found = _Scored({}, {})
+    scored = _Scored({}, {})
     for metric in metrics:
         try:
-            found.scores[metric.name] = metric.score(shown)
+            scored.scores[metric.name] = metric.score(shown)
         except NotApplicableError as error:
-            found.scores[metric.name], found.missing[metric.name] = None, str(error)
-    return found
+            scored.scores[metric.name], scored.missing[metric.name] = None, str(error)
+    return scored
 
 
 def _most_pixels(views: Sequence[View]) -> int:

@@ -88,14 +88,14 @@ def check_averages(table: pd.DataFrame) -> pd.DataFrame:
     for name, column in (("mean", "value"), ("of_rows", "half_unit")):
         made = with_averages(scenes.assign(value=scenes[column]))
         parts.append(made.rename(columns={"value": name})[[*KEYS, name]])
-    found = table[is_average].rename(columns={"value": "printed"})
+    averages = table[is_average].rename(columns={"value": "printed"})
     for part in parts:
-        found = found.merge(part, on=KEYS, how="left")
-    found["tolerance"] = found["half_unit"] + found["of_rows"]
-    off = (found["mean"] - found["printed"]).abs() > found["tolerance"] + 1e-12
-    found["verdict"] = off.map({True: OFF, False: FOLLOWS})
-    found.loc[found["mean"].isna() | found["printed"].isna(), "verdict"] = UNKNOWN
-    return found[[*KEYS, "printed", "mean", "tolerance", "verdict"]]
+        averages = averages.merge(part, on=KEYS, how="left")
+    averages["tolerance"] = averages["half_unit"] + averages["of_rows"]
+    off = (averages["mean"] - averages["printed"]).abs() > averages["tolerance"] + 1e-12
+    averages["verdict"] = off.map({True: OFF, False: FOLLOWS})
+    averages.loc[averages["mean"].isna() | averages["printed"].isna(), "verdict"] = UNKNOWN
+    return averages[[*KEYS, "printed", "mean", "tolerance", "verdict"]]
 
 
 def _numbers() -> pd.DataFrame:

@@ -138,11 +138,11 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
-    found = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index).rename(
+    verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index).rename(
         columns={"word": "verdict"}
     )
-    found = found[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
-    return with_other_papers(pd.concat([merged, found], axis=1))
+    verdicts = verdicts[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
+    return with_other_papers(pd.concat([merged, verdicts], axis=1))
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:

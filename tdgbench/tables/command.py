@@ -64,12 +64,12 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     Write them to each experiment. Raises ValueError for an empty experiment.
     """
     ours = evidence_of(experiments) if experiments else None
-    found = check_all(load_claims(), ClaimEvidence(published_main(), published_ablation(), printed=True), ours)
+    judged = check_all(load_claims(), ClaimEvidence(published_main(), published_ablation(), printed=True), ours)
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(found, as_is=("published_seen", "ours_seen")))
-    return found
+        write_text(folder / "claims.csv", as_csv(judged, as_is=("published_seen", "ours_seen")))
+    return judged
 
 
 def _refused(error: Exception) -> int:

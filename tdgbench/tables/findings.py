@@ -30,16 +30,16 @@ def findings_of_methods(
     effects: pd.DataFrame | None,
 ) -> list[str]:
     """Return the findings of a main table, one sentence each, in one line each; none where nothing is compared."""
-    found = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
-    found += [] if effects is None else _effects(effects)
-    found += [] if difference is None else [published(difference)]
-    return [one_line(sentence) for sentence in (*found, *(_caveats(main) if found else ()))]
+    sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
+    sentences += [] if effects is None else _effects(effects)
+    sentences += [] if difference is None else [published(difference)]
+    return [one_line(sentence) for sentence in (*sentences, *(_caveats(main) if sentences else ()))]
 
 
 def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) -> list[str]:
     """Return the findings of an ablation, in the same form."""
-    found = [*_ablation(main), *([] if difference is None else [published(difference)])]
-    return [one_line(sentence) for sentence in found]
+    sentences = [*_ablation(main), *([] if difference is None else [published(difference)])]
+    return [one_line(sentence) for sentence in sentences]
 
 
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
@@ -73,12 +73,12 @@ def published(differences: pd.DataFrame) -> str:
 def claims_in_words(claims: pd.DataFrame) -> list[str]:
     """Say how many of the paper's claims hold. claims: from `check_all`."""
     sides = {"published": "By the published tables", "ours": "By our results"}
-    found = []
+    sentences = []
     for side, evidence in sides.items():
         counts = claims[side].value_counts().reindex([HOLDS, FAILS, UNDECIDED_CLAIM], fill_value=0)
         text = f"{counts[HOLDS]} of the paper's {len(claims)} claims hold, {counts[FAILS]} fail"
-        found.append(f"{evidence}, {text}, {counts[UNDECIDED_CLAIM]} are undecided")
-    return found
+        sentences.append(f"{evidence}, {text}, {counts[UNDECIDED_CLAIM]} are undecided")
+    return sentences
 
 
 def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:

@@ -37,9 +37,9 @@ def escape(text: str) -> str:
     >>> print(escape("50 % of a_b"), escape("[a]"), escape("é 熱"))
     50 \% of a\_b {[}a] é \texttt{U+71B1}
     """
-    found = "".join(_escaped(c) for c in text)
+    escaped = "".join(_escaped(c) for c in text)
     return (
-        f"{{{found[0]}}}{found[1:]}" if found[:1] in ("[", "*") else found
+        f"{{{escaped[0]}}}{escaped[1:]}" if escaped[:1] in ("[", "*") else escaped
     )  # else an argument of the `\\\\` before it
 
 

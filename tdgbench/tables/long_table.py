@@ -167,10 +167,10 @@ def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.Dat
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:
     """Return the planned scenes and those of records; with one of the paper's scenes, all of them."""
-    found = {(s.dataset, s.scene): s for s in plan.scenes}
+    described = {(s.dataset, s.scene): s for s in plan.scenes}
     for r in records:
-        found.setdefault((r.dataset, r.scene), Description(r.scene, r.dataset, r.group))
+        described.setdefault((r.dataset, r.scene), Description(r.scene, r.dataset, r.group))
     paper = {(DATASETS[s.dataset], s.name): Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES}
-    if found.keys() & paper.keys():
-        found = {**paper, **{k: v for k, v in found.items() if k not in paper}}
-    return list(found.values())
+    if described.keys() & paper.keys():
+        described = {**paper, **{k: v for k, v in described.items() if k not in paper}}
+    return list(described.values())

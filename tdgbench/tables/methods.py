@@ -59,8 +59,8 @@ def rank(column: str) -> tuple[int, str]:
 def pairs() -> list[MethodPair]:
     """Return every method that names another one to be compared with, in the order of columns."""
     entries = _entries(conf_folder())
-    found = [MethodPair(name, e.compared_with) for name, e in entries.items() if e.compared_with is not None]
-    return sorted(found, key=lambda pair: rank(pair.method))
+    named = [MethodPair(name, e.compared_with) for name, e in entries.items() if e.compared_with is not None]
+    return sorted(named, key=lambda pair: rank(pair.method))
 
 
 def paper_pair() -> MethodPair:
@@ -69,10 +69,10 @@ def paper_pair() -> MethodPair:
     >>> paper_pair()
     MethodPair(method='tdg', baseline='msmg')
     """
-    found = [pair for pair in pairs() if _published_methods().issuperset(pair)]
-    if not found:
+    named = [pair for pair in pairs() if _published_methods().issuperset(pair)]
+    if not named:
         raise ValueError(f"no method of {conf_folder() / 'method'} with `compared_with` is in the published table")
-    return found[0]
+    return named[0]
 
 
 @cache
@@ -82,11 +82,11 @@ def _published_methods() -> frozenset[str]:
 
 @cache
 def _entries(conf: Path) -> dict[str, MethodEntry]:
-    found = {}
+    entries = {}
     for path in sorted((conf / "method").glob("*.yaml")):
         content: Any = OmegaConf.load(path)
         name = str(content.get("name", path.stem))
-        found[name] = MethodEntry(
+        entries[name] = MethodEntry(
             str(content.get("label", name)), int(content.get("order", LAST)), content.get("compared_with")
         )
-    return found
+    return entries

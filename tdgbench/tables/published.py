@@ -46,8 +46,8 @@ def published_ablation() -> pd.DataFrame:
 
 def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSource]:
     """Load the sources of the numbers, by their name in the CSV files."""
-    found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
-    return {name: PublishedSource(**entry) for name, entry in found.items()}
+    entries: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    return {name: PublishedSource(**entry) for name, entry in entries.items()}
 
 
 def published_elsewhere() -> pd.DataFrame:

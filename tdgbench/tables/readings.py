@@ -48,11 +48,11 @@ class Effect(NamedTuple):
 
 
 EFFECTS = (
-    Effect("depth, as written", "splat_smooth", "tdg"),
-    Effect("smoothness, eq. 6", "splat", "splat_smooth"),
-    Effect("smoothness, as released", "splat", "tdg_released"),
+    Effect("depth, as written", "3dgs_smooth", "tdg"),
+    Effect("smoothness, eq. 6", "3dgs", "3dgs_smooth"),
+    Effect("smoothness, as released", "3dgs", "tdg_released"),
     Effect("released reading for the written one", "tdg", "tdg_released"),
-    Effect("RGB model left out", "msmg", "thermal"),
+    Effect("RGB model left out", "msmg", "msmg_thermal"),
     Effect("RGB model and MSMG's weights left out", "msmg", "tdg_released"),
     Effect("all: TDg as written for MSMG", "msmg", "tdg"),
 )
@@ -102,8 +102,8 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
         by_seed.append(means.assign(scene=scene, dataset=means["dataset"] if names else ""))
     table = pd.concat(by_seed, ignore_index=True)
     grouped = table.groupby([*keys[:4], "dataset", "scene", "metric"], sort=False)["value"]
-    found = grouped.agg(value="mean", std="std", seeds="count").reset_index()
-    return _with_published(found)
+    scores = grouped.agg(value="mean", std="std", seeds="count").reset_index()
+    return _with_published(scores)
 
 
 def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
@@ -126,20 +126,20 @@ def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
 def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:
     """Return (dataset, scene) that every method and length has."""
     scores = cells[cells["metric"] == "psnr"]
-    found = [set(zip(g["dataset"], g["scene"], strict=True)) for _, g in scores.groupby(["method", "iterations"])]
-    return set.intersection(*found) if found else set()
+    places = [set(zip(g["dataset"], g["scene"], strict=True)) for _, g in scores.groupby(["method", "iterations"])]
+    return set.intersection(*places) if places else set()
 
 
-def _with_published(found: pd.DataFrame) -> pd.DataFrame:
+def _with_published(scores: pd.DataFrame) -> pd.DataFrame:
     printed = published_main()[["method", "dataset", "scene", "metric", "value"]].rename(columns={"value": "published"})
     length = {}
     pair = methods.paper_pair()
     for method, choose in ((pair.baseline, max), (pair.method, min)):
-        of_method = found.loc[found["method"] == method, "iterations"]
+        of_method = scores.loc[scores["method"] == method, "iterations"]
         if len(of_method):
             length[method] = choose(of_method)
     printed["iterations"] = printed["method"].map(length)
-    return found.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
+    return scores.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
 
 
 def effects(cells: pd.DataFrame) -> pd.DataFrame:

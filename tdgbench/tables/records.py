@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan, read_plan
-from tdgbench.bench.record import FILE, READ_STAGE, Failure, Record, read_each
+from tdgbench.bench.record import FILE, READ_PHASE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
 
 
@@ -24,21 +24,21 @@ def read_results(experiment: Path) -> Results:
     """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason."""
     problems: list[str] = []
     plan = _read_plan(experiment, problems)
-    found: dict[Path, Record] = {}
+    by_folder: dict[Path, Record] = {}
     for folder, record in read_each(experiment):
-        if record.failure is not None and record.failure.stage == READ_STAGE:
+        if record.failure is not None and record.failure.phase == READ_PHASE:
             problems.append(record.failure.error)
         place = cell_folder_of(experiment, record)
         if place == folder:
-            found[place] = record
+            by_folder[place] = record
             problems += _view_problems(folder, record)
         elif record.failure is None:
             problem = f"{folder / FILE} is in another cell's folder; move it to {place}, or delete it"
             problems.append(f"{record.title}: {problem}")
-            found.setdefault(place, replace(record, status="failed", failure=Failure(READ_STAGE, problem, "")))
+            by_folder.setdefault(place, replace(record, status="failed", failure=Failure(READ_PHASE, problem, "")))
         else:
-            found.setdefault(place, record)
-    return Results(plan, list(found.values()), problems)
+            by_folder.setdefault(place, record)
+    return Results(plan, list(by_folder.values()), problems)
 
 
 def _read_plan(experiment: Path, problems: list[str]) -> Plan:

@@ -71,7 +71,9 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Return every number of a cell: scores by view, hours as one value."""
-    found = {quantity.name: np.array([quantity.of_record(record)]) for quantity in OF_RECORDS if quantity.published}
+    values_by_name = {
+        quantity.name: np.array([quantity.of_record(record)]) for quantity in OF_RECORDS if quantity.published
+    }
     try:
         rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
     except (FileNotFoundError, ValueError):  # `read_results` reports it
@@ -79,8 +81,8 @@ def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     for metric in rows[0] if rows else []:
         values = [row[metric] for row in rows]
         if None not in values:
-            found[metric] = np.array(values)
-    return found
+            values_by_name[metric] = np.array(values)
+    return values_by_name
 
 
 def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:

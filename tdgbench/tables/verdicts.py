@@ -54,11 +54,11 @@ class ScoreVerdict(NamedTuple):
 @cache
 def load_margins(path: Path = FOLDER / "margins.yaml") -> dict[str, float]:
     """Load each metric's margin, in its unit. Raises ValueError for one that is not positive or has no reason."""
-    found: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
-    for metric, entry in found.items():
+    entries: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    for metric, entry in entries.items():
         if not entry.get("reason") or not entry.get("margin", 0) > 0:
             raise ValueError(f"{path}: {metric} needs a margin above 0 and a reason")
-    return {metric: float(entry["margin"]) for metric, entry in found.items()}
+    return {metric: float(entry["margin"]) for metric, entry in entries.items()}
 
 
 def seeds_interval(mean: Any, std: Any, seeds: Any) -> tuple[Any, Any]:

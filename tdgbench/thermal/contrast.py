@@ -14,7 +14,7 @@ import numpy as np
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.scenes.images import in_pseudo_colour, nearest_valid
 from tdgbench.scenes.options import Contrast
-from tdgbench.text import some
+from tdgbench.text import first_few
 
 TAILS = (1.0, 99.0)  # percentiles that become 0 and 1
 CLIP_LIMIT = 0.01  # of CLAHE, scikit-image's default: share of a tile's pixels in one bin
@@ -35,8 +35,8 @@ def with_contrast(scene: Scene, contrast: Contrast) -> Scene:
     colored = in_pseudo_colour(scene.views)
     if colored:
         raise SceneError(
-            f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose channels are no contrast; give "
-            "gray images, or contrast.training=none"
+            f"{scene.name}: thermal images are pseudo-coloured ({first_few(colored)}); channels are no contrast; "
+            "give gray images, or contrast.training=none"
         )
     temperature = None
     if contrast == "sequence":

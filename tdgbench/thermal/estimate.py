@@ -8,9 +8,9 @@ import numpy as np
 
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import in_pseudo_colour
-from tdgbench.text import some
+from tdgbench.text import first_few
 from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
-from tdgbench.thermal.error_priors import Drift, PriorStds, sequence_positions
+from tdgbench.thermal.expected_errors import Drift, ExpectedErrors, sequence_positions
 from tdgbench.thermal.fit import PATCHES, PointSamples, Terms
 from tdgbench.thermal.maps import legendre_basis
 from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
@@ -36,7 +36,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
     colored = in_pseudo_colour(scene.train)
     if colored:
         return Unknown(
-            f"{scene.name} has thermal images in pseudo-colour ({some(colored)}), whose values are no temperatures; "
+            f"{scene.name}: thermal images are pseudo-coloured ({first_few(colored)}); colours are no temperatures; "
             "give gray images, or data.thermal=radiometric"
         )
     seen = _well_seen(find_observations(scene.train, scene.points.points), len(scene.train))
@@ -70,12 +70,12 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
     (name, scale, zero), train = unit, scene.train
     data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
-    stds = PriorStds.of(name, float(np.std(data.value)) or 1.0)
+    stds = ExpectedErrors.of(name, float(np.std(data.value)) or 1.0)
     place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
-    found, terms, drift = fit_selected_terms(data, stds, at)
-    response = normalized(found.fit.response)
-    undetermined = max(0, found.fit.undetermined - terms.offsets - terms.gains)
+    selected, terms, drift = fit_selected_terms(data, stds, at)
+    response = normalized(selected.fit.response)
+    undetermined = max(0, selected.fit.undetermined - terms.offsets - terms.gains)
     expected = {}
     if drift is not None:
         known, others = counts > 0, [view.name for view in scene.test]
@@ -84,14 +84,14 @@ def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) 
     return ThermalCamera(
         unit=name,
         views=tuple(view.name for view in train),
-        reference=found.fit.reference,
+        reference=selected.fit.reference,
         offsets=response.offsets,
         gains=response.gains,
-        vignette=found.fit.vignette,
-        columns=found.columns,
-        rows=found.rows,
-        residual_before=found.fit.before,
-        residual_after=found.fit.after,
+        vignette=selected.fit.vignette,
+        columns=selected.columns,
+        rows=selected.rows,
+        residual_before=selected.fit.before,
+        residual_after=selected.fit.after,
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
@@ -149,6 +149,6 @@ def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms) -> list[str]
     if few:
         notes.append(
             f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
-            f"the mean offset: {some(few)}"
+            f"the mean offset: {first_few(few)}"
         )
     return notes

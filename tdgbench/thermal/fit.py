@@ -22,7 +22,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import ViewResponses
-from tdgbench.thermal.error_priors import NORMAL
+from tdgbench.thermal.expected_errors import NORMAL
 
 ROUNDS, HUBER_ROUNDS = 24, 5
 SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from tdgbench.thermal.camera import ViewResponses
-from tdgbench.thermal.error_priors import NORMAL, Drift, PriorStds, fit_drift
+from tdgbench.thermal.expected_errors import NORMAL, Drift, ExpectedErrors, fit_drift
 from tdgbench.thermal.fit import HUBER, Fit, PointSamples, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
 from tdgbench.thermal.observations import BLUR
@@ -51,19 +51,19 @@ class ResponseFit:
 
 
 def fit_selected_terms(
-    data: PointSamples, stds: PriorStds, positions: np.ndarray
+    data: PointSamples, stds: ExpectedErrors, positions: np.ndarray
 ) -> tuple[ResponseFit, Terms, Drift | None]:
     """Fit the terms that held-out views support, alternating between response and fixed pattern.
 
     positions: (V,) positions of the views in the sequence, NaN if unknown.
     """
     terms = choose_terms(data, stds, positions)
-    found = fit(data, terms, prior_precision(data, stds))
-    drift = _drift(found, data, terms, stds, positions)
+    fitted = fit(data, terms, prior_precision(data, stds))
+    drift = _drift(fitted, data, terms, stds, positions)
     precision = prior_precision(data, stds, drift, positions)
     if drift is not None:
-        found = fit(data, terms, precision)
-    best = ResponseFit(shrink_towards_ideal(data, found, terms, precision))
+        fitted = fit(data, terms, precision)
+    best = ResponseFit(shrink_towards_ideal(data, fitted, terms, precision))
     for _ in range(PASSES if data.size != (0, 0) else 0):
         weights = best.fit.weights
         left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
@@ -81,7 +81,7 @@ def fit_selected_terms(
     return best, terms, drift
 
 
-def choose_terms(data: PointSamples, stds: PriorStds, positions: np.ndarray) -> Terms:
+def choose_terms(data: PointSamples, stds: ExpectedErrors, positions: np.ndarray) -> Terms:
     """Choose the simplest terms that clearly improve the prediction of held-out views.
 
     A drift outside the model, or a reflection, can look like a gain; held-out views show that correcting it does not
@@ -100,21 +100,21 @@ def choose_terms(data: PointSamples, stds: PriorStds, positions: np.ndarray) -> 
 
 
 def prior_precision(
-    data: PointSamples, stds: PriorStds, drift: Drift | None = None, positions: np.ndarray | None = None
+    data: PointSamples, stds: ExpectedErrors, drift: Drift | None = None, positions: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the precision (2 V + K, 2 V + K) of the parameters. drift: of the offsets; None: each has its std."""
     variances = np.r_[np.full(data.views, stds.gains**2), stds.of_vignette() ** 2]
     precision = np.diag(1 / np.r_[np.full(data.views, stds.offsets**2), variances])
     if drift is not None and positions is not None:
-        precision[: data.views, : data.views] = np.linalg.inv(drift.prior(positions))
+        precision[: data.views, : data.views] = np.linalg.inv(drift.offset_covariance(positions))
     return precision
 
 
-def _drift(found: Fit, data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray) -> Drift | None:
+def _drift(fitted: Fit, data: PointSamples, terms: Terms, stds: ExpectedErrors, positions: np.ndarray) -> Drift | None:
     """Fit how the offsets change along the sequence; None if offsets are not estimated or there is no sequence."""
     if not terms.offsets or np.isnan(positions).any():
         return None
-    offsets, known = found.response.offsets, np.bincount(data.view, minlength=data.views) > 0
+    offsets, known = fitted.response.offsets, np.bincount(data.view, minlength=data.views) > 0
     return fit_drift(positions, offsets - offsets[known].mean(), known, stds.offsets)
 
 
@@ -148,7 +148,7 @@ def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
 
 
 def held_out_errors(
-    data: PointSamples, terms: Terms, stds: PriorStds, positions: np.ndarray
+    data: PointSamples, terms: Terms, stds: ExpectedErrors, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predict the values of views, held out in turn, from the points' temperatures in other views; return two errors.
 
@@ -161,17 +161,17 @@ def held_out_errors(
         held = np.isin(data.view, present[fold::FOLDS])
         rest = data.select(~held)
         seen = np.bincount(rest.point, minlength=data.points) >= 2
-        found = fit(rest, terms, prior_precision(data, stds))
-        drift = _drift(found, rest, terms, stds, positions)
+        fitted = fit(rest, terms, prior_precision(data, stds))
+        drift = _drift(fitted, rest, terms, stds, positions)
         expected = np.zeros(data.views)
         if drift is not None:
             known = np.unique(rest.view)
-            expected = drift.expected(positions, positions[known], found.response.offsets[known])
+            expected = drift.expected(positions, positions[known], fitted.response.offsets[known])
         test = data.select(held & seen[data.point])
-        shown = test.value - test.terms @ found.vignette
+        shown = test.value - test.terms @ fitted.vignette
         for view in np.unique(test.view):
             of_view = test.view == view
-            predicted, value = found.temperatures[test.point[of_view]], shown[of_view]
+            predicted, value = fitted.temperatures[test.point[of_view]], shown[of_view]
             unread.append(value - predicted - expected[view])
             halves.append(_halves(predicted, value, test.terms[of_view, RIGHTWARDS] > 0))
     return np.concatenate(unread), np.concatenate(halves)
@@ -210,16 +210,16 @@ def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: PointSamples)
     return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
 
 
-def shrink_towards_ideal(data: PointSamples, found: Fit, terms: Terms, precision: np.ndarray) -> Fit:
+def shrink_towards_ideal(data: PointSamples, fitted: Fit, terms: Terms, precision: np.ndarray) -> Fit:
     """Shrink each direction of a fit towards an ideal camera, by its variance under the jackknife."""
     free = terms.free(data)
     if not free.any():
-        return found
-    theta = np.concatenate([*found.response, found.vignette])
-    system = System(data, theta, found.temperatures, found.reference, found.weights)
+        return fitted
+    theta = np.concatenate([*fitted.response, fitted.vignette])
+    system = System(data, theta, fitted.temperatures, fitted.reference, fitted.weights)
     information, axes = system.directions(precision, free)
     given = precision[np.ix_(free, free)]
-    others = [_change_without(data, found, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
+    others = [_change_without(data, fitted, theta, precision, free, cluster) for cluster in np.unique(data.cluster)]
     moved = np.stack(others)[:, free] @ given @ axes
     count = len(others)
     variance = (count - 1) / count * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
@@ -229,27 +229,27 @@ def shrink_towards_ideal(data: PointSamples, found: Fit, terms: Terms, precision
     kept = np.where(drawn > 0, place / np.maximum(drawn, MIN_VARIANCE), 0.0) * known / (known + 1)
     theta = data.ideal
     theta[free] += axes @ kept
-    temperatures = _temperatures(data, theta, found)
-    residuals = data.value - predict(data, theta, temperatures, found.reference)
+    temperatures = _temperatures(data, theta, fitted)
+    residuals = data.value - predict(data, theta, temperatures, fitted.reference)
     response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return replace(
-        found, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
+        fitted, response=response, vignette=theta[2 * data.views :], temperatures=temperatures, residuals=residuals,
         after=deviation(residuals), known=lambda: known,
     )  # fmt: skip
 
 
 def _change_without(
-    data: PointSamples, found: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
+    data: PointSamples, fitted: Fit, theta: np.ndarray, precision: np.ndarray, free: np.ndarray, cluster: int
 ) -> np.ndarray:
     """Return the change (2 V + K,) of the parameters when a cluster of points is left out."""
     keep = data.cluster != cluster
-    rest, residuals = data.select(keep), found.residuals[keep]
-    system = System(rest, theta, found.temperatures, found.reference, found.weights[keep])
+    rest, residuals = data.select(keep), fitted.residuals[keep]
+    system = System(rest, theta, fitted.temperatures, fitted.reference, fitted.weights[keep])
     return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
 
 
-def _temperatures(data: PointSamples, theta: np.ndarray, found: Fit) -> np.ndarray:
+def _temperatures(data: PointSamples, theta: np.ndarray, fitted: Fit) -> np.ndarray:
     """Return temperatures (P,) that fit the values best, given the other parameters."""
-    system = System(data, theta, found.temperatures, found.reference, found.weights)
-    residuals = data.value - predict(data, theta, found.temperatures, found.reference)
-    return found.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))
+    system = System(data, theta, fitted.temperatures, fitted.reference, fitted.weights)
+    residuals = data.value - predict(data, theta, fitted.temperatures, fitted.reference)
+    return fitted.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))

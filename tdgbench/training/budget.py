@@ -37,17 +37,18 @@ class PixelRule:
 
 @dataclass(frozen=True)
 class SettlingRule:
-    """A training stalls once its held-out training views gain less than `gain` from one window of checks to the next.
+    """End a training when the PSNR of training views that it does not train on (held out) no longer rises.
 
-    A window is a share of the checks at the current resolution. A training that stalls below the full resolution goes
-    on to the next one. At the full one, or after two in a row that are no better than the best, it settles at the best:
-    the held-out views are trained on as well, nothing grows any more, and all learning rates fall log-linearly for a
-    while. A training that never settles does the same at its end, at the full resolution.
+    Every `every` iterations the held-out views are rendered: a check. The training stalls once a window of checks, a
+    share of those at the current resolution, gains less than `gain` on the window before. Below the full resolution it
+    then goes on to the next one. At the full resolution, or after two resolutions in a row without a new best, it
+    settles at the best: the held-out views are trained on as well, no Gaussians are added, and all learning rates fall
+    log-linearly for `tail`. A training that never stalls settles that long before its last iteration.
     """
 
-    share: Annotated[float, Field(gt=0, le=0.25)]  # of the training views that is held out
-    fewest: PositiveInt  # views held out; with less than four times as many training views none is
-    most: PositiveInt  # views held out
+    share: Annotated[float, Field(gt=0, le=0.25)]  # of the training views, which is held out
+    fewest: PositiveInt  # held-out views; none are held out of less than four times as many training views
+    most: PositiveInt  # held-out views
     every: PositiveInt  # iterations between checks
     checks: PositiveInt  # in a window, at least
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window

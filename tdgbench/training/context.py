@@ -17,7 +17,7 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum, schedule
-from tdgbench.training.growth import Significance
+from tdgbench.training.growth import GrowthTest
 from tdgbench.training.images import MODALITIES, THERMAL, Modality
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
@@ -185,12 +185,12 @@ class Context:
             return None
         return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
 
-    def _significance(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> Significance | None:
+    def _significance(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> GrowthTest | None:
         rule = self.budget.growth
         if rule is None:
             return None
         taken_by = {} if rig is None else {"camera_of": rig.camera}
-        return Significance(rule, self.scene.train, images, self.curriculum, self.backend, background, **taken_by)
+        return GrowthTest(rule, self.scene.train, images, self.curriculum, self.backend, background, **taken_by)
 
 
 def training_device(backend: str) -> torch.device:

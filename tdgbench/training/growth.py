@@ -34,7 +34,7 @@ NARROWER = (1 - HALF**2) ** 0.5  # σ of a half on that axis: both together have
 FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's mass
 
 
-class Significance:
+class GrowthTest:
     """Decides which Gaussians of a model grow and which are pruned, by a rule of the budget."""
 
     def __init__(

@@ -49,8 +49,9 @@ def train(
 ) -> TrainingLog:
     """Train stage after stage, each for its budget's iterations or until its rule lets it end.
 
-    The last iteration only measures: 3DGS, ThermalGaussian and TDg save and score the model before that iteration's
-    density control and optimiser step. A stage ends early once its parts have recovered from density control.
+    In the last iteration nothing is updated, since 3DGS, ThermalGaussian and TDg save and score the model before that
+    iteration's density control and optimiser step. A stage may end early, but not before its parts have recovered from
+    the last densification or opacity reset.
 
     on_log_line is called with each log line, before_update in each iteration before the parts change, after_iteration
     at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them.

@@ -257,16 +257,16 @@ class PreparedTargets:
 
     def of(self, image: Tensor, valid: Tensor | None) -> Target:
         """Return the image (H, W, C), prepared with a mask (H, W)."""
-        found = self._prepared.get(id(image))
+        stored = self._prepared.get(id(image))
         version = (image._version, None if valid is None else valid._version)
-        if found is not None and found.valid is valid and found.version == version:
-            return found.target
+        if stored is not None and stored.valid is valid and stored.version == version:
+            return stored.target
         new = _Prepared(version, valid, prepare_target(_array(image), None if valid is None else _array(valid)))
-        growth = new.bytes - (0 if found is None else found.bytes)
+        growth = new.bytes - (0 if stored is None else stored.bytes)
         if self.bytes + growth <= self.max_bytes:
             self.bytes += growth
             self._prepared[id(image)] = new
-            if found is None:
+            if stored is None:
                 weakref.finalize(image, self._forget, id(image))
         return new.target
 

@@ -20,7 +20,7 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.growth import Significance
+from tdgbench.training.growth import GrowthTest
 from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips, Work
@@ -38,7 +38,7 @@ class ModelOptions:
 
     name: str = "thermal"
     rig: Rig | None = None
-    significance: Significance | None = None
+    significance: GrowthTest | None = None
     background: torch.Tensor | None = None
     rates: Mapping[str, float | str] = field(default_factory=dict)
     position_unit: float | None = None

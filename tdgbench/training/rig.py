@@ -68,9 +68,9 @@ class Rig(Part):
 
     def report(self) -> Report:
         """Return degrees, world units, and shares."""
-        found = {name: number.detach().cpu().double() for name, number in self.numbers.items()}
-        found["turn"], found["shift"] = found["turn"].rad2deg(), self.extent * found["shift"]
-        return {name: [round(value, 6) for value in number.tolist()] for name, number in found.items()}
+        estimates = {name: number.detach().cpu().double() for name, number in self.numbers.items()}
+        estimates["turn"], estimates["shift"] = estimates["turn"].rad2deg(), self.extent * estimates["shift"]
+        return {name: [round(value, 6) for value in number.tolist()] for name, number in estimates.items()}
 
     def camera(self, given: Camera) -> Camera:
         """Return the thermal camera beside a given one, without its distortion."""

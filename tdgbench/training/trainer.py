@@ -1,4 +1,4 @@
-"""State of a running training: the current stage, its parts, and the rule that may end it early."""
+"""A training between two iterations: the current stage, its parts, and the rule that may end the stage early."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Trainer:
         self.restart()
 
     def restart(self) -> None:
-        """Set up the first stage again and discard all training."""
+        """Go back to the start: set up the first stage anew; everything learnt so far is lost."""
         self.stages = self.method.stages()
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
@@ -55,19 +55,19 @@ class Trainer:
         return self.context.parts
 
     def all_parts(self) -> dict[str, Part]:
-        """Return the parts by name: first those of finished stages, as stage/name where another has the name now."""
+        """Return all parts by name. A finished stage's part is stage/name where the current stage reuses the name."""
         finished = {name if name not in self.parts else f"{stage}/{name}": part for stage, name, part in self._finished}
         stopping = {} if self.stopping is None else {"stopping": self.stopping}
         return {**finished, **self.parts, **stopping}
 
     @property
     def gaussians(self) -> dict[str, SplatModel]:
-        """The Gaussians by name, also of finished stages, unless a later one trains others of the name."""
+        """The Gaussians by name; those of a finished stage are left out if the current stage reuses their name."""
         parts = self.all_parts().items()
         return {name: part for name, part in parts if isinstance(part, SplatModel) and "/" not in name}
 
     def advance(self, iterations: int) -> None:
-        """Start the next stage after so many iterations in this one; nothing happens after the last."""
+        """Start the next stage, after this one has had its iterations; in the last stage, do nothing."""
         if self.is_last_stage:
             return
         done, name = self.parts, self.stage.name
@@ -77,12 +77,12 @@ class Trainer:
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
 
     def state_dict(self) -> State:
-        """Return everything that training changes, as `torch.save` takes it; tensors may share memory with parts."""
+        """Return the states of all parts, for `torch.save`; tensors are not copied."""
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
         return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
 
     def at_stage(self, number: int) -> None:
-        """Set up all stages up to a number (0-based), to load its state. Raises ValueError for an unknown one."""
+        """Go to a stage (0-based) without training, to load its state. Raises ValueError if there is none."""
         if not 0 <= number < len(self.stages):
             raise ValueError(f"there is no stage {number}")
         while self.stage_number < number:
@@ -96,8 +96,8 @@ class Trainer:
 
     def reports(self) -> dict[str, Report]:
         """Return the reports of the parts, without empty ones."""
-        found = {name: part.report() for name, part in self.all_parts().items()}
-        return {name: report for name, report in found.items() if report}
+        reports = {name: part.report() for name, part in self.all_parts().items()}
+        return {name: report for name, report in reports.items() if report}
 
     def _stopping(self) -> Stopping | None:
         """Make the rule of the budget that may end the stage early; None if there is none."""

@@ -71,34 +71,34 @@ def read_log(folder: Path) -> list[dict[str, float]]:
 
 def verify_cell(folder: Path) -> list[str]:
     """Return the problems of one cell, in words; of a failed cell, only those of its record."""
-    found = Findings()
-    cell = found.read(FILE, read_cell, folder)
+    findings = Findings()
+    cell = findings.read(FILE, read_cell, folder)
     if cell is None:
-        return found.problems
+        return findings.problems
     record = cell.record
-    found.check(f"fields of {FILE}", cell.schema_problems)
-    found.check("the key", facts.key_problems, record)
+    findings.check(f"fields of {FILE}", cell.schema_problems)
+    findings.check("the key", facts.key_problems, record)
     if record.status == "failed":
-        return found.problems
-    found.check("its files", file_problems, folder, record.hashes)
-    found.check("its settings", facts.setting_problems, record)
-    cameras = found.read("cameras.json", read_cameras, folder)
-    rows = found.read("views.csv", read_views, folder / "views.csv")
-    log = found.read("log.csv", read_log, folder)
+        return findings.problems
+    findings.check("its files", file_problems, folder, record.hashes)
+    findings.check("its settings", facts.setting_problems, record)
+    cameras = findings.read("cameras.json", read_cameras, folder)
+    rows = findings.read("views.csv", read_views, folder / "views.csv")
+    log = findings.read("log.csv", read_log, folder)
     if log is not None:
-        found.check("log.csv", facts.log_problems, record, log)
-    found.check("its models", facts.model_problems, folder, record)
-    found.check("scores of training views", facts.train_score_problems, record)
+        findings.check("log.csv", facts.log_problems, record, log)
+    findings.check("its models", facts.model_problems, folder, record)
+    findings.check("scores of training views", facts.train_score_problems, record)
     if rows is not None:
-        found.check("means of views.csv", mean_problems, record, rows)
+        findings.check("means of views.csv", mean_problems, record, rows)
     if cameras is None:
-        return found.problems
-    found.check("the number of views", facts.view_problems, record, cameras)
-    found.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
+        return findings.problems
+    findings.check("the number of views", facts.view_problems, record, cameras)
+    findings.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
     if rows is not None:
-        found.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
-    pictures = StoredPictures(folder, record, cameras, found)
+        findings.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
+    pictures = StoredPictures(folder, record, cameras, findings)
     pictures.check_renders()
-    found.check("its masks", mask_problems, record, pictures)
-    found.check("scores", score_problems, record, rows, pictures)
-    return found.problems
+    findings.check("its masks", mask_problems, record, pictures)
+    findings.check("scores", score_problems, record, rows, pictures)
+    return findings.problems

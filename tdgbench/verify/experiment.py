@@ -33,16 +33,16 @@ def main(arguments: list[str]) -> int:
     status = 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
-            found = verify(experiment)
+            findings = verify(experiment)
         except (ValueError, OSError) as error:
             say(one_line(f"tdgbench verify: {error}"), stderr=True)
             status = 1
             continue
-        for problem in found.problems:
+        for problem in findings.problems:
             say(one_line(problem), "problem:")
-        unfinished = "" if found.finished else ", none of them finished"
-        say(one_line(f"{experiment}: {found.cells} cells{unfinished}, {len(found.problems)} problems"))
-        status |= bool(found.problems) or not found.finished
+        unfinished = "" if findings.finished else ", none of them finished"
+        say(one_line(f"{experiment}: {findings.cells} cells{unfinished}, {len(findings.problems)} problems"))
+        status |= bool(findings.problems) or not findings.finished
     return status
 
 
@@ -55,13 +55,14 @@ def verify(experiment: Path) -> Verification:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
     problems, finished = [], 0
     for folder in (path.parent for path in records):
-        found = Findings()
-        cell = found.read(FILE, read_cell, folder)
+        findings = Findings()
+        cell = findings.read(FILE, read_cell, folder)
         if cell is not None:
             finished += cell.is_finished
-            found.check("its folder", cell.place_problems)
-            found.problems += [problem for problem in verify_cell(folder) if problem not in found.problems]
-        problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {problem}" for problem in found.problems]
+            findings.check("its folder", cell.place_problems)
+            findings.problems += [problem for problem in verify_cell(folder) if problem not in findings.problems]
+        name = folder.relative_to(experiment / "cells").as_posix()
+        problems += [f"{name}: {problem}" for problem in findings.problems]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {FILE} is missing" for folder in lost]
     return Verification(len(records), finished, problems)
 

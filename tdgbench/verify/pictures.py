@@ -69,9 +69,9 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
 class StoredPictures:
     """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
 
-    def __init__(self, folder: Path, record: Record, cameras: Cameras, found: Findings) -> None:
+    def __init__(self, folder: Path, record: Record, cameras: Cameras, findings: Findings) -> None:
         """cameras: of all views."""
-        self.folder, self.record, self.all_cameras, self.found = folder, record, cameras, found
+        self.folder, self.record, self.all_cameras, self.findings = folder, record, cameras, findings
         self.cameras = cameras["test"]
         self.depths: dict[str, np.ndarray] = {}  # (H, W) float32 by view, of views that could be rendered
 
@@ -85,21 +85,21 @@ class StoredPictures:
             for name in self.cameras:
                 if modality == THERMAL or self._has(folder, name):
                     path = f"{folder}/{name}.png"
-                    stored = self.found.read(path, self._stored, folder, name)
+                    stored = self.findings.read(path, self._stored, folder, name)
                     if stored is not None and render is not None:
-                        self.found.check(path, self._differences, render, modality, name, stored)
+                        self.findings.check(path, self._differences, render, modality, name, stored)
 
     @cached_property
     def _method(self) -> StoredMethod | None:
-        return self.found.read(stored_parts.FILE, StoredMethod, self.folder, self.record, self.all_cameras)
+        return self.findings.read(stored_parts.FILE, StoredMethod, self.folder, self.record, self.all_cameras)
 
     def _renderer(self, modality: str) -> Callable[[str], Render] | None:
         """Return what renders a view of the stored Gaussians, or of the method where it renders more than these."""
         if (self.folder / stored_parts.FILE).exists():
             method = self._method
-            return None if method is None else lambda name: method.render(self.cameras[name], modality, name)
+            return None if method is None else lambda name: method.render_from(self.cameras[name], modality, name)
         model = files_of(modality).model
-        gaussians = self.found.read(model, load_ply, self.folder / model)
+        gaussians = self.findings.read(model, load_ply, self.folder / model)
         if gaussians is None:
             return None
         return lambda name: render_model(

@@ -61,7 +61,7 @@ class ViewedCell:
 
         Cells store none of training views. Raises ValueError, naming the file, if one cannot be read.
         """
-        found: dict[str, np.ndarray] = {}
+        pictures: dict[str, np.ndarray] = {}
         for modality in LABELS if view in self.test else ():
             files = files_of(modality)
             both = [self.folder / sub / f"{view}.png" for sub in (files.targets, files.renders)]
@@ -69,10 +69,10 @@ class ViewedCell:
             if path is not None:
                 camera = self.test[view]
                 try:
-                    found[modality] = read_picture(path, (camera.width, camera.height))
+                    pictures[modality] = read_picture(path, (camera.width, camera.height))
                 except (ValueError, OSError) as error:
                     raise ValueError(f"{path} cannot be read: {error}") from error
-        return found
+        return pictures
 
 
 def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:

@@ -79,13 +79,13 @@ def numbers_table(cells: Mapping[str, ViewedCell]) -> str:
 
 def _numbers_of(cell: ViewedCell) -> dict[str, str]:
     """Return the numbers of a cell by their titles."""
-    record, found = cell.record, {}
+    record, facts = cell.record, {}
     for name, measure in METRICS.items():
         if name in record.scores:
             value = record.scores[name]
-            found[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
-    found |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
-    return found | {
+            facts[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
+    facts |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
+    return facts | {
         "iterations": f"{record.iterations:,}",
         "training": str(timedelta(seconds=round(record.seconds["train"]))),
     }

@@ -120,11 +120,11 @@ def size_of(cell: ViewedCell) -> float:
 
 def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:
     """Return small thermal pictures (H, W, 3) uint8 of the views that have one; a click on them is easy."""
-    found = {}
+    images = {}
     for view in cell.test:
         picture = cell.pictures(view).get("thermal")
         if picture is not None:
             image = Image.fromarray(as_rgb(picture, "inferno"))
             image.thumbnail((THUMBNAIL_WIDTH, THUMBNAIL_WIDTH))
-            found[view] = np.asarray(image)
-    return found
+            images[view] = np.asarray(image)
+    return images

@@ -178,7 +178,7 @@ class Renderer:
         modality = THERMAL if is_geometry else quantity
         cell = self.cells[name]
         if cell.method is not None:
-            render = cell.method.render(camera, modality)
+            render = cell.method.render_from(camera, modality)
         else:
             gaussians, background = self._model(name, modality), background_of(cell.record, modality)
             if is_geometry:  # colours are not used; the kernels with one channel or more are there from training

@@ -16,7 +16,7 @@ def tiny_cell(tmp_path, data_root):
     """Run a tiny cell into the test's results folder: `tiny_cell(*overrides, variant=…, **settings)`."""
 
     def of(*overrides, variant="", **settings):
-        options = ("method=splat", "scene=turntable", f"data.root={data_root}", f"results={tmp_path / 'results'}")
+        options = ("method=3dgs", "scene=turntable", f"data.root={data_root}", f"results={tmp_path / 'results'}")
         cfg = config(*QUICK, *options, *overrides)
         OmegaConf.set_struct(cfg, False)
         for key, value in settings.items():
@@ -24,5 +24,5 @@ def tiny_cell(tmp_path, data_root):
         return run_cell(cfg, variant, CellProgress(Console(quiet=True), 12))
 
     of.experiment = tmp_path / "results" / "single"
-    of.folder = of.experiment / "cells" / "splat" / "synthetic" / "turntable" / "colmap" / "seed0"
+    of.folder = of.experiment / "cells" / "3dgs" / "synthetic" / "turntable" / "colmap" / "seed0"
     return of

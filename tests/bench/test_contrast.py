@@ -25,10 +25,10 @@ def record_of(data_root, tmp_path):
 
 
 def test_training_and_test_images_are_changed(record_of):
-    before = record_of("method=splat")
-    after = record_of("method=splat", "contrast.training=clahe")
+    before = record_of("method=3dgs")
+    after = record_of("method=3dgs", "contrast.training=clahe")
     assert after.key != before.key and after.scores["psnr"] != before.scores["psnr"]
     assert before.temperature and after.temperature is None and after.scores["mae_degC"] is None
     assert "contrast: images are trained on and scored with contrast.training=clahe" in after.notes
-    kept = record_of("method=splat", "contrast.training=sequence")
+    kept = record_of("method=3dgs", "contrast.training=sequence")
     assert kept.temperature is not None and kept.scores["mae_degC"] is not None

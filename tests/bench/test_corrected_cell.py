@@ -1,4 +1,4 @@
-"""Cells of `camera=estimated`: the record holds the response, and scores are of what the camera shows."""
+"""Cells of `thermal_camera=estimated`: the record holds the response, and scores are of what the camera shows."""
 
 import csv
 import json
@@ -23,9 +23,9 @@ from tests.helpers.configs import SMALL, config
 
 DRIFT = (
     "scene=turntable", "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15",
-    "dataset.loader.points=2500", "dataset.loader.errors.camera.encoding=degC",
-    "dataset.loader.errors.camera.walk_degC=4", "dataset.loader.errors.camera.shutter_views=6",
-    "dataset.loader.errors.camera.vignette_degC=2.6",
+    "dataset.loader.points=2500", "dataset.loader.errors.thermal_camera.encoding=degC",
+    "dataset.loader.errors.thermal_camera.walk_degC=4", "dataset.loader.errors.thermal_camera.shutter_views=6",
+    "dataset.loader.errors.thermal_camera.vignette_degC=2.6",
 )  # fmt: skip
 
 
@@ -36,8 +36,8 @@ def results_of(tmp_path_factory):
 
     def run(name, *overrides):
         cfg = config(
-            *SMALL, "budget=demo", "budget.iterations=60", "method=splat", f"data.root={root}",
-            f"results={root / name}", "camera=estimated", *DRIFT, *overrides,
+            *SMALL, "budget=demo", "budget.iterations=60", "method=3dgs", f"data.root={root}",
+            f"results={root / name}", "thermal_camera=estimated", *DRIFT, *overrides,
         )  # fmt: skip
         outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 60))
         assert outcome.status == "ok", outcome
@@ -115,7 +115,7 @@ def test_scores_are_those_of_the_pictures(cell):
 def test_another_response_in_the_record_is_found(cell, tmp_path, change, said):
     copy = shutil.copytree(cell[1], tmp_path / "cell")
     content = json.loads((copy / "record.json").read_text())
-    change(content["camera"]["estimated"]["response"])
+    change(content["thermal_camera"]["estimated"]["response"])
     (copy / "record.json").write_text(json.dumps(content))
     assert any(said in problem for problem in verify_cell(copy))
 
@@ -125,5 +125,5 @@ def test_images_of_another_contrast_have_no_response(results_of, contrast):
     """The camera never showed them; they are scored as they are trained on."""
     _, folder = results_of(contrast, f"contrast.training={contrast}")
     (record,) = read_all(folder / "single")
-    assert "response" not in record.camera["estimated"] and record.camera["estimated"]["terms"]
+    assert "response" not in record.thermal_camera["estimated"] and record.thermal_camera["estimated"]["terms"]
     assert response_of(record) == ImageResponse() and verify(folder / "single") == (1, 1, [])

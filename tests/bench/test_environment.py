@@ -39,4 +39,4 @@ def test_a_plug_in_elsewhere_is_part_of_the_code(tmp_path, monkeypatch):
     assert before == code_version(config) != code_version()
     (tmp_path / "a_plug_in.py").write_text("class Mine:\n    more = True\n")
     assert code_version(config) != before
-    assert code_version({"method": {"_target_": "methods.splat.Splat"}}) == code_version()
+    assert code_version({"method": {"_target_": "methods.gaussian_splatting.GaussianSplatting"}}) == code_version()

@@ -5,9 +5,9 @@ import shutil
 
 import pytest
 
-from methods.splat import Splat
+from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench import run_cell
-from tdgbench.bench.cell_stages import CellRun
+from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all, schema_problems
@@ -28,7 +28,7 @@ def test_a_failure_that_is_no_json_leaves_a_record(tiny_cell, monkeypatch):
     def note(self, _):
         self.record.init_points = {"box": [float("nan"), object()]}
 
-    monkeypatch.setattr(Splat, "setup", fails(ValueError("lone surrogate \udcff, NUL \0")))
+    monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("lone surrogate \udcff, NUL \0")))
     monkeypatch.setattr(CellRun, "note_points", note)
     assert tiny_cell().status == "failed"
     (record,) = read_all(tiny_cell.experiment)
@@ -38,7 +38,7 @@ def test_a_failure_that_is_no_json_leaves_a_record(tiny_cell, monkeypatch):
 @pytest.mark.parametrize("option", ["seed=abc", "seed=1.5", "seed=null", "seed=true"])
 def test_options_that_name_no_cell_fail_without_a_record(tiny_cell, option):
     outcome = tiny_cell(option)
-    assert outcome.status == "failed" and outcome.message.startswith("seed") and "splat on turntable" in outcome.title
+    assert outcome.status == "failed" and outcome.message.startswith("seed") and "3dgs on turntable" in outcome.title
     assert not (tiny_cell.experiment / "cells").exists()
 
 
@@ -47,7 +47,7 @@ def test_threads_below_one_fail_their_cell_only(tiny_cell, threads):
     outcome = tiny_cell(f"threads={threads}", variant=f"threads={threads}")
     assert outcome.status == "failed" and "thread" in outcome.message
     (record,) = read_all(tiny_cell.experiment)
-    assert (record.status, record.dataset, record.failure.stage) == ("failed", "synthetic", "options")
+    assert (record.status, record.dataset, record.failure.phase) == ("failed", "synthetic", "options")
 
 
 def test_an_unreadable_machine_fails_the_cell(tiny_cell, monkeypatch):
@@ -61,7 +61,7 @@ def test_an_unreadable_machine_fails_the_cell(tiny_cell, monkeypatch):
 
 def test_ctrl_c_passes_and_releases_the_lock(tiny_cell, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(Splat, "step", fails(KeyboardInterrupt()))
+        patch.setattr(GaussianSplatting, "step", fails(KeyboardInterrupt()))
         with pytest.raises(KeyboardInterrupt):
             tiny_cell()
     assert not (tiny_cell.experiment / "cells").exists()

@@ -7,7 +7,7 @@ from urllib.error import URLError
 import pytest
 import torch
 
-from methods.splat import Splat
+from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench.failures import REMEDIES, message, of_environment
 from tdgbench.bench.record import read_all, schema_problems
 from tests.helpers.cells import fails, statuses
@@ -26,7 +26,7 @@ def recursion(self, iteration):
     ],
 )
 def test_what_is_hardly_an_error_fails_the_cell(tiny_cell, monkeypatch, step, said):
-    monkeypatch.setattr(Splat, "step", step)
+    monkeypatch.setattr(GaussianSplatting, "step", step)
     outcome = tiny_cell()
     assert outcome.status == "failed" and said in outcome.message
     assert said in read_all(tiny_cell.experiment)[0].failure.error
@@ -45,7 +45,7 @@ ENVIRONMENT = [
 @pytest.mark.parametrize("error", ENVIRONMENT, ids=lambda error: str(error)[:20])
 def test_a_failure_of_the_environment_is_tried_again(tiny_cell, monkeypatch, error):
     with monkeypatch.context() as patch:
-        patch.setattr(Splat, "step", fails(error))
+        patch.setattr(GaussianSplatting, "step", fails(error))
         assert tiny_cell().status == "failed"
     (record,) = read_all(tiny_cell.experiment)
     assert record.failure.of_environment and schema_problems((tiny_cell.folder / "record.json").read_text()) == []
@@ -55,7 +55,7 @@ def test_a_failure_of_the_environment_is_tried_again(tiny_cell, monkeypatch, err
 def test_a_failure_of_the_environment_hides_no_result_of_the_same_settings(tiny_cell, monkeypatch):
     assert tiny_cell().status == "ok"
     with monkeypatch.context() as patch:
-        patch.setattr(Splat, "step", fails(MemoryError()))
+        patch.setattr(GaussianSplatting, "step", fails(MemoryError()))
         assert tiny_cell("overwrite=always").status == "failed"
     assert statuses(tiny_cell.experiment) == ["ok"] and tiny_cell().status == "kept"
 

@@ -3,7 +3,7 @@ import json
 import pytest
 from hydra.utils import instantiate
 
-from methods.splat import Splat
+from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench.key import cell_key, relevant_config, why_differs
 from tdgbench.bench.record import Record
 from tdgbench.bench.setup import loader_of
@@ -11,9 +11,9 @@ from tests.helpers.configs import SMALL, config
 from tests.helpers.paths import ROOT
 
 
-def record(*overrides, method="splat", data="d", code="c"):
+def record(*overrides, method="3dgs", data="d", code="c"):
     cfg = config(*SMALL, f"method={method}", *overrides)
-    plug_in = Splat(0.2, 0.0, "released", 1.0)
+    plug_in = GaussianSplatting(0.2, 0.0, "released", 1.0)
     plug_in.needs_prior = method == "tdg"
     made = Record(method, "synthetic", "orbit", "colmap", int(cfg.seed), "e", "")
     made.config, made.data, made.code = relevant_config(cfg, plug_in), data, code
@@ -50,7 +50,7 @@ def test_every_data_set_has_a_key_without_its_folder_and_channels_without_the_sk
     """A loader may name a data set (`dataset=paper`), or read another loader's scenes (`dataset=drifting`)."""
     keys = []
     for root in ("here", "there"):
-        cfg = config(f"dataset={dataset}", f"data.root={root}", "method=splat")
+        cfg = config(f"dataset={dataset}", f"data.root={root}", "method=3dgs")
         keys.append(relevant_config(cfg, instantiate(cfg.method.method)))
     assert keys[0] == keys[1] and '"here"' not in json.dumps(keys[0])
     loader = loader_of(cfg, instantiate(config("skip=none").skip))

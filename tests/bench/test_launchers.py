@@ -16,7 +16,7 @@ from tests.helpers.configs import QUICK
 
 pytestmark = pytest.mark.slow
 
-CELLS = ("method=splat,tdg", "scene=turntable", *QUICK)
+CELLS = ("method=3dgs,tdg", "scene=turntable", *QUICK)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def all_of(scene, method: str, folder, *overrides: str):
         ("small_scene", "tdg", ("prior=sfm_points",)),
         ("small_scene", "msmg", ()),
         ("small_gray_scene", "tdg_released", ()),
-        ("small_gray_scene", "splat", ()),
+        ("small_gray_scene", "3dgs", ()),
     ],
 )
 def test_nothing_depends_on_what_is_under_the_mask(scene_of, method, overrides, request, tmp_path):
@@ -84,7 +84,7 @@ def test_a_training_view_without_a_valid_pixel_is_named(small_gray_scene):
     nothing = with_garbage(small_gray_scene.train[2], np.zeros((36, 48), bool), np.nan)
     scene = replace(small_gray_scene, train=[*small_gray_scene.train[:2], nothing])
     with pytest.raises(SceneError, match=rf"training view {nothing.name} of turntable has no valid pixel"):
-        ready_to_train(scene, "splat", 3)
+        ready_to_train(scene, "3dgs", 3)
 
 
 def test_a_prior_that_is_known_under_the_mask_alone_is_named(small_gray_scene, monkeypatch):

@@ -11,7 +11,7 @@ from tdgbench.experiments.experiment import experiment_of
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
-GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "camera")
+GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "thermal_camera")
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 WRONG = [
     ("data.width=0", "data.width=0: must be at least 1"),
@@ -44,8 +44,8 @@ WRONG = [
     ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
     ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
     ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),
-    ("camera.estimate=3", "camera.estimate=3: must be a valid boolean"),
-    ("+camera.nosuch=3", "camera.nosuch=3: is no option; there are estimate"),
+    ("thermal_camera.estimate=3", "thermal_camera.estimate=3: must be a valid boolean"),
+    ("+thermal_camera.nosuch=3", "thermal_camera.nosuch=3: is no option; there are estimate"),
     ("skip.gray=3", "skip.gray=3: must be a valid boolean"),
     ("+skip.growth=false", "skip: growth is a rule of the budget: budget.growth=null switches it off"),
     ("+skip.night=true", "skip: there is no skip night; there are gray, rgb"),

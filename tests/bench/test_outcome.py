@@ -23,7 +23,7 @@ def test_other_outcomes():
 
 def test_finished_cells_are_those_that_were_asked_for_and_have_a_result(tmp_path):
     write(tmp_path, variant="all")
-    write(tmp_path, method="splat", variant="all")
+    write(tmp_path, method="3dgs", variant="all")
     write(tmp_path, seed=1, failure=Failure("train", "ValueError: no", ""))
     write(tmp_path, seed=2)
     titles = [f"tdg on RGBT-Scenes/Truck, colmap, seed {seed}" for seed in ("0 [all]", "1", "2")]

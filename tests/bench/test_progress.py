@@ -36,9 +36,9 @@ def test_a_bar_shows_loss_psnr_and_count():
     progress.begin("tdg on a/b")
     progress.rename("tdg on a/c")
     progress.start(8)
-    progress.stage("prior")
+    progress.phase("prior")
     progress.count(3, 9)
-    progress.stage("train")
+    progress.phase("train")
     progress.line(line(50))
     progress.end()
     text = out.getvalue()
@@ -49,11 +49,11 @@ def test_one_line_at_the_start_then_at_most_one_a_minute(clock):
     out = StringIO()
     progress = CellProgress(Console(file=out, width=40), 1000, clock)
     progress.begin("tdg on /c")
-    progress.stage("load")
+    progress.phase("load")
     progress.rename("tdg on a/c")
     assert out.getvalue() == ""  # its result may be there
     progress.start(8)
-    progress.stage("train")
+    progress.phase("train")
     for iteration in range(1, 1001):  # 0.5 s each
         progress.line(line(iteration))
         clock.seconds += 0.5
@@ -71,7 +71,7 @@ def test_the_time_left_is_that_at_the_latest_pace_also_after_a_checkpoint(clock)
     out = StringIO()
     progress = CellProgress(Console(file=out), 1000, clock)
     progress.begin("a")
-    progress.stage("train")
+    progress.phase("train")
     for iteration, seconds in ((601, 60), (701, 100), (801, 200)):
         progress.line(line(iteration))
         clock.seconds += seconds
@@ -88,15 +88,15 @@ def test_long_stages_before_training_talk_too(clock):
     progress = CellProgress(Console(file=out), 1000, clock)
     progress.begin("tdg on a/c")
     progress.start(80)
-    progress.stage("prior")
+    progress.phase("prior")
     for done in (1, 2, 3):
         clock.seconds += 45
         progress.count(done, 80)
     clock.seconds += 70
-    progress.stage("init")
+    progress.phase("init")
     assert out.getvalue().splitlines()[1:] == [
         "tdg on a/c: prior, 2 of 80 views, about 0:58:30 left",
-        "tdg on a/c: stage init",
+        "tdg on a/c: phase init",
     ]
 
 
@@ -106,7 +106,7 @@ def test_the_next_cell_begins_anew(clock):
     for title in ("a", "b"):
         progress.begin(title)
         progress.start(8)
-        progress.stage("train")
+        progress.phase("train")
         progress.line(line(1))
         progress.end()
         clock.seconds += 100

@@ -10,7 +10,7 @@ from tests.helpers.training import ready_to_train
 
 
 def test_renders_of_a_method_are_those_of_its_model(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
     view = small_gray_scene.test[0]
     images = render_images(trainer, view)
     stored = render_model(trainer.gaussians["thermal"].gaussians.detach(), view.camera)
@@ -31,7 +31,7 @@ def test_pairs_of_pictures(small_scene, tmp_path):
 
 def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():
     """Whatever is installed here: gsplat before 1.6 caps alpha at 0.999."""
-    record = Record("splat", "synthetic", "orbit", "colmap", 0, "e", "")
+    record = Record("3dgs", "synthetic", "orbit", "colmap", 0, "e", "")
     record.environment = {"packages": {"gsplat": "1.5.3"}}
     caps = []
     for record.backend in ("cuda", "cpu", "", "a plug-in of elsewhere"):
@@ -44,7 +44,7 @@ def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():
 
 
 def test_constants_of_a_cell_change_its_renders(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
     model, camera = trainer.gaussians["thermal"].gaussians.detach(), small_gray_scene.test[0].camera
     model.opacity_logits[:] = 9.0
     default, other = (render_model(model, camera, blending=b).image for b in (AS_3DGS, Blending(max_alpha=0.999)))
@@ -53,7 +53,7 @@ def test_constants_of_a_cell_change_its_renders(small_gray_scene):
 
 
 def test_a_method_that_renders_no_depth_is_named(small_gray_scene, monkeypatch):
-    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
     monkeypatch.setattr(trainer.method, "render", lambda frame: trainer.method.model.render(frame.camera))
-    with pytest.raises(TypeError, match=r"splat\.render gives no depth"), torch.no_grad():
+    with pytest.raises(TypeError, match=r"3dgs\.render gives no depth"), torch.no_grad():
         render_images(trainer, small_gray_scene.test[0])

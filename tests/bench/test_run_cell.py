@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from methods.splat import Splat
+from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
@@ -35,7 +35,7 @@ def run(tmp_path, data_root, monkeypatch):
     return cell
 
 
-@pytest.mark.parametrize("method", ["tdg", "msmg", "splat"])
+@pytest.mark.parametrize("method", ["tdg", "msmg", "3dgs"])
 def test_a_cell_writes_all_its_files(run, method):
     assert run(f"method={method}", "scene=turntable").status == "ok"
     folder = run.experiment / "cells" / method / "synthetic" / "turntable" / "colmap" / "seed0"
@@ -68,9 +68,9 @@ def test_the_data_folder_is_only_read(run, data_root):
 def test_scores_are_those_of_the_stored_pictures(run):
     from tdgbench.scoring.metrics.psnr import psnr
 
-    run("scene=orbit", "method=splat")
+    run("scene=orbit", "method=3dgs")
     record = read_all(run.experiment)[0]
-    folder = run.experiment / "cells" / "splat" / "synthetic" / "orbit" / "colmap" / "seed0"
+    folder = run.experiment / "cells" / "3dgs" / "synthetic" / "orbit" / "colmap" / "seed0"
     values = []
     for path in sorted((folder / "renders").iterdir()):
         a, b = (np.asarray(Image.open(p)) / 255 for p in (path, folder / "targets" / path.name))
@@ -89,15 +89,15 @@ def test_same_cell_same_bytes_and_is_not_run_twice(run):
 
 
 def test_other_settings_run_again(run):
-    assert run("method=splat").status == "ok"
-    assert run("method=splat", "budget.iterations=31").status == "ok"
-    kept = run("method=splat", "overwrite=never")
+    assert run("method=3dgs").status == "ok"
+    assert run("method=3dgs", "budget.iterations=31").status == "ok"
+    kept = run("method=3dgs", "overwrite=never")
     assert kept.status == "kept" and "overwrite=never" in kept.message
     assert read_all(run.experiment)[0].iterations == 31
 
 
 def test_random_points(run):
-    assert run("init=random", "init.points.count=200", "method=splat").status == "ok"
+    assert run("init=random", "init.points.count=200", "method=3dgs").status == "ok"
     record = read_all(run.experiment)[0]
     assert record.init == "random" and record.init_points["points"] == 200
     low, high = np.array(record.init_points["box"])
@@ -108,7 +108,7 @@ def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
     """A broken image: the record names the stage; the finished result of other settings is hidden, not lost."""
     source = small_scene.train[0].thermal_path.parents[1]
     scene = shutil.copytree(source, tmp_path / "spoiled")
-    options = ("dataset=folder", f"data.root={scene}", "method=splat")
+    options = ("dataset=folder", f"data.root={scene}", "method=3dgs")
     strip = [o for o in options if not o.startswith("dataset.loader")]
     plain = config("budget=demo", "budget.iterations=20", "metrics.lpips.download=false",
                    f"results={tmp_path / 'results'}", *strip)  # fmt: skip
@@ -119,8 +119,8 @@ def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
     assert outcome.status == "failed" and "view007.png cannot be read" in outcome.message
     records = read_all(run.experiment)
     assert [r.status for r in records] == ["failed"]
-    assert records[0].failure.stage == "load" and "SceneError" in records[0].failure.traceback
-    kept = [p for p in (run.experiment / "cells/splat/folder/spoiled/colmap").iterdir() if p.name.startswith(".")]
+    assert records[0].failure.phase == "load" and "SceneError" in records[0].failure.traceback
+    kept = [p for p in (run.experiment / "cells/3dgs/folder/spoiled/colmap").iterdir() if p.name.startswith(".")]
     assert len(kept) == 1 and (kept[0] / "model.ply").exists()
     shutil.copy(source / "thermal" / "view007.png", scene / "thermal" / "view007.png")
     restored = run_cell(plain, "", progress)
@@ -129,28 +129,28 @@ def test_a_failing_cell_becomes_a_record(run, small_scene, tmp_path):
 
 
 def test_non_finite_training_is_recorded(run, monkeypatch):
-    original = Splat.step
+    original = GaussianSplatting.step
 
     def poisoned(self, iteration):
         if iteration == 7:
             self.model.gaussians.opacity_logits.data[0] = float("nan")
         return original(self, iteration)
 
-    monkeypatch.setattr(Splat, "step", poisoned)
-    outcome = run("method=splat")
+    monkeypatch.setattr(GaussianSplatting, "step", poisoned)
+    outcome = run("method=3dgs")
     failure = read_all(run.experiment)[0].failure
     assert outcome.status == "failed"
-    assert failure.stage == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
+    assert failure.phase == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
 
 
 def test_an_out_of_memory_error_is_recorded(run, monkeypatch):
     def huge(self, context):
         np.empty((2**50,), np.float64)
 
-    monkeypatch.setattr(Splat, "setup", huge)
-    outcome = run("method=splat")
+    monkeypatch.setattr(GaussianSplatting, "setup", huge)
+    outcome = run("method=3dgs")
     failure = read_all(run.experiment)[0].failure
-    assert outcome.status == "failed" and failure.stage == "init" and "MemoryError: Unable to allocate" in failure.error
+    assert outcome.status == "failed" and failure.phase == "init" and "MemoryError: Unable to allocate" in failure.error
 
 
 def test_missing_scenes_write_nothing(run, tmp_path):
@@ -166,12 +166,12 @@ def test_a_wrong_option_fails_its_cell(run):
 
 
 def test_a_cell_that_another_process_runs_is_not_run(run, tmp_path):
-    assert run("method=splat").status == "ok"
+    assert run("method=3dgs").status == "ok"
     folder = cell_folder_of(run.experiment, read_all(run.experiment)[0])
     with cell_lock(run.experiment, folder) as acquired:
         assert acquired
-        assert run("method=splat", "overwrite=always").status == "elsewhere"
-    assert run("method=splat").status == "kept"
+        assert run("method=3dgs", "overwrite=always").status == "elsewhere"
+    assert run("method=3dgs").status == "kept"
 
 
 def test_a_failure_is_retried_only_on_request(run, monkeypatch):
@@ -182,21 +182,21 @@ def test_a_failure_is_retried_only_on_request(run, monkeypatch):
         raise RuntimeError("out of luck")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Splat, "step", broken)
-        assert run("method=splat").status == "failed"
-        again = run("method=splat")
+        patch.setattr(GaussianSplatting, "step", broken)
+        assert run("method=3dgs").status == "failed"
+        again = run("method=3dgs")
         assert again.status == "failed" and len(tries) == 1
         assert "out of luck (in an earlier run; retry_failed=true runs it again)" in again.message
-        assert run("method=splat", "retry_failed=true").status == "failed" and len(tries) == 2
-    assert run("method=splat").status == "failed"  # nothing that the key covers has changed
-    assert run("method=splat", "retry_failed=true").status == "ok"
+        assert run("method=3dgs", "retry_failed=true").status == "failed" and len(tries) == 2
+    assert run("method=3dgs").status == "failed"  # nothing that the key covers has changed
+    assert run("method=3dgs", "retry_failed=true").status == "ok"
 
 
 def test_the_outcome_names_what_changed(run):
-    assert run("method=splat").message == ""
-    outcome = run("method=splat", "budget.iterations=31")
+    assert run("method=3dgs").message == ""
+    outcome = run("method=3dgs", "budget.iterations=31")
     assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 30 → 31"
-    kept = run("method=splat", "overwrite=never", "seed=0", "budget.sh_degree=0")
+    kept = run("method=3dgs", "overwrite=never", "seed=0", "budget.sh_degree=0")
     assert kept.status == "kept" and "budget.sh_degree: 1 → 0" in kept.message
 
 
@@ -204,7 +204,7 @@ def test_a_cell_that_is_kept_decodes_no_image(run, small_scene, tmp_path, monkey
     """But another content of an image makes it run again."""
     scene = shutil.copytree(small_scene.train[0].thermal_path.parents[1], tmp_path / "capture")
     plain = config("budget=demo", "budget.iterations=2", "metrics.lpips.download=false", "dataset=folder",
-                   f"data.root={scene}", "method=splat", f"results={tmp_path / 'results'}")  # fmt: skip
+                   f"data.root={scene}", "method=3dgs", f"results={tmp_path / 'results'}")  # fmt: skip
     progress = CellProgress(Console(quiet=True), 2)
     assert run_cell(plain, "", progress).status == "ok"
     decoded = []

@@ -14,7 +14,7 @@ from tests.helpers.training import ready_to_train
 
 
 def test_scores_of_test_and_training_views(small_gray_scene, tmp_path):
-    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
     scorer = instantiate(config("metrics.lpips.download=false").metrics)
     scores = score_views(trainer, small_gray_scene, scorer)
     assert list(scores) == [view.name for view in small_gray_scene.test]

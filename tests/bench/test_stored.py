@@ -6,9 +6,9 @@ import os
 
 import pytest
 
-from methods.splat import Splat
+from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench import run_cell
-from tdgbench.bench.cell_stages import CellRun
+from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of, short_name
 from tdgbench.bench.record import SCHEMA, read_all, schema_problems
@@ -20,7 +20,7 @@ def test_no_stale_result_stands_for_a_failure(tiny_cell, monkeypatch):
     for _ in range(3):
         assert tiny_cell("overwrite=always").status == "ok" and statuses(tiny_cell.experiment) == ["ok"]
         with monkeypatch.context() as patch:
-            patch.setattr(Splat, "step", fails(ValueError("broken")))
+            patch.setattr(GaussianSplatting, "step", fails(ValueError("broken")))
             outcome = tiny_cell("overwrite=always")
         assert outcome.status == "failed" and "could not be written" not in outcome.message
         assert statuses(tiny_cell.experiment) == ["failed"]
@@ -35,7 +35,7 @@ def test_no_stale_result_stands_where_the_record_of_a_failure_cannot_be_written(
         raise OSError(errno.ENOSPC, "full")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Splat, "step", fails(ValueError("broken")))
+        patch.setattr(GaussianSplatting, "step", fails(ValueError("broken")))
         patch.setattr(run_cell.Record, "write", full)
         outcome = tiny_cell("budget.iterations=11")
     assert outcome.status == "failed" and "its record could not be written" in outcome.message
@@ -48,7 +48,7 @@ def test_settings_of_a_hidden_result_bring_it_back_if_it_is_whole(tiny_cell, mon
 
     def fail():
         with monkeypatch.context() as patch:
-            patch.setattr(Splat, "step", fails(ValueError("broken")))
+            patch.setattr(GaussianSplatting, "step", fails(ValueError("broken")))
             assert tiny_cell("budget.iterations=11", "retry_failed=true").status == "failed"
 
     fail()
@@ -90,7 +90,7 @@ def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, spoil, works):
     assert tiny_cell().status == "ok"
     spoil(tiny_cell.folder / "record.json")
     if not works:
-        monkeypatch.setattr(Splat, "setup", fails(ValueError("broken")))
+        monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("broken")))
     outcome = tiny_cell()
     assert outcome.status == ("ok" if works else "failed") and "could not" not in outcome.message
     assert statuses(tiny_cell.experiment) == [outcome.status]
@@ -130,7 +130,7 @@ def test_a_failure_beside_a_running_process_removes_nothing_of_its(tiny_cell, mo
 
 
 def test_old_records_of_failures_are_read(tiny_cell, monkeypatch):
-    monkeypatch.setattr(Splat, "setup", fails(ValueError("broken")))
+    monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("broken")))
     assert tiny_cell().status == "failed"
     path = tiny_cell.folder / "record.json"
     content = json.loads(path.read_text())

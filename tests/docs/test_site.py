@@ -52,8 +52,8 @@ def words(page: Path) -> str:
 
 
 def test_the_start_page_is_the_readme_and_leads_into_the_sources(site):
-    assert 'href="source/methods/splat.py/"' in (site / "index.html").read_text(encoding="utf-8")
-    assert "class Splat(" in words(site / "source" / "methods" / "splat.py" / "index.html")
+    assert 'href="source/methods/gaussian_splatting.py/"' in (site / "index.html").read_text(encoding="utf-8")
+    assert "class GaussianSplatting(" in words(site / "source" / "methods" / "gaussian_splatting.py" / "index.html")
 
 
 def test_the_reference_shows_docstrings_and_their_examples(site):

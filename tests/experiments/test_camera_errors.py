@@ -18,7 +18,7 @@ def truth(**errors) -> CameraTruth:
 
 
 def record(**camera) -> Record:
-    return Record("splat", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], camera=camera)
+    return Record("3dgs", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], thermal_camera=camera)
 
 
 def facts(offsets, gains, reference=20.0, views=NAMES):

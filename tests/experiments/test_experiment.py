@@ -94,7 +94,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("iterations=3000", "iterations=3000: is no option; did you mean budget.iterations? ("),
     ("+iterations=3000", "iterations=3000: is no option; did you mean budget.iterations?"),
     ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
-    ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are msmg, splat,"),
+    ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
     ("job._target_=nosuch.Class", "job._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
@@ -111,7 +111,8 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
 @pytest.mark.parametrize(
     ("experiment", "word", "instead"),
     [
-        ("thermal_camera", "seed=3", "job.seeds=[0,...]"), ("thermal_camera", "camera=estimated", "job.cameras"),
+        ("thermal_camera", "seed=3", "job.seeds=[0,...]"),
+        ("thermal_camera", "thermal_camera=estimated", "job.thermal_cameras"),
         ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"),
         ("skips", "scene=night", "job.scenes="),
         ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
@@ -126,5 +127,5 @@ def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experimen
 
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
-        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.cameras.mine=ideal"]
+        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.thermal_cameras.mine=ideal"]
     )

@@ -8,7 +8,7 @@ from tests.helpers.configs import config
 
 AXES = {
     "scene": values_of("scene", ["orbit", None]),
-    "camera": groups_of("camera", {"ideal": {"estimate": []}}, variant="camera"),
+    "thermal_camera": groups_of("thermal_camera", {"ideal": {"estimate": []}}, variant="thermal_camera"),
     "skip": [AxisValue("none", {}), AxisValue("gray", {"skip.gray": False, "skip.unheard_of": True}, "gray off")],
     "seed": values_of("seed", [0, 1]),
 }
@@ -41,8 +41,9 @@ def test_each_combination_is_a_cell_with_its_options(ran, tmp_path):
         (scene, "ideal", skip, seed) for scene in ("orbit", None) for skip in ("none", "gray") for seed in (0, 1)
     ]
     assert [(c.scene, c.seed, c.skip.gray, c.skip.get("unheard_of"), variant) for c, variant in ran[:4]] == [
-        ("orbit", 0, True, None, "camera=ideal"), ("orbit", 1, True, None, "camera=ideal"),
-        ("orbit", 0, False, True, "camera=ideal,gray off"), ("orbit", 1, False, True, "camera=ideal,gray off"),
+        ("orbit", 0, True, None, "thermal_camera=ideal"), ("orbit", 1, True, None, "thermal_camera=ideal"),
+        ("orbit", 0, False, True, "thermal_camera=ideal,gray off"),
+        ("orbit", 1, False, True, "thermal_camera=ideal,gray off"),
     ]  # fmt: skip
     assert "unheard_of" not in cfg.skip and cfg.seed == 0
 
@@ -50,7 +51,7 @@ def test_each_combination_is_a_cell_with_its_options(ran, tmp_path):
 def test_finished_cells_are_rows_and_failed_ones_are_told(ran, tmp_path, capsys):
     cells = run_cells(config(f"results={tmp_path}"), AXES)
     table = table_of(cells, lambda record: {"seconds": record.seconds["train"]})
-    assert list(table.columns) == ["scene", "camera", "skip", "seed", "seconds"] and len(table) == 4
+    assert list(table.columns) == ["scene", "thermal_camera", "skip", "seed", "seconds"] and len(table) == 4
     assert list(table["scene"]) == ["orbit", "orbit", "only", "only"] and set(table["seed"]) == {0}
     told = capsys.readouterr()
     assert told.out.count("failed:") == 4 and told.err.count("done") == 4

@@ -29,7 +29,7 @@ def test_errors_and_scores_of_every_prior(tmp_path, data_root, capsys):
     assert table.loc["onnx", "psnr"] == "n/a" and table.loc["onnx", "reason"].endswith("it has no network")
     records = {record.variant: record for record in read_all(folder)}
     assert {v: r.method for v, r in records.items()} == {
-        "prior=none": "splat_smooth", "prior=synthetic": "tdg", "prior=sfm_points": "tdg",
+        "prior=none": "3dgs_smooth", "prior=synthetic": "tdg", "prior=sfm_points": "tdg",
     }  # fmt: skip
     assert records["prior=none"].prior is None and records["prior=sfm_points"].prior["made_from"] == "points"
     for prior in ("synthetic", "sfm_points"):

@@ -120,6 +120,6 @@ def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, cap
 
 
 def test_cells_of_another_method_in_the_folder_have_no_part(tmp_path, data_root):
-    for method in ("splat", "tdg"):
+    for method in ("3dgs", "tdg"):
         SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "job.scenes=[turntable]"))
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4

@@ -30,14 +30,14 @@ def finished(tmp_path_factory):
 def test_every_combination_has_a_row(finished):
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
     assert list(table["capture"].unique()) == ["clean", "drift", "vignette", "agc"]
-    assert list(table["camera"].unique()) == ["ideal", "estimated"] and len(table) == 8
+    assert list(table["thermal_camera"].unique()) == ["ideal", "estimated"] and len(table) == 8
     assert table["psnr_true"].notna().all() and table["psnr_affine"].notna().all()
     cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
-    assert len(cells) == 8 and list(cells["camera_seconds"] > 0) == list(cells["camera"] != "ideal")
+    assert len(cells) == 8 and list(cells["camera_seconds"] > 0) == list(cells["thermal_camera"] != "ideal")
 
 
 def test_parameters_are_compared_with_the_true_ones(finished):
-    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "camera"])
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "thermal_camera"])
     worst = table["offset_degC_worst"]
     assert worst["drift", "ideal"] > 1 and worst["drift", "estimated"] < 0.2  # the gains are not clear
     assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
@@ -67,13 +67,13 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
         "job.captures.drift.walk_degC=2", "overwrite=never",
     )  # fmt: skip
     ThermalCameraExperiment().run(cfg)
-    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "camera"])
+    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "thermal_camera"])
     assert np.isnan(table.loc[("drift", "ideal"), "offset_degC_worst"])
     assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
 
 
 def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
-    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.cameras.estimated"]
+    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.thermal_cameras.estimated"]
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "job.scenes=[field]",
         "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
@@ -87,7 +87,7 @@ def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
 
 def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):
     small_dataset(data_root).load("orbit")
-    only = ["~job.cameras.estimated", "~job.captures.agc"]
+    only = ["~job.thermal_cameras.estimated", "~job.captures.agc"]
     cfg = config(
         "+experiment=thermal_camera", *FEW, *only, "budget=demo", "budget.iterations=4", "dataset=folder",
         f"data.root={small_dataset(data_root).folder('orbit')}", "job.scenes=[null]", f"results={tmp_path}",
@@ -118,7 +118,7 @@ def test_records_of_other_runs_have_no_part(finished):
     ThermalCameraExperiment().run(cfg)
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
     assert len(table) == 4 and (table["seeds"] == 1).all()
-    drift = table[(table["capture"] == "drift") & (table["camera"] == "ideal")]
+    drift = table[(table["capture"] == "drift") & (table["thermal_camera"] == "ideal")]
     assert 0.3 < drift["offset_degC_worst"].item() < 1.1
     for name, content in before.items():
         (finished / name).write_bytes(content)
@@ -134,7 +134,7 @@ SCORES = {
 
 def cells(scores=SCORES, seeds=(0, 1)) -> pd.DataFrame:
     rows = [
-        {"scene": "a", "capture": capture, "method": "splat", "camera": camera, "seed": seed, "psnr": 20.0,
+        {"scene": "a", "capture": capture, "method": "3dgs", "thermal_camera": camera, "seed": seed, "psnr": 20.0,
          "psnr_affine": 21.0, "psnr_right_half": np.nan, "psnr_true": score + seed, "ssim": 0.5, "mae_degC": 1.0,
          "mae_degC_without_offset": 0.5, "offset_degC_worst": 0.1, "gain_worst": 0.01, "vignette_degC_worst": 0.2,
          "train_seconds": 2.0, "camera_seconds": 0.5, "notes": ""}
@@ -144,7 +144,7 @@ def cells(scores=SCORES, seeds=(0, 1)) -> pd.DataFrame:
 
 
 def test_recovered_is_the_share_of_what_the_errors_cost():
-    table = summary(cells(), "clean", "ideal").set_index(["capture", "camera"])
+    table = summary(cells(), "clean", "ideal").set_index(["capture", "thermal_camera"])
     assert table.loc[("drift", "estimated"), "recovered"] == pytest.approx(0.8)
     assert table["recovered"].isna().sum() == 3
     assert table.loc[("drift", "estimated"), "psnr_true"] == 38.5 and (table["seeds"] == 2).all()
@@ -158,7 +158,7 @@ def test_little_lost_has_no_share():
 
 def test_rows_stand_in_the_order_of_the_cells():
     table = summary(cells(dict(reversed(SCORES.items()))), "clean", "ideal")
-    assert list(zip(table["capture"], table["camera"], strict=True)) == list(reversed(SCORES))
+    assert list(zip(table["capture"], table["thermal_camera"], strict=True)) == list(reversed(SCORES))
 
 
 def test_numbers_that_are_missing_are_shown_as_such():
@@ -169,8 +169,8 @@ def test_numbers_that_are_missing_are_shown_as_such():
 
 def test_a_seed_without_its_baseline_has_no_part():
     some = cells()
-    without = some[~((some["capture"] == "clean") & (some["camera"] == "ideal") & (some["seed"] == 1))].copy()
+    without = some[~((some["capture"] == "clean") & (some["thermal_camera"] == "ideal") & (some["seed"] == 1))].copy()
     without.loc[(without["capture"] == "drift") & (without["seed"] == 1), "psnr_true"] = 90.0
-    table = summary(without, "clean", "ideal").set_index(["capture", "camera"])
+    table = summary(without, "clean", "ideal").set_index(["capture", "thermal_camera"])
     assert table.loc[("drift", "estimated"), "recovered"] == pytest.approx(0.8)
     assert summary(some, None, "ideal")["recovered"].isna().all()

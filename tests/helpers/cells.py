@@ -14,7 +14,7 @@ def hidden(folder) -> list[str]:
 
 
 def fails(error):
-    """A function of an object and a value, as `Splat.step`, that raises an error."""
+    """A function of an object and a value, as `GaussianSplatting.step`, that raises an error."""
 
     def step(self, value):
         raise error

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tdgbench.thermal.error_priors import PriorStds
+from tdgbench.thermal.expected_errors import ExpectedErrors
 from tdgbench.thermal.fit import PATCHES, PointSamples
 from tdgbench.thermal.maps import TERMS, legendre_basis
 from tdgbench.thermal.select_terms import prior_precision
 
 SIZE = (64, 48)
-DEGC = PriorStds.of("°C", 5.0)
+DEGC = ExpectedErrors.of("°C", 5.0)
 NOWHERE = np.full(12, np.nan)  # positions of views that have no sequence
 CLUSTERS = 10
 

@@ -33,7 +33,7 @@ OFTEN = (
 )  # fmt: skip
 SHIPPED = sorted(path.stem for path in (ROOT / "conf/method").glob("*.yaml"))
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
-OPTIONS = ["splat camera.rig=true", "msmg camera.rig=true"]  # that change parts
+OPTIONS = ["3dgs thermal_camera.rig=true", "msmg thermal_camera.rig=true"]  # that change parts
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def configured(tmp_path, monkeypatch, data_root):
 
     def configure(words: str) -> DictConfig:
         name, *overrides = words.split()
-        known = name if name in SHIPPED else "splat"
+        known = name if name in SHIPPED else "3dgs"
         cfg = config(f"method={known}", "scene=turntable", *QUICK, *OFTEN, *overrides)
         cfg.data.root, cfg.results = str(data_root), str(tmp_path / "results")
         if name not in SHIPPED:

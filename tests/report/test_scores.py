@@ -51,7 +51,7 @@ from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 from tests.helpers.configs import SMALL, config
 
-cfg = config(*SMALL, "method=splat", "scene=turntable", "budget=demo", "budget.iterations=3", f"data.root={root}/data",
+cfg = config(*SMALL, "method=3dgs", "scene=turntable", "budget=demo", "budget.iterations=3", f"data.root={root}/data",
              f"results={root}/results")
 assert run_cell(cfg, "", CellProgress(Console(quiet=True), 3)).status == "ok"
 experiment = Path(root) / "results" / "single"

@@ -127,11 +127,11 @@ def test_an_ablation_without_cells(tmp_path):
 
 
 def test_readings(tmp_path):
-    psnr = {"splat": 20.0, "splat_smooth": 21.0, "tdg": 19.0, "msmg": 20.0, "thermal": 20.0}
+    psnr = {"3dgs": 20.0, "3dgs_smooth": 21.0, "tdg": 19.0, "msmg": 20.0, "msmg_thermal": 20.0}
     Plan("readings", variant_keys=["budget.iterations"]).write(tmp_path)
     for seed in (0, 1, 2):
         for method, value in psnr.items():
-            noise = 0.01 * seed if method != "thermal" else (-1) ** seed
+            noise = 0.01 * seed if method != "msmg_thermal" else (-1) ** seed
             write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value + noise}, iterations=900)
     found = build_tables(tmp_path).findings
     assert "PSNR, dB, rises with smoothness, eq. 6, 900 iterations: +1.00 [+1.00, +1.00]" in found
@@ -143,7 +143,7 @@ def test_readings(tmp_path):
 
 def test_readings_of_one_seed(tmp_path):
     Plan("readings").write(tmp_path)
-    for method in ("splat", "splat_smooth"):
+    for method in ("3dgs", "3dgs_smooth"):
         write(tmp_path, method, "orbit", "synthetic", iterations=900)
     assert "PSNR, dB: no interval, of one seed, for 1 change: run `seed=0,1,2`" in build_tables(tmp_path).findings
 

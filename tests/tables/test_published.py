@@ -99,7 +99,7 @@ def test_scenes_of_others_have_our_names():
 @pytest.mark.parametrize(
     ("source", "printed_as", "method", "scene", "metric", "value"),
     [("thermosplat-2601", "thermalgaussian", "msmg", "Parterre", "psnr", 26.16),
-     ("thermosplat-2601", "3dgs", "splat", "Truck", "ssim", 0.863),
+     ("thermosplat-2601", "3dgs", "3dgs", "Truck", "ssim", 0.863),
      ("thermosplat-2601", "mmone", "mmone", "RotaryKiln", "lpips", 0.17),
      ("cegs-readme", "ommg", "ommg", "Average", "psnr", 25.64)],
 )  # fmt: skip

@@ -16,7 +16,7 @@ def record(method, iterations, psnr, seed=0, scene="orbit", dataset="synthetic",
 
 
 CELLS = [
-    record("splat_smooth", 3000, 30.0, 0), record("splat_smooth", 3000, 30.2, 1),
+    record("3dgs_smooth", 3000, 30.0, 0), record("3dgs_smooth", 3000, 30.2, 1),
     record("tdg", 3000, 30.5, 0, hours=1.1, gaussians=2000), record("tdg", 3000, 30.9, 1, hours=1.1, gaussians=2000),
     record("tdg", 1000, 29.0, 0, hours=0.25), record("tdg", 1000, 29.1, 1, hours=0.25),
     record("msmg", 3000, 31.0, 0, hours=2.0), record("msmg", 3000, 31.0, 1, hours=2.0),
@@ -54,7 +54,7 @@ def test_one_seed_has_no_interval():
 
 
 def test_averages_are_over_scenes_that_all_have():
-    more = [record(m, 3000, p, scene="night") for m, p in (("tdg", 20.5), ("splat_smooth", 20.0), ("msmg", 21.0))]
+    more = [record(m, 3000, p, scene="night") for m, p in (("tdg", 20.5), ("3dgs_smooth", 20.0), ("msmg", 21.0))]
     short = record("tdg", 1000, 19.0, scene="night")
     table = readings(reading_cells([*CELLS[::2], *more, short]))
     assert row(table, method="tdg", iterations=3000, scene=AVERAGE, metric="psnr")["value"] == pytest.approx(25.5)
@@ -94,7 +94,7 @@ def test_changes_in_words_name_the_split_where_there_are_several():
     found = {(name, lengths): numbers for name, lengths, _, *numbers in rows}
     assert found["depth, as written", "3000"][0] == "+0.60 [-0.67, +1.87]"
     assert found["fewer iterations: tdg", "3000 → 1000"][0].startswith("-1.65") and "n/a" in rows[0]
-    other = [record("tdg", 3000, 27.0), record("splat_smooth", 3000, 26.0)]
+    other = [record("tdg", 3000, 27.0), record("3dgs_smooth", 3000, 26.0)]
     for one in other:
         one.split = "folder"
     _, rows = changes_as_text(effects(reading_cells([*CELLS, *other])))

@@ -16,7 +16,7 @@ def make_scene(tmp_path_factory):
     root = tmp_path_factory.mktemp("thermal")
 
     def make(name="turntable", **errors) -> Scene:
-        capture = CaptureErrors(camera=ThermalErrors(**{"encoding": "degC", **errors}))
+        capture = CaptureErrors(thermal_camera=ThermalErrors(**{"encoding": "degC", **errors}))
         return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=capture).load(name)
 
     return make

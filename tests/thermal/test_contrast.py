@@ -114,7 +114,7 @@ def test_a_flat_image_stays_finite(small_gray_scene, contrast):
 
 
 def test_pseudo_colour_is_an_error(small_scene):
-    with pytest.raises(SceneError, match="orbit has thermal images in pseudo-colour"):
+    with pytest.raises(SceneError, match="orbit: thermal images are pseudo-coloured"):
         with_contrast(small_scene, "clahe")
 
 

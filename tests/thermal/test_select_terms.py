@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.thermal.error_priors import Drift
+from tdgbench.thermal.expected_errors import Drift
 from tdgbench.thermal.fit import Terms
 from tdgbench.thermal.maps import TERMS
 from tdgbench.thermal.select_terms import choose_terms, fit_selected_terms, held_out_errors, prior_precision

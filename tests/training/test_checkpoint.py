@@ -28,7 +28,7 @@ LEAN = (  # every rule of the lean budget: images are small at first; it settles
 def set_up(scene, name: str, *overrides: str) -> Trainer:
     """A trainer of a method, or of 3DGS with the lean budget (`lean`)."""
     if name == "lean":
-        return ready_to_train(scene, "splat", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
+        return ready_to_train(scene, "3dgs", ITERATIONS, *LEAN, f"budget.iterations={ITERATIONS}")
     return ready_to_train(scene, name, ITERATIONS, *OFTEN, *overrides)
 
 
@@ -36,7 +36,7 @@ def timeless(log: TrainingLog):
     return log.iterations, [(n.iteration, n.loss, n.psnr, n.gaussians, n.terms) for n in log.lines]
 
 
-@pytest.mark.parametrize("name", ["tdg", "msmg", "splat", "lean"])
+@pytest.mark.parametrize("name", ["tdg", "msmg", "3dgs", "lean"])
 def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, name):
     trainer = set_up(small_gray_scene, name)
     calm = train(trainer)
@@ -71,7 +71,7 @@ def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):
         "budget.density.start=100", "budget.density.opacity_reset_every=100",
     )  # fmt: skip
     for _ in range(2):
-        trainer, checkpoint = set_up(small_gray_scene, "splat", *soon), Checkpoint(tmp_path / "a.pt", {}, 0.0)
+        trainer, checkpoint = set_up(small_gray_scene, "3dgs", *soon), Checkpoint(tmp_path / "a.pt", {}, 0.0)
         log = checkpoint.resume(trainer)
         checkpoint._next = 0.0
         log = train(trainer, after_iteration=checkpoint.write_if_due, log=log)
@@ -80,7 +80,7 @@ def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):
 
 def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
     def resumed_with(made_with):
-        trainer = set_up(small_gray_scene, "splat", "budget.iterations=5")
+        trainer = set_up(small_gray_scene, "3dgs", "budget.iterations=5")
         checkpoint = Checkpoint(tmp_path / "a.pt", made_with, 0.0)
         return checkpoint, checkpoint.resume(trainer), trainer
 
@@ -95,7 +95,7 @@ def test_what_was_made_otherwise_is_not_used(small_gray_scene, tmp_path):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 def test_a_full_disk_is_told_and_training_goes_on(small_gray_scene, tmp_path, monkeypatch):
-    trainer = set_up(small_gray_scene, "splat", "budget.iterations=2")
+    trainer = set_up(small_gray_scene, "3dgs", "budget.iterations=2")
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
     log = checkpoint.resume(trainer)
 
@@ -108,7 +108,7 @@ def test_a_full_disk_is_told_and_training_goes_on(small_gray_scene, tmp_path, mo
 
 def test_what_a_killed_writer_left_goes(small_gray_scene, tmp_path):
     (tmp_path / ".a.123.pt").write_bytes(b"half")
-    Checkpoint(tmp_path / "a.pt", {}, None).resume(set_up(small_gray_scene, "splat"))
+    Checkpoint(tmp_path / "a.pt", {}, None).resume(set_up(small_gray_scene, "3dgs"))
     assert not list(tmp_path.iterdir())
 
 

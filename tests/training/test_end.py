@@ -24,7 +24,7 @@ class EnoughError(Exception):
 
 def saved_at(scene, iteration: int) -> str:
     """The model of a long training at an iteration, before its density control."""
-    trainer = ready_to_train(scene, "splat", 1000, *OFTEN)
+    trainer = ready_to_train(scene, "3dgs", 1000, *OFTEN)
     digests = []
 
     def look(log: TrainingLog) -> None:
@@ -40,7 +40,7 @@ def saved_at(scene, iteration: int) -> str:
 @pytest.mark.parametrize("length", [1, 2, 29, 30, 40, 60, 61, 70, 100])
 def test_the_last_iteration_changes_nothing(small_gray_scene, length):
     """Like the released code: what is scored is the model before density control, without a last step."""
-    trainer = ready_to_train(small_gray_scene, "splat", length, *OFTEN)
+    trainer = ready_to_train(small_gray_scene, "3dgs", length, *OFTEN)
     log = train(trainer)
     assert log.ended and log.iterations == length == log.lines[-1].iteration
     rules = instantiate(config("budget=demo", *OFTEN).budget.density)
@@ -52,7 +52,7 @@ def test_the_last_iteration_changes_nothing(small_gray_scene, length):
     assert (digest(trainer) == saved_at(small_gray_scene, length)) == same_so_far
 
 
-@pytest.mark.parametrize("name", ["tdg", "msmg", "splat"])
+@pytest.mark.parametrize("name", ["tdg", "msmg", "3dgs"])
 def test_a_round_in_the_last_iteration_is_left_out(small_gray_scene, name):
     """Length 60 is a multiple of both intervals: neither new Gaussians nor opacities of at most 0.01."""
     trainer = ready_to_train(small_gray_scene, name, 60, *OFTEN)
@@ -71,7 +71,7 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
             f"budget.density.reset_recovery={recovery}",
             f"budget.density.round_recovery={recovery // 3}",
         )
-        trainer = ready_to_train(small_gray_scene, "splat", 1000, *overrides)
+        trainer = ready_to_train(small_gray_scene, "3dgs", 1000, *overrides)
         views = len(small_gray_scene.train)
         trainer.stopping = Plateau(late, views)
         log = train(trainer)
@@ -83,7 +83,7 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
 
 
 def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
-    trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 60, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
     log = checkpoint.resume(trainer)
 
@@ -95,7 +95,7 @@ def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, 
 
     with pytest.raises(EnoughError):
         train(trainer, after_iteration=killed, log=log)
-    trainer = ready_to_train(small_gray_scene, "splat", 60, *OFTEN)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 60, *OFTEN)
     log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).resume(trainer)
     assert log.iterations == 59
     train(trainer, log=log)

@@ -10,7 +10,7 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.growth import Significance, footprints, split_in_halves
+from tdgbench.training.growth import GrowthTest, footprints, split_in_halves
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
@@ -18,7 +18,7 @@ RULE = GrowthRule(views=10, z=5.0, min_weight=0.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
-    significance = Significance(rule, views, modality, curriculum or Curriculum(), "cpu")
+    significance = GrowthTest(rule, views, modality, curriculum or Curriculum(), "cpu")
     return significance.decide(two() if gaussians is None else gaussians, 0, turn=1)
 
 
@@ -36,7 +36,7 @@ def test_what_the_background_shows_does_not_grow():
         image = (view.thermal + behind.numpy()).astype(np.float32)
         given.append(view_of(view.name, view.camera, image, None))
     over_black, over_gray = (
-        Significance(RULE, given, THERMAL, Curriculum(), "cpu", background=background).decide(two(), 0, turn=1).strength
+        GrowthTest(RULE, given, THERMAL, Curriculum(), "cpu", background=background).decide(two(), 0, turn=1).strength
         for background in (None, gray)
     )
     assert over_gray.numpy() == pytest.approx(judge(views(edge)).strength.numpy(), rel=0.05, abs=0.01)
@@ -107,7 +107,7 @@ def numbered(turn: int, held_out: list[int]) -> list[int]:
     """Numbers of the views that a round looks at, 4 of 12, while some are held out."""
     given = views(edge, count=12)
     curriculum = Curriculum(held_out=[given[number] for number in held_out])
-    significance = Significance(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
+    significance = GrowthTest(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
     return [int(view.name) for view in significance.views_of_round(turn)]
 
 

@@ -16,7 +16,7 @@ from tdgbench.training.skips import Skips
 from tdgbench.training.stopping import Plateau
 from tests.helpers.training import digest, ready_to_train, trained
 
-METHODS = ["tdg", "msmg", "splat"]
+METHODS = ["tdg", "msmg", "3dgs"]
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -44,12 +44,12 @@ def test_same_seed_same_bytes(small_gray_scene, name):
 
 
 def test_gray_scenes_train_one_channel(small_gray_scene):
-    trainer, _ = trained(small_gray_scene, "splat", 2)
+    trainer, _ = trained(small_gray_scene, "3dgs", 2)
     assert trainer.gaussians["thermal"].gaussians.channels == 1
 
 
 def test_sh_degree_rises(small_scene):
-    degrees = [trained(small_scene, "splat", n)[0].gaussians["thermal"].degree for n in (24, 26)]
+    degrees = [trained(small_scene, "3dgs", n)[0].gaussians["thermal"].degree for n in (24, 26)]
     assert degrees == [0, 1]
 
 
@@ -65,14 +65,14 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
 
 
 def test_training_ends_on_a_plateau(small_scene):
-    trainer = ready_to_train(small_scene, "splat", 60)
+    trainer = ready_to_train(small_scene, "3dgs", 60)
     trainer.stopping = Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=10), views=5)
     log = train(trainer)
     assert log.iterations == 20 == log.lines[-1].iteration  # one window to compare with, one that is not 90 % better
 
 
 def test_the_clock_stands_still_while_someone_looks(small_scene):
-    trainer = ready_to_train(small_scene, "splat", 5)
+    trainer = ready_to_train(small_scene, "3dgs", 5)
     told = []
 
     def look(log):
@@ -88,11 +88,11 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
 
 def test_a_model_without_gaussians_stops(small_scene):
     with pytest.raises(EmptyModelError, match="no Gaussian is left after density control at iteration 40"):
-        trained(small_scene, "splat", 60, **{"budget.density.min_opacity": 0.9999})
+        trained(small_scene, "3dgs", 60, **{"budget.density.min_opacity": 0.9999})
 
 
 def test_a_gradient_that_is_not_finite_is_named(small_scene):
-    trainer = ready_to_train(small_scene, "splat", 5)
+    trainer = ready_to_train(small_scene, "3dgs", 5)
     stage = trainer.stages[0]
 
     def spoiled(iteration):
@@ -107,7 +107,7 @@ def test_a_gradient_that_is_not_finite_is_named(small_scene):
 
 
 def test_a_nan_is_found_where_it_first_appears(small_scene):
-    trainer = ready_to_train(small_scene, "splat", 5)
+    trainer = ready_to_train(small_scene, "3dgs", 5)
     trainer.gaussians["thermal"].gaussians.sh[:, 0, 0] = torch.nan
     with pytest.raises(NonFiniteError, match="thermal sh is not finite at iteration 1") as error:
         train(trainer)
@@ -115,7 +115,7 @@ def test_a_nan_is_found_where_it_first_appears(small_scene):
 
 
 def test_a_nan_that_no_view_shows_is_found_too(small_scene):
-    trainer = ready_to_train(small_scene, "splat", 5)
+    trainer = ready_to_train(small_scene, "3dgs", 5)
     trainer.gaussians["thermal"].gaussians.means[3, 1] = torch.nan
     with pytest.raises(NonFiniteError, match="thermal means is not finite at iteration 1"):
         train(trainer)

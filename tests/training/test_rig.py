@@ -82,8 +82,8 @@ def test_it_is_found_with_the_scene(data_root):
     scores = {}
     for learns in (False, True):
         overrides = [one for one in QUICK if not one.startswith("budget")]
-        cfg = config("dataset=synthetic_rig", "scene=turntable", *overrides, "method=splat", *SHORT)
-        cfg.data.root, cfg.camera.rig = str(data_root), learns
+        cfg = config("dataset=synthetic_rig", "scene=turntable", *overrides, "method=3dgs", *SHORT)
+        cfg.data.root, cfg.thermal_camera.rig = str(data_root), learns
         trainer = set_up(cfg, instantiate(cfg.dataset.loader).load("turntable"), compiles=False).trainer
         train(trainer)
         errors = []

@@ -64,7 +64,7 @@ def accounted(trainer, log) -> dict[str, Skip]:
     return {skip.name: skip for skip in account(whole.skips, finished)}
 
 
-def after(scene, name="splat", **allowed):
+def after(scene, name="3dgs", **allowed):
     trainer = ready_to_train(scene, name, 30, *OFTEN, skips=Skips(**allowed))
     return accounted(trainer, train(trainer))
 
@@ -86,13 +86,13 @@ def test_what_is_switched_off_says_so(small_gray_scene):
 
 def test_methods_without_depth_or_prior(small_gray_scene):
     found = after(small_gray_scene)
-    assert found["depth"].reason == "splat has no depth loss" and found["prior"].reason == "splat uses no prior"
+    assert found["depth"].reason == "3dgs has no depth loss" and found["prior"].reason == "3dgs uses no prior"
     tdg = after(small_gray_scene, "tdg")
     assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
 
 
 def test_a_backend_that_does_not_count_pairs_is_not_spoken_for(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "splat", 5)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 5)
     log = train(trainer)
     work = trainer.gaussians["thermal"].work
     work.pairs = work.blended = 0
@@ -109,7 +109,7 @@ def test_depth_counts_the_iterations_that_were_trained(small_gray_scene):
 
 
 def after_lean(scene, *overrides):
-    trainer = ready_to_train(scene, "splat", 60, *LEAN, *overrides)
+    trainer = ready_to_train(scene, "3dgs", 60, *LEAN, *overrides)
     return accounted(trainer, train(trainer)), trainer
 
 

@@ -162,7 +162,7 @@ def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene)
     assert len(hold_out(RULE, list(range(400)))) == RULE.most  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["splat", "tdg", "msmg"])
+@pytest.mark.parametrize("name", ["3dgs", "tdg", "msmg"])
 def test_methods_stop_by_it(small_gray_scene, name):
     trainer = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
     assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held_out) == 1
@@ -173,7 +173,7 @@ def test_methods_stop_by_it(small_gray_scene, name):
 
 def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
     """A masked pixel has no part in the PSNR by which a training settles."""
-    trainer = ready_to_train(masked_scene(small_gray_scene), "splat", 60, CONF)
+    trainer = ready_to_train(masked_scene(small_gray_scene), "3dgs", 60, CONF)
     (view,) = trainer.context.curriculum.held_out
     image = trainer.method.render(trainer.context.frame(view)).image.numpy()
     squares = np.square(image - view.thermal)
@@ -184,7 +184,7 @@ def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
 def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
     digests = []
     for overrides in (("budget.plateau=null",), (CONF, "budget.settling=null", "budget.plateau=null")):
-        trainer = ready_to_train(small_gray_scene, "splat", 30, *overrides)
+        trainer = ready_to_train(small_gray_scene, "3dgs", 30, *overrides)
         assert trainer.stopping is None
         train(trainer)
         digests.append(digest(trainer))

@@ -72,7 +72,7 @@ class CoarseToFine(Method):
 
 
 def two_stages(scene, *overrides: str) -> Trainer:
-    return ready_to_train(scene, "splat", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
+    return ready_to_train(scene, "3dgs", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
 
 
 def lines(log: TrainingLog):
@@ -126,7 +126,7 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
     log = train(trainer, log=checkpoint.resume(trainer))
     checkpoint.write_if_due(log)
-    other = ready_to_train(small_gray_scene, "splat", ITERATIONS, *OFTEN)
+    other = ready_to_train(small_gray_scene, "3dgs", ITERATIONS, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
     assert checkpoint.resume(other).iterations == 0 and other.stage_number == other.iterations_before == 0
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
@@ -170,7 +170,7 @@ def test_frames_are_numbered_and_timed_in_the_order_of_names(small_scene):
 
 
 def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "splat", 3)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
     view = small_gray_scene.train[1]
     small = type(view)(view.name, view.camera.resized(24, 18), view.load_thermal)
     frame = trainer.context.frame(small)

@@ -24,7 +24,7 @@ ENOUGH = "dataset.loader.views=16"
 
 
 def configured(data_root, dataset: str, *overrides: str) -> DictConfig:
-    cfg = config(f"dataset={dataset}", "scene=turntable", "method=splat", *QUICK, ENOUGH, *overrides)
+    cfg = config(f"dataset={dataset}", "scene=turntable", "method=3dgs", *QUICK, ENOUGH, *overrides)
     cfg.data.root = str(data_root)
     return cfg
 
@@ -70,14 +70,14 @@ def test_few_views_decide_nothing(data_root):
 
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_cell_stores_the_verdict_and_verifies(data_root, tmp_path, monkeypatch, pays):
-    cfg = configured(data_root, "synthetic", "camera.rig=auto")
+    cfg = configured(data_root, "synthetic", "thermal_camera.rig=auto")
     cfg.results = str(tmp_path)
     monkeypatch.setattr(trial, "GAIN", -100.0 if pays else 100.0)
     monkeypatch.setattr(trial, "ERRORS", -100.0)
     assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
-    assert record.camera["rig"]["pays"] is pays and ("rig" in record.parts) is pays
-    assert any(note.startswith("camera: the rig is") for note in record.notes) and "rig" in record.seconds
+    assert record.thermal_camera["rig"]["pays"] is pays and ("rig" in record.parts) is pays
+    assert any(note.startswith("thermal camera: the rig is") for note in record.notes) and "rig" in record.seconds
     assert verify_cell(folder) == []
 
 

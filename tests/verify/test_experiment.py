@@ -81,7 +81,7 @@ def test_edited_scores(spoiled):
         ({"seed": True}, "$.seed: Input should be a valid integer, not True"),
         ({"extra": 1}, "$.extra: Unexpected keyword argument"),
         ({"hashes": {"a": "b"}}, "$.hashes.a: String should match pattern '^[0-9a-f]{64}$', not 'b'"),
-        ({"failure": {"stage": "train"}}, "$.failure.error: Field required"),
+        ({"failure": {"phase": "train"}}, "$.failure.error: Field required"),
         ({"method": ""}, "$.method: String should have at least 1 character"),
         ({"status": "fine"}, "$.status: Input should be 'ok' or 'failed', not 'fine'"),
         ({"status": "failed"}, "$: status is failed, but failure is null"),

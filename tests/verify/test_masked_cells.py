@@ -61,7 +61,7 @@ def test_scores_are_those_of_valid_pixels(cell):
 
 
 def test_without_a_valid_pixel_a_score_is_na_with_the_reason(masked_results):
-    cell = masked_results / "cells/splat/synthetic/facade/colmap/seed0"
+    cell = masked_results / "cells/3dgs/synthetic/facade/colmap/seed0"
     record = read_record(cell)
     with (cell / "views.csv").open(newline="") as file:
         first, second = csv.DictReader(file)

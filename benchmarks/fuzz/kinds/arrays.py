@@ -104,7 +104,7 @@ TOLERANCE = 1e-5  # of image values, which are in [0, 1]
 class Celsius(SceneKind):
     """Temperatures in °C: damaged bytes, other arrays, unusual numbers, missing files."""
 
-    name, share, words = "celsius", 6, ("method=splat",)
+    name, share, words = "celsius", 6, ("method=3dgs",)
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)

@@ -23,7 +23,7 @@ class Images(SceneKind):
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         self.thermal = rng.choice(sorted(THERMAL))
         super().__init__(base, folder, rng)
-        self.words = [f"method={rng.choice(('splat', 'msmg'))}"]
+        self.words = [f"method={rng.choice(('3dgs', 'msmg'))}"]
         self.touched: list[Path] = []
 
     def mutate(self, rng: random.Random) -> Change:
@@ -122,7 +122,7 @@ class Masks(SceneKind):
         levels[:, : SIZE[0] // 4] = 0
         for path in sorted((self.scene / "thermal").iterdir()):
             Image.fromarray(levels).save(self.masks / f"{path.stem}.png")
-        self.words = [f"method={rng.choice(('splat', 'tdg', 'msmg'))}"]
+        self.words = [f"method={rng.choice(('3dgs', 'tdg', 'msmg'))}"]
 
     def mutate(self, rng: random.Random) -> Change:
         path = rng.choice(sorted(self.masks.iterdir()))

@@ -75,7 +75,7 @@ class SceneNames(Kind):
         """The arguments, quoted as Hydra wants it."""
         scenes, name, results = map(quoted, self.scenes), quoted(self.experiment), quoted(self.results)
         words = [word for word in CELL if not word.startswith("results=")]
-        return ["-m", *words, "method=splat", f"scene={','.join(scenes)}", f"name={name}", f"results={results}"]
+        return ["-m", *words, "method=3dgs", f"scene={','.join(scenes)}", f"name={name}", f"results={results}"]
 
     def _rename_views(self, scene: Path) -> None:
         model = read_binary(scene / "sparse" / "0")

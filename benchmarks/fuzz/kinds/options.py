@@ -18,7 +18,7 @@ from benchmarks.fuzz.case import Change, Kind, Programs
 from benchmarks.fuzz.inputs import CELL, SCENE, copy_scene
 from tdgbench.resources import conf_folder
 
-GROUPS = ("backend", "budget", "camera", "dataset", "init", "method", "metrics", "prior", "skip")
+GROUPS = ("backend", "budget", "dataset", "init", "method", "metrics", "prior", "skip", "thermal_camera")
 PRIOR = "prior=sfm_points"  # of the captures; the default needs weights
 NEED_MORE = ("prior=marigold", "prior=depth_anything", "prior=onnx", "prior=synthetic", "backend=cuda",
              "backend=reference", "dataset=paper", "dataset=rgbt_scenes", "dataset=thermalmix",

@@ -67,7 +67,7 @@ class SceneKind(Kind):
 
     model: ClassVar[str] = "old"
     thermal = "png8"
-    words: Sequence[str] = ("method=splat",)
+    words: Sequence[str] = ("method=3dgs",)
 
     def __init__(self, base: Path, folder: Path, rng: random.Random) -> None:
         super().__init__(base, folder, rng)

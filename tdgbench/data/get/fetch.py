@@ -81,13 +81,13 @@ def read_record(scene: Path) -> SceneRecord | None:
 
 def scene_folders(source: PublishedDataset, folder: Path) -> dict[str, Path]:
     """Return the folders of scenes in that of a data set, by name. Raises GetError if two are the same scene."""
-    found: dict[str, Path] = {}
+    scenes: dict[str, Path] = {}
     for path in listed(folder) if is_folder(folder) else []:
         if is_folder(path) and not is_hidden(path.name):
-            other = found.setdefault(source.scene(path.name), path)
+            other = scenes.setdefault(source.scene(path.name), path)
             if other != path:
                 raise GetError(f"{other} and {path} are both the scene {source.scene(path.name)}; keep one of them")
-    return found
+    return scenes
 
 
 def fetch(job: Download) -> bool:

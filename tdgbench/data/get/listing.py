@@ -154,12 +154,12 @@ def download(file: RemoteFile, target: Path, report: Count) -> None:
             ) from error
     if file.identity.startswith("md5:"):
         with target.open("rb") as content:
-            found = f"md5:{hashlib.file_digest(content, 'md5').hexdigest()}"
-        if found != file.identity:
+            digest = f"md5:{hashlib.file_digest(content, 'md5').hexdigest()}"
+        if digest != file.identity:
             target.unlink()
             raise BadFileError(
-                f"{file.path} is damaged: its {found}, published is {file.identity}; it was discarded: run the command "
-                "again, which downloads it anew"
+                f"{file.path} is damaged: its {digest}, published is {file.identity}; it was discarded: run the "
+                "command again, which downloads it anew"
             )
 
 
@@ -221,10 +221,10 @@ def _drive_files(source: PublishedDataset) -> list[RemoteFile]:
 
     gdown ≥ 6 lists any number of files; before, a folder's list ended after 50 without a word (its pull request 453).
     """
-    found = gdown.download_folder(
+    listed = gdown.download_folder(
         id=source.identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
     )
-    files = [(safe_path(Path(file.path).as_posix()), file.id) for file in found if not isinstance(file, str)]
+    files = [(safe_path(Path(file.path).as_posix()), file.id) for file in listed if not isinstance(file, str)]
     return [RemoteFile(path, f"https://drive.google.com/uc?id={key}", None, f"drive:{key}") for path, key in files]
 
 

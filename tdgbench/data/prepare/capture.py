@@ -104,13 +104,13 @@ def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale:
     if not kinds:
         raise too_few(folder, 0, report)
     if len(kinds) > 1:
-        found = [
+        described = [
             f"{len(views)} with {kind} ({views[0]} …)"
             for kind, views in sorted(kinds.items(), key=lambda item: -len(item[1]))
         ]
         raise SceneError(
-            f"{folder} holds views of different cameras or settings: {'; '.join(found[:4])}. One scene is of one pair "
-            "of cameras in one orientation: prepare each kind from a folder of its own"
+            f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
+            "pair of cameras in one orientation: prepare each kind from a folder of its own"
         )
     (capture.kind,) = kinds
     report.rgb_size, report.thermal_size = capture.kind.rgb, capture.kind.thermal

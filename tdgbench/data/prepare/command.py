@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     say(report.text().rstrip())
     if arguments.no_sfm:
         return 0 if report.is_complete else 1
-    say(f"train: tdgbench method=splat dataset=folder data.root={arguments.out}")
+    say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
     return 0 if report.is_complete else 1
 
 

@@ -43,14 +43,14 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
     if not is_folder(folder):
         raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
     if pairs is not None:
-        found = _pair(*(_matching(folder, pattern) for pattern in pairs))
+        sources = _pair(*(_matching(folder, pattern) for pattern in pairs))
     elif is_folder(folder / "thermal") and is_folder(folder / "rgb"):
-        found = _pair(find_files(folder / "thermal")[0], find_files(folder / "rgb")[0])
+        sources = _pair(find_files(folder / "thermal")[0], find_files(folder / "rgb")[0])
     else:
-        found = _by_content(folder / "raw_images" if is_folder(folder / "raw_images") else folder)
-    if not found.views:
-        raise SceneError(_nothing_found(folder, pairs, found))
-    return found
+        sources = _by_content(folder / "raw_images" if is_folder(folder / "raw_images") else folder)
+    if not sources.views:
+        raise SceneError(_nothing_found(folder, pairs, sources))
+    return sources
 
 
 def _matching(folder: Path, pattern: str) -> dict[str, Path]:
@@ -58,12 +58,12 @@ def _matching(folder: Path, pattern: str) -> dict[str, Path]:
     before, star, after = pattern.partition("*")
     if not star or "*" in after or Path(pattern).is_absolute() or ".." in Path(pattern).parts:
         raise SceneError(f"--pairs: {pattern!r} must be a path below {folder} with one * for the view's name")
-    found = {}
+    views = {}
     for path in sorted(folder.glob(f"{glob.escape(before)}*{glob.escape(after)}")):
         name = path.relative_to(folder).as_posix()
         view = check_view_name(name[len(before) : len(name) - len(after)], f"{folder}: the file {name!r}")
-        found[view] = path
-    return found
+        views[view] = path
+    return views
 
 
 def _pair(thermal: dict[str, Path], rgb: dict[str, Path]) -> Sources:
@@ -95,8 +95,8 @@ def _by_content(folder: Path) -> Sources:
             left_out[path] = f"{kind[path.stem].name} is the same view; remove one of them"
         else:
             kind[path.stem] = path
-    found = _pair(thermal, rgb)
-    return Sources(found.views, {**left_out, **found.left_out})
+    pairs = _pair(thermal, rgb)
+    return Sources(pairs.views, {**left_out, **pairs.left_out})
 
 
 def _may_hold_photo(path: Path) -> bool:
@@ -106,8 +106,8 @@ def _may_hold_photo(path: Path) -> bool:
         return False
 
 
-def _nothing_found(folder: Path, pairs: tuple[str, str] | None, found: Sources) -> str:
-    reasons = "; ".join(f"{path.name}: {reason}" for path, reason in list(found.left_out.items())[:2])
+def _nothing_found(folder: Path, pairs: tuple[str, str] | None, sources: Sources) -> str:
+    reasons = "; ".join(f"{path.name}: {reason}" for path, reason in list(sources.left_out.items())[:2])
     what = f"{folder} holds no pair of thermal and RGB images" + (f" ({reasons})" if reasons else "")
     if pairs is not None:
         return f"{what}; {pairs[0]!r} and {pairs[1]!r} must match files of equal view names"

@@ -23,9 +23,9 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     Cells that lack the same prior have one line. Raises SystemExit(1) if a cell failed, a scene was missing, or tables
     or report could not be written.
     """
-    problem, found = None, list[str]()
+    problem, findings = None, list[str]()
     try:
-        found = _write_all(Path(cfg.results) / cfg.name)
+        findings = _write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(count_outcomes(outcomes))
@@ -35,7 +35,7 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     without_prior = [outcome.message.splitlines()[0] for outcome in outcomes if outcome.status == "no prior"]
     for message in dict.fromkeys(without_prior):
         say(f"{_cells(without_prior.count(message))} without a depth prior: {message}", "failed:")
-    show_findings(found)
+    show_findings(findings)
     if problem is not None:
         say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
     if problem is not None or any(outcome.status in FAILED for outcome in outcomes):

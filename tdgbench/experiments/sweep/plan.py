@@ -103,8 +103,8 @@ def _has_result(cfg: DictConfig, chosen: dict[str, str], place: Description, var
     if not seed.isdigit():  # the job will say what is wrong
         return False
     record = Record(method, place.dataset, place.scene, init, int(seed), name, variant)
-    found = readable_record(cell_folder_of(Path(chosen.get("results", cfg.results)) / name, record))
-    return found is not None and found.status == "ok"
+    stored = readable_record(cell_folder_of(Path(chosen.get("results", cfg.results)) / name, record))
+    return stored is not None and stored.status == "ok"
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:

@@ -142,10 +142,10 @@ def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
 
     jobs: their number, where it is known. One that left no readable outcome has failed.
     """
-    found = numbered_outcomes(hydra_folder)
-    silent = sorted(set(range(jobs or 0)) - set(found))[: max(0, (jobs or 0) - len(found))]
-    found |= {number: Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}") for number in silent}
-    return [found[number] for number in sorted(found)]
+    outcomes = numbered_outcomes(hydra_folder)
+    silent = sorted(set(range(jobs or 0)) - set(outcomes))[: max(0, (jobs or 0) - len(outcomes))]
+    outcomes |= {number: Outcome("failed", f"job {number}", f"left no outcome in {hydra_folder}") for number in silent}
+    return [outcomes[number] for number in sorted(outcomes)]
 
 
 def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:

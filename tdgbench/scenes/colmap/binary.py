@@ -102,19 +102,19 @@ class _Cursor:
 
 def read_cameras(path: Path) -> list[CameraEntry]:
     """Read the rows of cameras.bin. Raises SceneError."""
-    file, found = _Cursor(path), []
+    file, cameras = _Cursor(path), []
     for _ in file.rows("camera", CAMERA.size):
         camera_id, model, width, height = file.take(CAMERA)
         if model not in camera_models():
             raise file.damaged(f"{file.row} has an unknown model id {model}")
         name, size = camera_models()[model]
-        found.append(CameraEntry(camera_id, name, width, height, file.take(Struct(f"<{size}d"))))
-    return found
+        cameras.append(CameraEntry(camera_id, name, width, height, file.take(Struct(f"<{size}d"))))
+    return cameras
 
 
 def read_images(path: Path) -> list[ImageEntry]:
     """Read the rows of images.bin. Raises SceneError."""
-    file, found = _Cursor(path), []
+    file, images = _Cursor(path), []
     for _ in file.rows("image", IMAGE.size + 1 + COUNT.size):
         image_id, *pose, camera_id = file.take(IMAGE)
         name = file.name()
@@ -123,10 +123,10 @@ def read_images(path: Path) -> list[ImageEntry]:
         file.at += points.nbytes
         point_ids = points["point"].copy()
         compared = to_compare(point_ids)
-        found.append(
+        images.append(
             ImageEntry(image_id, PoseEntry.of(pose), camera_id, name, point_ids, compared, points["xy"][compared])
         )
-    return found
+    return images
 
 
 def read_points(path: Path) -> Points:
@@ -167,7 +167,7 @@ def _starts_of_points(file: _Cursor, count: int) -> np.ndarray:
 
 def read_rigs(path: Path) -> list[RigEntry]:
     """Read the rows of rigs.bin. Raises SceneError."""
-    file, found = _Cursor(path), []
+    file, rigs = _Cursor(path), []
     for _ in file.rows("rig", 2 * UINT.size):
         (rig_id,) = file.take(UINT)
         sensors: dict[Sensor, PoseEntry | None] = {}
@@ -179,18 +179,18 @@ def read_rigs(path: Path) -> list[RigEntry]:
             if has_pose not in (0, 1):
                 raise file.damaged(f"{file.row} has {has_pose} where 0 or 1 says whether a sensor has a pose")
             sensors[sensor] = PoseEntry.of(file.take(POSE)) if has_pose else None
-        found.append(RigEntry(rig_id, sensors))
-    return found
+        rigs.append(RigEntry(rig_id, sensors))
+    return rigs
 
 
 def read_frames(path: Path) -> list[FrameEntry]:
     """Read the rows of frames.bin. Raises SceneError."""
-    file, found = _Cursor(path), []
+    file, frames = _Cursor(path), []
     for _ in file.rows("frame", FRAME.size + UINT.size):
         frame_id, rig_id, *pose = file.take(FRAME)
         data = []
         for _ in range(file.count(UINT, "data ids", DATA.size)):
             sensor = file.sensor()
             data.append((sensor, file.take(COUNT)[0]))
-        found.append(FrameEntry(frame_id, rig_id, PoseEntry.of(pose), data))
-    return found
+        frames.append(FrameEntry(frame_id, rig_id, PoseEntry.of(pose), data))
+    return frames

@@ -139,9 +139,9 @@ def camera_models() -> dict[int, tuple[str, int]]:
 
 def by_id(path: Path, rows: list, what: str) -> dict:
     """Return the rows by id. Raises DamagedModelError if two have the same."""
-    found = {row.id: row for row in rows}
-    if len(found) < len(rows):
+    rows_by_id = {row.id: row for row in rows}
+    if len(rows_by_id) < len(rows):
         seen: set[int] = set()
         twice = next(row.id for row in rows if row.id in seen or seen.add(row.id))  # type: ignore[func-returns-value]
         raise DamagedModelError(path, f"it holds {what} {twice} twice")
-    return found
+    return rows_by_id

@@ -136,21 +136,21 @@ def _complete(path: Path, rows: Sized) -> None:
 
 def read_cameras(path: Path) -> list[CameraEntry]:
     """Read the rows of cameras.txt. Raises SceneError."""
-    sizes, found = dict(camera_models().values()), []
+    sizes, cameras = dict(camera_models().values()), []
     for line in _lines(path):
         camera_id, model = line.integer(), line.word()
         if model not in sizes:
             raise line.damaged(f"has an unknown camera model {model!r}")
         width, height = line.integers(2, 2**64 - 1)
-        found.append(CameraEntry(camera_id, model, width, height, tuple(line.floats(sizes[model]))))
+        cameras.append(CameraEntry(camera_id, model, width, height, tuple(line.floats(sizes[model]))))
         line.end()
-    _complete(path, found)
-    return found
+    _complete(path, cameras)
+    return cameras
 
 
 def read_images(path: Path) -> list[ImageEntry]:
     """Read the rows of images.txt: two lines each, the second of 2-D points or empty. Raises SceneError."""
-    lines, found, at = _text_lines(path), [], 0
+    lines, images, at = _text_lines(path), [], 0
     while at < len(lines):
         text = lines[at]
         at += 1
@@ -162,9 +162,9 @@ def read_images(path: Path) -> list[ImageEntry]:
         name = text.split(maxsplit=9)[9].strip()
         points = _Line(path, at + 1, lines[at] if at < len(lines) else "")
         at += 1
-        found.append(ImageEntry(image_id, pose, camera_id, name, *_points2D(points)))
-    _complete(path, found)
-    return found
+        images.append(ImageEntry(image_id, pose, camera_id, name, *_points2D(points)))
+    _complete(path, images)
+    return images
 
 
 def _points2D(line: _Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -254,7 +254,7 @@ def _tracks(rows: list[str]) -> tuple[np.ndarray, np.ndarray]:
 
 def read_rigs(path: Path) -> list[RigEntry]:
     """Read the rows of rigs.txt. Raises SceneError."""
-    found = []
+    rigs = []
     for line in _lines(path):
         rig_id, count = line.integer(), line.integer()
         sensors: dict[Sensor, PoseEntry | None] = {}
@@ -267,19 +267,19 @@ def read_rigs(path: Path) -> list[RigEntry]:
         if len(sensors) < count:
             raise line.damaged(f"counts {count} sensors, but has {len(sensors)}")
         line.end()
-        found.append(RigEntry(rig_id, sensors))
-    _complete(path, found)
-    return found
+        rigs.append(RigEntry(rig_id, sensors))
+    _complete(path, rigs)
+    return rigs
 
 
 def read_frames(path: Path) -> list[FrameEntry]:
     """Read the rows of frames.txt. Raises SceneError."""
-    found = []
+    frames = []
     for line in _lines(path):
         frame_id, rig_id, pose, count = line.integer(), line.integer(), PoseEntry.of(line.floats(7)), line.integer()
         if line.left() != 3 * count:
             raise line.damaged(f"counts {count} data ids, but has {line.left() / 3:g}")
         data = [(line.sensor(), line.integer(2**64 - 1)) for _ in range(count)]
-        found.append(FrameEntry(frame_id, rig_id, pose, data))
-    _complete(path, found)
-    return found
+        frames.append(FrameEntry(frame_id, rig_id, pose, data))
+    _complete(path, frames)
+    return frames

@@ -68,8 +68,8 @@ def _find(folder: Path) -> SceneFiles:
         )
     unwarped = {}
     if pictures and is_folder(folder / UNWARPED):
-        found = find_files(folder / UNWARPED, PICTURES)[0]
-        unwarped = {name: path for name, path in found.items() if name in pictures}
+        originals = find_files(folder / UNWARPED, PICTURES)[0]
+        unwarped = {name: path for name, path in originals.items() if name in pictures}
     photos = _rgb_folder(folder)
     model = find_model(folder, MODELS, TITLE)
     return SceneFiles(

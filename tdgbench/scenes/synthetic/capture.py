@@ -212,7 +212,7 @@ class CaptureErrors:
 
     noise_degC: of the temperatures. drift_degC: of the offset of a view's temperatures. pose_degrees: of the turn of a
     given camera from the true one, about each of its axes. pose_units: of its displacement along each axis, in world
-    units (m). camera: what the thermal camera adds. gradient_degC: no error, but what makes a camera's errors hard to
+    units (m). thermal_camera: what it adds. gradient_degC: no error, but what makes a camera's errors hard to
     tell from the scene: how much warmer the far end of `field`, `hills` and `wall` is than the near one, along their
     long axis. The other scenes have none, and stay as they are. rig: how the thermal camera differs from the given one.
     """
@@ -221,22 +221,22 @@ class CaptureErrors:
     drift_degC: DegC = 0.0
     pose_degrees: Annotated[float, Field(ge=0, le=45)] = 0.0
     pose_units: Annotated[float, Field(ge=0, le=10)] = 0.0
-    camera: ThermalErrors = field(default_factory=ThermalErrors)
+    thermal_camera: ThermalErrors = field(default_factory=ThermalErrors)
     gradient_degC: Annotated[float, Field(ge=-100, le=100)] = 0.0
     rig: TrueRig = field(default_factory=TrueRig)
 
     @property
     def has_truth(self) -> bool:
         """True if the thermal camera has errors of all pixels of a view or of all views, or is not the given one."""
-        return self.drift_degC > 0 or self.camera != ThermalErrors() or self.rig != TrueRig()
+        return self.drift_degC > 0 or self.thermal_camera != ThermalErrors() or self.rig != TrueRig()
 
     def drifts(self, views: int, seed: int) -> np.ndarray:
         """Return offsets (views,) of the views' temperatures, °C."""
         return self.drift_degC * np.random.default_rng([seed, STREAM, 0]).normal(size=views)
 
-    def thermal_camera(self, size: tuple[int, int], span: tuple[float, float], views: int, seed: int) -> TrueCamera:
+    def drawn_camera(self, size: tuple[int, int], span: tuple[float, float], views: int, seed: int) -> TrueCamera:
         """Return the thermal camera of a capture. size: width, height in px. span: °C of the world."""
-        return self.camera.drawn(size, span, self.drifts(views, seed), [seed, STREAM, 2])
+        return self.thermal_camera.drawn(size, span, self.drifts(views, seed), [seed, STREAM, 2])
 
     def given(self, cameras: list[Camera], seed: int) -> list[Camera]:
         """Return the cameras as the scene's files give them; the true ones if there are no pose errors."""

@@ -72,7 +72,7 @@ class SyntheticDataset:
         name = next(iter(WORLDS)) if name is None else check_scene_name(name)
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
-        title = "synthetic_degC" if self.shot.errors.camera.encoding == "degC" else "synthetic"
+        title = "synthetic_degC" if self.shot.errors.thermal_camera.encoding == "degC" else "synthetic"
         return Description(name, title, WORLDS[name](self.shot.seed).group)
 
     def load(self, name: str | None) -> Scene:
@@ -126,14 +126,14 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
     """
     rng = np.random.default_rng(shot.seed)
     cameras = shot.cameras(world, rng)
-    camera = shot.errors.thermal_camera((shot.width, shot.height), world.temperatures, len(cameras), shot.seed)
+    camera = shot.errors.drawn_camera((shot.width, shot.height), world.temperatures, len(cameras), shot.seed)
     folder.parent.mkdir(parents=True, exist_ok=True)
     private = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     part = private / folder.name  # its permissions follow the umask; those of `private` do not
     try:
         for sub in ("rgb", "depth", "temperature"):
             (part / sub).mkdir(parents=True)
-        thermal = ThermalFiles(part, world, shot.errors.camera.files)
+        thermal = ThermalFiles(part, world, shot.errors.thermal_camera.files)
         names, images = [], []
         for index, place in enumerate(cameras):
             name = f"view{index:03d}"

@@ -215,10 +215,10 @@ class Patches:
         return self._each(points, Material.temperature, np.zeros(len(points)))
 
     def _each(
-        self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], found: np.ndarray
+        self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], values: np.ndarray
     ) -> np.ndarray:
         """Fill `found` (N, ...) with the value of each point's material."""
         owner = cKDTree(self.sites).query(points[:, :2])[1]
         for index in np.unique(owner):
-            found[owner == index] = value(self.materials[index], points[owner == index])
-        return found
+            values[owner == index] = value(self.materials[index], points[owner == index])
+        return values

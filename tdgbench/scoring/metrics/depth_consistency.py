@@ -25,21 +25,21 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
     there, projected = other_camera.project(world)
     x, y = (np.floor(np.nan_to_num(there[:, i], nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int) for i in (0, 1))
     inside = (projected > 0) & (x >= 0) & (x < other_camera.width) & (y >= 0) & (y < other_camera.height)
-    found = other_depth[y[inside], x[inside]]
-    known = found > 0
+    there = other_depth[y[inside], x[inside]]
+    known = there > 0
     if known.sum() < MIN_OVERLAP * depth.size:
         return None
-    return float(np.median(np.abs(found[known] / projected[inside][known] - 1)))
+    return float(np.median(np.abs(there[known] / projected[inside][known] - 1)))
 
 
 def _against_nearest(shown: ScoredView) -> float:
     """Return the depth consistency with the nearest other test view."""
     nearest = shown.nearest_test_view()
     depth, other = _known(shown.rendered.depth, shown.view), _known(shown.renders[nearest.name].depth, nearest)
-    found = depth_consistency(depth, shown.view.camera, other, nearest.camera)
-    if found is None:
+    error = depth_consistency(depth, shown.view.camera, other, nearest.camera)
+    if error is None:
         raise NotApplicableError(f"view {shown.view.name} and its neighbour hardly overlap")
-    return found
+    return error
 
 
 def _known(depth: np.ndarray, view: View) -> np.ndarray:

@@ -11,8 +11,8 @@ from tdgbench.scoring.scored_view import ScoredView
 
 def mae_degC_without_offset(shown: ScoredView) -> float:
     """Return the mean absolute difference in °C from the median difference, the offset that makes it least."""
-    found = differences(shown)
-    return float(np.abs(found - np.median(found)).mean())
+    values = differences(shown)
+    return float(np.abs(values - np.median(values)).mean())
 
 
 METRIC = ViewMetric(

@@ -93,8 +93,8 @@ class CpuBackend(Backend):
         degree = -1 if sh_degree is None else sh_degree
         probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
         images = []
-        for part, some in _passes(colors.shape[-1], options):
-            settings = _settings(camera, part.stop - part.start, degree, some)
+        for part, of_pass in _passes(colors.shape[-1], options):
+            settings = _settings(camera, part.stop - part.start, degree, of_pass)
             parameters = (means, quats, scales, opacities, colors[..., part].contiguous())
             image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, settings)
             images.append(image)

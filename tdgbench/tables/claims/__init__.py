@@ -63,16 +63,16 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
-        found = check(claim, evidence)
+        finding = check(claim, evidence)
     except MissingError as error:
         return Finding(UNDECIDED, str(error))
-    parts = [found.grounds]
+    parts = [finding.grounds]
     if check in OF_TABLES:
         parts.append(evidence.note)
     if "gain" in claim:
         metrics = claim["metrics"] if "metrics" in claim else [claim["metric"]]
         parts.append(gain_against_spread(evidence.main, metrics, claim["gain"]))
-    return Finding(found.verdict, "; ".join(part for part in parts if part))
+    return Finding(finding.verdict, "; ".join(part for part in parts if part))
 
 
 def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
@@ -81,7 +81,7 @@ def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence
     for claim in claims:
         row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}
         for side, evidence in (("published", published), ("ours", ours)):
-            found = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
-            row |= {side: found.verdict, f"{side}_seen": found.grounds}
+            finding = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
+            row |= {side: finding.verdict, f"{side}_seen": finding.grounds}
         rows.append(row)
     return pd.DataFrame(rows)

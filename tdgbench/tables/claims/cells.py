@@ -58,10 +58,10 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
         for m in methods.paper_pair()
     )
     pairs = [Pair(cell, old[place]) for place, cell in new.items()]
-    found = [part for metric in claim["metrics"] for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
-    if not found:
+    findings = [part for metric in claim["metrics"] for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
+    if not findings:
         raise MissingError(f"no pair of {' and '.join(methods.paper_pair())}")
-    return all_of(found)
+    return all_of(findings)
 
 
 def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -90,13 +90,13 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that depth explains more than `share` of the time that TDg saves, of log(time of MSMG / time of TDg).
 
     A chain of changes leads from MSMG at its longest to TDg at its shortest, and their logarithms add up: fewer
-    iterations (MSMG at TDg's length), no RGB model (splat_smooth, which also weighs its loss by 1 and uses the
+    iterations (MSMG at TDg's length), no RGB model (3dgs_smooth, which also weighs its loss by 1 and uses the
     smoothness of eq. 6), depth (TDg).
     """
     _need_cells(claim, evidence)
     links = _links(evidence.cells)
     if not links:
-        raise MissingError("no cells of tdg, splat_smooth (TDg without depth) and msmg on one machine")
+        raise MissingError("no cells of tdg, 3dgs_smooth (TDg without depth) and msmg on one machine")
     scenes = [scene for scene, _ in links]
     chain = np.array([link for _, link in links])
     total = gain_interval(scenes, chain.sum(axis=1))
@@ -122,16 +122,16 @@ def _need_cells(claim: Claim, evidence: ClaimEvidence) -> None:
 
 def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, Side]]) -> Finding:
     _need_cells(claim, evidence)
-    found = []
+    findings = []
     for mine, other in sides:
         pairs = make_pairs(evidence.cells, mine, other)
         for name, margin in claim["margins"].items():
             for budget in sorted({pair.mine.budget for pair in pairs}):
-                found += _gain(claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.budget == budget])
-    if not found:
+                findings += _gain(claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.budget == budget])
+    if not findings:
         sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
         raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
-    result = all_of(found)
+    result = all_of(findings)
     return Finding(result.verdict, "; ".join([result.grounds, *([claim["note"]] if "note" in claim else [])]))
 
 
@@ -182,14 +182,14 @@ def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, fl
         if cell.record.init == COLMAP and cell.record.seconds.get("train"):
             of_method = times.setdefault((cell.setup, cell.record.seed, cell.machine), {})
             of_method.setdefault(cell.record.method, {}).setdefault(cell.budget, cell)
-    found = []
+    ratios = []
     for (setup, _, _), by_method in times.items():
-        tdg, smooth, msmg = (by_method.get(method, {}) for method in ("tdg", "splat_smooth", "msmg"))
+        tdg, smooth, msmg = (by_method.get(method, {}) for method in ("tdg", "3dgs_smooth", "msmg"))
         equal = tdg.keys() & smooth.keys() & msmg.keys()
         if not equal or min(equal) != min(tdg) or longest[setup] not in msmg:
             continue
         length = min(equal)
         chain = (msmg[longest[setup]], msmg[length], smooth[length], tdg[length])
         logs = [np.log(cell.record.seconds["train"]) for cell in chain]
-        found.append((chain[0].scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
-    return found
+        ratios.append((chain[0].scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
+    return ratios

@@ -130,13 +130,13 @@ def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
 
     The paper has 10 000 and 30 000.
     """
-    found: dict[tuple[str, str], int] = {}
+    budgets: dict[tuple[str, str], int] = {}
     for method, pick in zip(methods.paper_pair(), (min, max), strict=True):
         for cell in cells:
             if cell.record.method == method and cell.record.init == "colmap":
                 place = (method, cell.setup)
-                found[place] = pick(found.get(place, cell.budget), cell.budget)
-    return found
+                budgets[place] = pick(budgets.get(place, cell.budget), cell.budget)
+    return budgets
 
 
 def _is_plain(record: Record) -> bool:

@@ -118,12 +118,12 @@ def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
     exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
     for scene in _scenes(evidence, claim["dataset"]):
-        for metric, found in exceptions.items():
+        for metric, texts in exceptions.items():
             new, old = _pair(evidence, scene, metric)
             if _gain(new, old, metric) <= 0:
-                found.append(f"{scene} {old:.{digits(metric)}f} → {new:.{digits(metric)}f}")
-    fits = all(len(found) <= claim["exceptions"].get(metric, 0) for metric, found in exceptions.items())
-    parts = [f"{metric}: {', '.join(found)}" for metric, found in exceptions.items() if found]
+                texts.append(f"{scene} {old:.{digits(metric)}f} → {new:.{digits(metric)}f}")
+    fits = all(len(texts) <= claim["exceptions"].get(metric, 0) for metric, texts in exceptions.items())
+    parts = [f"{metric}: {', '.join(texts)}" for metric, texts in exceptions.items() if texts]
     return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
 
@@ -187,16 +187,16 @@ def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     rounding = [
         _tolerance(evidence, metric, scene) for metric, scene in zip(table["metric"], table["scene"], strict=True)
     ]
-    found = check_averages(table.assign(half_unit=rounding))
-    if found.empty:
+    checked = check_averages(table.assign(half_unit=rounding))
+    if checked.empty:
         raise MissingError("no averages")
-    for row in found[found["verdict"] == UNKNOWN].itertuples():
+    for row in checked[checked["verdict"] == UNKNOWN].itertuples():
         raise MissingError(f"{row.scene} of {row.dataset or 'all'} cannot be recomputed")
     off = [
         f"{row.method} {row.dataset} {row.metric}: {row.mean:.4f}, not {row.printed}"
-        for row in found[found["verdict"] == OFF].itertuples()
+        for row in checked[checked["verdict"] == OFF].itertuples()
     ]
-    return Finding(FAILS if off else HOLDS, "; ".join(off) if off else f"all {len(found)} follow, within rounding")
+    return Finding(FAILS if off else HOLDS, "; ".join(off) if off else f"all {len(checked)} follow, within rounding")
 
 
 def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:

@@ -60,7 +60,7 @@ def experiment(data_root, *overrides):
 def test_a_curve_is_sampled_along_a_training(data_root):
     cfg = experiment(data_root)
     runs = runs_of(cfg)
-    assert [run.method for run in runs] == ["msmg", "thermal", "thermal", "thermal", "tdg", "tdg"]
+    assert [run.method for run in runs] == ["msmg", "msmg_thermal", "msmg_thermal", "msmg_thermal", "tdg", "tdg"]
     found = sample_curve(cfg, "turntable", runs[-1], 3)
     assert list(found["iteration"]) == [7]  # a third of 20: fewer than the first sample
     found = sample_curve(cfg, "turntable", runs[2], 3)
@@ -138,8 +138,8 @@ def test_a_run_has_the_budget_that_it_names(data_root):
 
 
 def test_an_unknown_method_is_named(data_root):
-    with pytest.raises(ValueError, match="no method 'splat' among msmg, thermal, tdg"):
-        runs_of(experiment(data_root, "job.runs=[{label: x, method: splat}]"))
+    with pytest.raises(ValueError, match="no method '3dgs' among msmg, msmg_thermal, tdg"):
+        runs_of(experiment(data_root, "job.runs=[{label: x, method: 3dgs}]"))
 
 
 def test_tables_and_pictures(tmp_path, data_root, capsys):

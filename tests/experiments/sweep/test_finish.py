@@ -13,7 +13,7 @@ def test_a_failure_is_one_line_at_the_end_and_the_other_results_are_complete(tmp
     (root / "spoiled" / "thermal" / "view004.png").write_bytes(b"broken")
     shutil.rmtree(root / "gray" / "rgb")
     run = command_here(
-        tmp_path, "-m", "dataset=folder", f"data.root={root}", "scene=good,spoiled,gray", "method=splat,msmg",
+        tmp_path, "-m", "dataset=folder", f"data.root={root}", "scene=good,spoiled,gray", "method=3dgs,msmg",
         "budget=demo", "budget.iterations=10", "metrics.lpips.download=false",
     )  # fmt: skip
     assert run.returncode == 1 and "Traceback" not in run.stderr
@@ -26,6 +26,6 @@ def test_a_failure_is_one_line_at_the_end_and_the_other_results_are_complete(tmp
 
 def test_a_report_that_cannot_be_written_is_an_error(tmp_path, data_root):
     (tmp_path / "results" / "single" / "report.html").mkdir(parents=True)  # in the way
-    run = command_here(tmp_path, "method=splat", "scene=turntable", f"data.root={data_root}", *QUICK)
+    run = command_here(tmp_path, "method=3dgs", "scene=turntable", f"data.root={data_root}", *QUICK)
     assert run.returncode == 1
     assert "1 cell run" in run.stdout and "error: cannot write tables and report: IsADirectoryError" in run.stdout

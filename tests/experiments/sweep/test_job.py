@@ -59,7 +59,7 @@ def test_a_job_without_a_readable_outcome_has_failed(tmp_path):
     ],
 )
 def test_a_job_with_a_wrong_option_fails_alone(tmp_path, data_root, swept, wrong, records):
-    run = command_here(tmp_path, "-m", "method=splat", "scene=turntable", f"data.root={data_root}", *QUICK, swept)
+    run = command_here(tmp_path, "-m", "method=3dgs", "scene=turntable", f"data.root={data_root}", *QUICK, swept)
     assert run.returncode == 1 and "2 cells run, 0 already there, 1 failed" in run.stdout, run.stderr[-3000:]
     assert "failed: " in run.stdout and wrong in run.stdout
     assert len(read_all(tmp_path / "results" / "single")) == records
@@ -76,7 +76,7 @@ def test_a_plan_that_another_sweep_replaces_does_not_merge_cells(tmp_path, data_
             (folder / "experiment.json").write_text("{", encoding="utf-8")
 
     monkeypatch.setattr(Plan, "write", write_and_lose)
-    sweep = ("budget.iterations=4,6", "method=splat", "scene=turntable", f"data.root={data_root}")
+    sweep = ("budget.iterations=4,6", "method=3dgs", "scene=turntable", f"data.root={data_root}")
     run = command_here(tmp_path, "-m", *QUICK, *sweep)
     assert "2 cells run" in run.stdout and "experiment.json is not the plan of a sweep" in run.stdout
     assert len(read_all(tmp_path / "results" / "single")) == 2

@@ -9,11 +9,11 @@ from tests.helpers.configs import QUICK
 
 
 def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
-    sweep = ("-m", *QUICK, f"data.root={data_root}", "method=splat,msmg", "scene=turntable")
+    sweep = ("-m", *QUICK, f"data.root={data_root}", "method=3dgs,msmg", "scene=turntable")
     first = command_here(tmp_path, *sweep, "seed=1")
     assert first.returncode == 0, first.stderr[-3000:]
     assert "single: 2 cells: 2 to run, 0 with a result, 0 without data\n" in first.stderr
-    title = "splat on synthetic/turntable, colmap, seed 1"
+    title = "3dgs on synthetic/turntable, colmap, seed 1"
     assert re.search(rf"^{title}: starts, 12 iterations on 8 training views$", first.stderr, re.MULTILINE)
     scores = r"PSNR \d+\.\d\d dB, SSIM 0\.\d{3}, LPIPS n/a, trained in 0:00:\d\d"
     assert re.search(rf"^{title}: done, {scores}$", first.stderr, re.MULTILINE)
@@ -31,7 +31,7 @@ def test_names_in_quotes_and_scenes_that_are_missing(tmp_path, small_scene):
     root = tmp_path / "captures"
     root.mkdir()
     (root / "1.10").symlink_to(small_scene.train[0].thermal_path.parents[1])
-    sweep = ("dataset=folder", f"data.root={root}", "scene='1.10',absent", "method=splat", "budget=demo",
+    sweep = ("dataset=folder", f"data.root={root}", "scene='1.10',absent", "method=3dgs", "budget=demo",
              "budget.iterations=3", "metrics.lpips.download=false")  # fmt: skip
     for more, state in (("", "to run"), ("", "with a result"), ("overwrite=always", "to run")):
         run = command_here(tmp_path, "-m", *sweep, *more.split())

@@ -40,7 +40,7 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     root = tmp_path / "data" / "RGBT-Scenes"
     for name in ("RoadBlock", "Truck"):
         shutil.copytree(small_scene.train[0].thermal_path.parents[1], root / name)
-    words = ("+experiment=table1", "scene=RoadBlock,Truck", "method=splat,tdg", f"data.root={tmp_path / 'data'}", *FAST)
+    words = ("+experiment=table1", "scene=RoadBlock,Truck", "method=3dgs,tdg", f"data.root={tmp_path / 'data'}", *FAST)
     run = command_here(tmp_path, *words)
     assert run.returncode == 1 and "Traceback" not in run.stderr
     assert run.stderr.count("prior=marigold is not available") == 1
@@ -53,7 +53,7 @@ def test_table_1_without_the_paper_s_prior(tmp_path, small_scene, no_packages):
     assert len(ends) == 1 and ends[0].startswith("failed: 2 cells without a depth prior: prior: prior=marigold is not")
     records = {(r.method, r.scene): r for r in read_all(tmp_path / "results" / "table1")}
     assert {key: r.status for key, r in records.items()} == {
-        (m, s): "ok" if m == "splat" else "failed" for m in ("splat", "tdg") for s in ("RoadBlock", "Truck")
+        (m, s): "ok" if m == "3dgs" else "failed" for m in ("3dgs", "tdg") for s in ("RoadBlock", "Truck")
     }
     assert "failed in prior: PriorUnavailableError: prior=marigold is not" in records["tdg", "Truck"].why_failed
 

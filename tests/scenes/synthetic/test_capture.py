@@ -11,7 +11,7 @@ DEFAULT = {  # fingerprints without options of errors
     "facade": "b1db1818408336be",
 }  # fmt: skip
 
-CAMERA = {"camera": ThermalErrors(gain=0.05)}
+CAMERA = {"thermal_camera": ThermalErrors(gain=0.05)}
 
 
 def load(root, **errors):
@@ -56,4 +56,7 @@ def test_each_set_of_errors_has_a_folder(tmp_path):
 
 def test_only_errors_of_the_camera_have_a_truth():
     assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
-    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(camera=ThermalErrors(pattern_degC=1.0)).has_truth
+    assert (
+        CaptureErrors(drift_degC=1.0).has_truth
+        and CaptureErrors(thermal_camera=ThermalErrors(pattern_degC=1.0)).has_truth
+    )

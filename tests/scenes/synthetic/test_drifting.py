@@ -77,10 +77,10 @@ def test_what_has_no_temperatures_is_an_error(data_root):
 def test_a_capture_is_read_with_the_options_of_dataset_folder(data_root):
     folder = small_dataset(data_root).folder("turntable")
     small_dataset(data_root).load("turntable")
-    cfg = config("dataset=drifting", f"data.root={folder}", "seed=3", "data.width=24", "method=splat")
+    cfg = config("dataset=drifting", f"data.root={folder}", "seed=3", "data.width=24", "method=3dgs")
     scene = instantiate(cfg.dataset.loader).load(None)
     assert scene.train[0].thermal.shape == (18, 24, 1) and scene.temperature.max > 42
-    other = config("dataset=drifting", "data.root=elsewhere", "seed=3", "data.width=24", "method=splat")
+    other = config("dataset=drifting", "data.root=elsewhere", "seed=3", "data.width=24", "method=3dgs")
     method = instantiate(cfg.method.method)
     assert relevant_config(cfg, method) == relevant_config(other, method)
 

@@ -10,7 +10,7 @@ FULL = {"width": 48, "height": 36, "views": 40, "points": 2000}  # as many views
 
 
 def load(root, name, **camera):
-    errors = CaptureErrors(camera=ThermalErrors(**camera))
+    errors = CaptureErrors(thermal_camera=ThermalErrors(**camera))
     return SyntheticDataset(str(root), ReadOptions(), **FULL, errors=errors).load(name)
 
 

@@ -88,7 +88,7 @@ def test_files_are_in_degC_if_the_camera_has_errors():
 
 @pytest.mark.parametrize("wrong", ["gain=2", "encoding=jpeg", "shutter_views=-1", "walk_degC=nan"])
 def test_options_are_checked_where_they_enter(wrong):
-    option = f"dataset.loader.errors.camera.{wrong}"
-    check_options(config("dataset=synthetic", "dataset.loader.errors.camera.encoding=agc"))
+    option = f"dataset.loader.errors.thermal_camera.{wrong}"
+    check_options(config("dataset=synthetic", "dataset.loader.errors.thermal_camera.encoding=agc"))
     with pytest.raises(OptionError, match=option.partition("=")[0]):
         check_options(config("dataset=synthetic", option))

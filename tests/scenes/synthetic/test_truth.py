@@ -12,7 +12,7 @@ SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
 
 
 def load(root, name="turntable", noise_degC=0.0, drift_degC=0.0, **camera):
-    errors = CaptureErrors(noise_degC=noise_degC, drift_degC=drift_degC, camera=ThermalErrors(**camera))
+    errors = CaptureErrors(noise_degC=noise_degC, drift_degC=drift_degC, thermal_camera=ThermalErrors(**camera))
     return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=errors).load(name)
 
 

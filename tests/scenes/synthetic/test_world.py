@@ -9,7 +9,7 @@ SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
 
 
 def load(root, name, **errors):
-    capture = CaptureErrors(camera=ThermalErrors(encoding="degC"), **errors)
+    capture = CaptureErrors(thermal_camera=ThermalErrors(encoding="degC"), **errors)
     return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=capture).load(name)
 
 

@@ -67,16 +67,16 @@ def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
     assert check_claim(claim, ours(*short)).verdict == HOLDS
     found = check_claim(claim, ours(*short, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), iterations=3000)))
     assert found.verdict == FAILS
-    assert "psnr, tdg − splat_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.grounds
-    assert "psnr, tdg − splat_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.grounds
+    assert "psnr, tdg − 3dgs_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.grounds
+    assert "psnr, tdg − 3dgs_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.grounds
 
 
 def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     claim = CLAIMS["fewer-floaters"]
     grounds = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
-    assert "floaters, tdg − splat_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in grounds
+    assert "floaters, tdg − 3dgs_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in grounds
     grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
-    assert "prunes, tdg / splat_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in grounds
+    assert "prunes, tdg / 3dgs_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
@@ -94,7 +94,7 @@ def test_times_of_other_machines_do_not_compare(tmp_path):
     for one in cells:
         one.record.environment = {"cpu": one.record.method}
     found = check_claim(claim, ours(*cells))
-    assert found.verdict == UNDECIDED and found.grounds.startswith("no pair of thermal and msmg")
+    assert found.verdict == UNDECIDED and found.grounds.startswith("no pair of msmg_thermal and msmg")
 
 
 def test_shares_below_the_margin_fail(tmp_path):
@@ -172,7 +172,7 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
     ],
 )
 def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, expected):
-    times = {("msmg", 3000): 400.0, ("msmg", 1000): 100.0, ("splat_smooth", 1000): smooth, ("tdg", 1000): 24.5}
+    times = {("msmg", 3000): 400.0, ("msmg", 1000): 100.0, ("3dgs_smooth", 1000): smooth, ("tdg", 1000): 24.5}
     claim = CLAIMS["speed-from-depth"]
     found = check_claim(claim, ours(*chain(tmp_path, times)))
     assert found.verdict == verdict and expected in found.grounds, found.grounds
@@ -180,11 +180,11 @@ def test_the_speed_up_is_shared_among_its_causes(tmp_path, smooth, verdict, expe
 
 def test_attribution_needs_a_sure_speed_up_and_every_link(tmp_path):
     claim = CLAIMS["speed-from-depth"]
-    slow = {("msmg", 1000): 100.0, ("splat_smooth", 1000): 120.0, ("tdg", 1000): 140.0}
+    slow = {("msmg", 1000): 100.0, ("3dgs_smooth", 1000): 120.0, ("tdg", 1000): 140.0}
     found = check_claim(claim, ours(*chain(tmp_path, slow)))
     assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG 1.41" in found.grounds
-    lacking = {("msmg", 3000): 100.0, ("splat_smooth", 1000): 50.0, ("tdg", 1000): 9.0}  # MSMG at 1000
-    assert "no cells of tdg, splat_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).grounds
+    lacking = {("msmg", 3000): 100.0, ("3dgs_smooth", 1000): 50.0, ("tdg", 1000): 9.0}  # MSMG at 1000
+    assert "no cells of tdg, 3dgs_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).grounds
 
 
 def test_better_overall_is_decided_on_pairs(tmp_path):

@@ -8,17 +8,17 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
 from tdgbench.tables.claims.pairs import Interval, Side, all_of, counts_in_words, gain_interval, judge_gain, make_pairs
 from tests.tables.claims.small_cells import cell
 
-TDG, SMOOTH = Side("tdg", "colmap"), Side("splat_smooth", "colmap")
+TDG, SMOOTH = Side("tdg", "colmap"), Side("3dgs_smooth", "colmap")
 
 
 def test_cells_pair_where_nothing_else_differs(tmp_path):
     mine = cell(tmp_path, "tdg", seed=1)
-    other = cell(tmp_path, "splat_smooth", seed=1)
+    other = cell(tmp_path, "3dgs_smooth", seed=1)
     lone = [
-        cell(tmp_path, "splat_smooth", seed=2),
-        cell(tmp_path, "splat_smooth", seed=1, scene="b"),
-        cell(tmp_path, "splat_smooth", seed=1, iterations=3000),
-        cell(tmp_path, "splat_smooth", seed=1, init="random"),
+        cell(tmp_path, "3dgs_smooth", seed=2),
+        cell(tmp_path, "3dgs_smooth", seed=1, scene="b"),
+        cell(tmp_path, "3dgs_smooth", seed=1, iterations=3000),
+        cell(tmp_path, "3dgs_smooth", seed=1, init="random"),
     ]
     assert [tuple(pair) for pair in make_pairs([*lone, mine, other], TDG, SMOOTH)] == [(mine, other)]
     assert make_pairs([mine, *lone], TDG, SMOOTH) == []
@@ -29,7 +29,7 @@ def test_cells_pair_where_nothing_else_differs(tmp_path):
     [{"data": "other"}, {"split": "folder"}, {"iterations": 900}, {"config": {"skip": {"sh": True}}}],
 )
 def test_what_keeps_cells_apart(tmp_path, change):
-    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "splat_smooth")
+    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "3dgs_smooth")
     mine.record.config = other.record.config = {"budget": {"iterations": 1000}, "method": {}}
     assert len(make_pairs([mine, other], TDG, SMOOTH)) == 1
     for name, value in change.items():
@@ -38,7 +38,7 @@ def test_what_keeps_cells_apart(tmp_path, change):
 
 
 def test_method_prior_and_budget_name_do_not_keep_cells_apart(tmp_path):
-    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "splat_smooth")
+    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "3dgs_smooth")
     mine.record.config |= {"prior": {"name": "marigold"}, "method": {"name": "tdg"}, "seed": 0}
     mine.record.config["budget"]["name"] = "paper"
     assert len(make_pairs([mine, other], TDG, SMOOTH)) == 1
@@ -46,7 +46,7 @@ def test_method_prior_and_budget_name_do_not_keep_cells_apart(tmp_path):
 
 def test_a_cell_of_two_experiments_counts_once(tmp_path):
     first, again = cell(tmp_path, "tdg"), cell(tmp_path, "tdg")
-    other = cell(tmp_path, "splat_smooth")
+    other = cell(tmp_path, "3dgs_smooth")
     assert [tuple(pair) for pair in make_pairs([first, again, other], TDG, SMOOTH)] == [(first, other)]
 
 

@@ -11,7 +11,7 @@ from numba import int64
 from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.harmonics import view_direction, write_basis
-from tdgbench.splats.cpu.raster.parameters import LOG2_E, opacity_and_log2, staged
+from tdgbench.splats.cpu.raster.parameters import LOG2_E, gathered_column, opacity_and_log2
 from tdgbench.splats.cpu.raster.projection import exact_image_point, footprint_of, screen_radius
 from tdgbench.splats.cpu.raster.tiles import SLACK, Ellipse, PixelBox
 from tdgbench.splats.cpu.raster.types import (
@@ -55,13 +55,13 @@ VALID, KEEP, Z, WIDE, HIGH, SLOPE, CUT, DET, U_SINGLE, V_SINGLE, GROUP = range(F
 
 
 @kernel(inline=True)
-def project_group(group, stage, raw, camera, limits, has_nan):
-    """Write the registers of the Gaussians in `stage`, without colours; returns their means and has_nan.
+def project_group(group, gathered, raw, camera, limits, has_nan):
+    """Write the registers of the Gaussians in `gathered`, without colours; returns their means and has_nan.
 
     has_nan: a register, above zero in lanes that met a NaN. raw: before activation.
     """
-    footprint = footprint_of(stage, raw, camera)
-    opacity, log2_opacity = opacity_and_log2(stage, raw)
+    footprint = footprint_of(gathered, raw, camera)
+    opacity, log2_opacity = opacity_and_log2(gathered, raw)
     (x, y, z), (a, b, c), det = footprint.point, footprint.covariance, footprint.det
     one, zero = broadcast(ONE), broadcast(ZERO)
     # opacity and determinant carry what scales and quaternions hold
@@ -130,21 +130,21 @@ def write_box(group, u, v, wide, high, keep, camera):
 
 
 @kernel(inline=True)
-def write_channels(group, stage, channels, mean, camera, basis):
+def write_channels(group, gathered, channels, mean, camera, basis):
     """Write the registers of the channels: colours as given (degree −1) or from spherical harmonics, and depth.
 
     basis (16 · LANES,) float32 is scratch.
     """
     if channels.degree < 0:
         for c in range(channels.colors):
-            store(group, (CHANNELS + c) * LANES, staged(stage, COLORS_AT + c))
+            store(group, (CHANNELS + c) * LANES, gathered_column(gathered, COLORS_AT + c))
     else:
         x, y, z, _ = view_direction(mean, camera)
         write_basis(x, y, z, channels.degree, basis)
         for c in range(channels.colors):
             total = broadcast(HALF)
             for b in range((channels.degree + 1) * (channels.degree + 1)):
-                total = total + load(basis, b * LANES) * staged(stage, COLORS_AT + b * channels.colors + c)
+                total = total + load(basis, b * LANES) * gathered_column(gathered, COLORS_AT + b * channels.colors + c)
             dark = greater(broadcast(ZERO), total)  # not so for NaN, which must show
             store(group, (CHANNELS + c) * LANES, select(dark, broadcast(ZERO), total))
     if channels.depth:

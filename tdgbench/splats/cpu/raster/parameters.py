@@ -1,6 +1,6 @@
 """The parameters of LANES Gaussians as registers, activated.
 
-They are first collected in `stage`, (STAGE · LANES,) float32: column c of `tdgbench.splats.columns` at c · LANES.
+They are first collected in `gathered`, (GATHERED · LANES,) float32: column c of `tdgbench.splats.columns` at c · LANES.
 `rows` (n,) int32 and `k` name the Gaussians rows[k], rows[k + 1], …; `parameter` is a `Columns`.
 """
 
@@ -30,7 +30,7 @@ F = np.float32
 ZERO, ONE, TWO = F(0), F(1), F(2)
 LOG2_E = F(math.log2(math.e))
 LARGEST_EXPONENT = F(126)
-STAGE = padded(COLORS_AT + 16 * 4)  # registers: a Gaussian of degree 3 with four channels
+GATHERED = padded(COLORS_AT + 16 * 4)  # registers: a Gaussian of degree 3 with four channels
 SHORTEST = F(1e-12)  # quaternions are divided by no less, as torch does
 
 
@@ -54,52 +54,52 @@ def three_columns(parameter, rows, k, offset):
 
 
 @kernel(inline=True)
-def collect(parameters, rows, k, colors, stage):
-    """Fill `stage` with the Gaussians rows[k …] of `Parameters`, `colors` numbers of their colours."""
+def collect(parameters, rows, k, colors, gathered):
+    """Fill `gathered` with the Gaussians rows[k …] of `Parameters`, `colors` numbers of their colours."""
     if parameters.raw:  # rows of `tdgbench.splats.columns`
         values, stride = parameters.means.values, parameters.means.stride
         for c in range(0, COLORS_AT + colors, LANES):
-            gather_block(values, rows, k, stride, c, stage, c * LANES)
+            gather_block(values, rows, k, stride, c, gathered, c * LANES)
     else:
-        collect_columns(parameters.means, rows, k, MEANS_AT, 3, stage)
-        collect_columns(parameters.quats, rows, k, QUATS_AT, 4, stage)
-        collect_columns(parameters.scales, rows, k, SCALES_AT, 3, stage)
-        collect_columns(parameters.opacities, rows, k, OPACITY_AT, 1, stage)
-        collect_columns(parameters.colors, rows, k, COLORS_AT, colors, stage)
+        collect_columns(parameters.means, rows, k, MEANS_AT, 3, gathered)
+        collect_columns(parameters.quats, rows, k, QUATS_AT, 4, gathered)
+        collect_columns(parameters.scales, rows, k, SCALES_AT, 3, gathered)
+        collect_columns(parameters.opacities, rows, k, OPACITY_AT, 1, gathered)
+        collect_columns(parameters.colors, rows, k, COLORS_AT, colors, gathered)
 
 
 @kernel(inline=True)
-def collect_columns(parameter, rows, k, at, count, stage):
-    """Put `count` columns of a parameter into `stage`, from `at` on."""
+def collect_columns(parameter, rows, k, at, count, gathered):
+    """Put `count` columns of a parameter into `gathered`, from `at` on."""
     for c in range(count):
-        store(stage, (at + c) * LANES, column(parameter, rows, k, c))
+        store(gathered, (at + c) * LANES, column(parameter, rows, k, c))
 
 
 @kernel(inline=True)
-def staged(stage, c):
+def gathered_column(gathered, c):
     """Column c."""
-    return load(stage, c * LANES)
+    return load(gathered, c * LANES)
 
 
 @kernel(inline=True)
-def staged_3(stage, c):
+def gathered_columns(gathered, c):
     """Columns c, c + 1, c + 2."""
-    return load(stage, c * LANES), load(stage, (c + 1) * LANES), load(stage, (c + 2) * LANES)
+    return load(gathered, c * LANES), load(gathered, (c + 1) * LANES), load(gathered, (c + 2) * LANES)
 
 
 @kernel(inline=True)
-def deviations(stage, raw):
-    """Standard deviations along the three axes, world units; `raw`: `stage` holds their natural logarithms."""
-    s0, s1, s2 = staged_3(stage, SCALES_AT)
+def deviations(gathered, raw):
+    """Standard deviations along the three axes, world units; `raw`: `gathered` holds their natural logarithms."""
+    s0, s1, s2 = gathered_columns(gathered, SCALES_AT)
     if raw:
         s0, s1, s2 = exponential(s0), exponential(s1), exponential(s2)
     return s0, s1, s2
 
 
 @kernel(inline=True)
-def opacity_and_log2(stage, raw):
-    """Opacity and its log2; `raw`: `stage` holds the logit x: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
-    opacity = staged(stage, OPACITY_AT)
+def opacity_and_log2(gathered, raw):
+    """Opacity and its log2; `raw`: `gathered` holds the logit x: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
+    opacity = gathered_column(gathered, OPACITY_AT)
     if raw:
         inverse = exponential(ZERO - opacity) + ONE
         opacity = divide(ONE, inverse)
@@ -110,10 +110,10 @@ def opacity_and_log2(stage, raw):
 
 
 @kernel(inline=True)
-def rotation(stage):
+def rotation(gathered):
     """Rows of the rotation matrix of a quaternion (wxyz), its normalised parts, and 1 / |quaternion|."""
-    w = staged(stage, QUATS_AT)
-    x, y, z = staged_3(stage, QUATS_AT + 1)
+    w = gathered_column(gathered, QUATS_AT)
+    x, y, z = gathered_columns(gathered, QUATS_AT + 1)
     length = square_root(w * w + x * x + y * y + z * z)
     n = divide(ONE, select(greater(broadcast(SHORTEST), length), broadcast(SHORTEST), length))
     w, x, y, z = w * n, x * n, y * n, z * n

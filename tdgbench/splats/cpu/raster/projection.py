@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.splats.columns import MEANS_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.parameters import deviations, rotation, staged_3
+from tdgbench.splats.cpu.raster.parameters import deviations, gathered_columns, rotation
 from tdgbench.splats.cpu.simd.registers import (
     broadcast,
     divide,
@@ -140,14 +140,14 @@ class Footprint(NamedTuple):
 
 
 @kernel(inline=True)
-def footprint_of(stage, raw, camera):
-    """Footprint of the Gaussians in `stage`; raw: before activation.
+def footprint_of(gathered, raw, camera):
+    """Footprint of the Gaussians in `gathered`; raw: before activation.
 
     The mean is loaded last: LLVM orders the terms of a sum by their loads, and so chooses which products are fused.
     """
-    axes, quat, per_length = rotation(stage)
-    s0, s1, s2 = deviations(stage, raw)
-    mean = staged_3(stage, MEANS_AT)
+    axes, quat, per_length = rotation(gathered)
+    s0, s1, s2 = deviations(gathered, raw)
+    mean = gathered_columns(gathered, MEANS_AT)
     x, y, z = camera_point(mean, camera)
     rz = divide(ONE, z)
     tx, ty = clamped_ray(x, y, rz, camera)

@@ -17,7 +17,7 @@ from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
 from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
 from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
-from tdgbench.splats.cpu.raster.parameters import STAGE, collect, staged
+from tdgbench.splats.cpu.raster.parameters import GATHERED, collect, gathered_column
 from tdgbench.splats.cpu.raster.projection import footprint_of
 from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch, turn_sums
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
@@ -46,13 +46,13 @@ NO_ROWS = GradientArrays(np.zeros(0, np.int32), np.zeros((0, 0), np.float32), np
 class GradientScratch(NamedTuple):
     """A thread's buffers for one group of LANES splats; they hold registers."""
 
-    stage: np.ndarray  # (STAGE · LANES,) float32: parameters
+    gathered: np.ndarray  # (GATHERED · LANES,) float32: parameters
     totals: np.ndarray  # (SLOT · LANES,) float32: sums over each splat's slots
     basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
     pull: np.ndarray  # (16 · LANES,) float32: gradients of the basis functions
-    gradient: np.ndarray  # (STAGE · LANES,) float32: by column; those not in use stay 0
+    gradient: np.ndarray  # (GATHERED · LANES,) float32: by column; those not in use stay 0
     image: np.ndarray  # (3 · LANES,) float32: gradient of the image mean, and screen radius
-    rows: np.ndarray  # (STAGE · LANES,) float32: the gradients row by row
+    rows: np.ndarray  # (GATHERED · LANES,) float32: the gradients row by row
 
 
 @kernel()
@@ -63,13 +63,13 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     taken where it is active.
     """
     scratch = GradientScratch(
-        aligned_floats(STAGE * LANES),
+        aligned_floats(GATHERED * LANES),
         aligned_floats(SLOT * LANES),
         aligned_floats(16 * LANES),
         aligned_floats(16 * LANES),
-        aligned_floats(STAGE * LANES),
+        aligned_floats(GATHERED * LANES),
         aligned_floats(3 * LANES),
-        aligned_floats(STAGE * LANES),
+        aligned_floats(GATHERED * LANES),
     )
     batch = Batch(aligned_floats(BATCH * SLOT), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32))
     n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
@@ -78,7 +78,7 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     while r < first + count:
         filled, r = fill_batch(batch, r, first + count, splats, slots, parameters, channels, step)
         for k in range(0, filled, LANES):
-            collect(parameters, batch.gaussian_ids, k, colors, scratch.stage)
+            collect(parameters, batch.gaussian_ids, k, colors, scratch.gathered)
             turn_sums(batch, k, scratch.totals)
             write_gradient(parameters.raw, channels, camera, splats.values, batch.splat_ids, k, scratch)
             if step.active:
@@ -121,7 +121,7 @@ def write_gradient(raw, channels, camera, splats, splat_ids, k, scratch):
     raw: gradients of parameters before activation. splats (n, 16) float32.
     """
     totals, out, image = scratch.totals, scratch.gradient, scratch.image
-    footprint = footprint_of(scratch.stage, raw, camera)
+    footprint = footprint_of(scratch.gathered, raw, camera)
     scales = footprint.scales
     opacity = gather(splats, splat_ids, k, FLOATS, OPACITY)
     t0 = load(totals, 0)
@@ -184,7 +184,7 @@ def harmonics_gradient(g_mean, mean, channels, camera, splats, splat_ids, k, scr
         for b in range(n_bases):
             at = b * channels.colors + c
             store(scratch.gradient, (COLORS_AT + at) * LANES, load(scratch.basis, b * LANES) * g)
-            coefficient = staged(scratch.stage, COLORS_AT + at)
+            coefficient = gathered_column(scratch.gathered, COLORS_AT + at)
             store(scratch.pull, b * LANES, load(scratch.pull, b * LANES) + coefficient * g)
     gx, gy, gz = g_mean
     if channels.degree > 0:

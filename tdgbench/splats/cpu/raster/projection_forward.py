@@ -27,7 +27,7 @@ from tdgbench.splats.cpu.raster.group import (
     write_boxes,
     write_channels,
 )
-from tdgbench.splats.cpu.raster.parameters import STAGE, collect
+from tdgbench.splats.cpu.raster.parameters import GATHERED, collect
 from tdgbench.splats.cpu.raster.source import GaussianSource, Span
 from tdgbench.splats.cpu.raster.tiles import TILE, list_box, list_tiles
 from tdgbench.splats.cpu.raster.types import FLOATS, RADIUS, Projected, Settings, Splats
@@ -60,7 +60,7 @@ class ViewSettings(NamedTuple):
 class ProjectionScratch(NamedTuple):
     """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
 
-    stage: np.ndarray  # (STAGE · LANES,) float32: parameters
+    gathered: np.ndarray  # (GATHERED · LANES,) float32: parameters
     group: np.ndarray  # (GROUP · LANES,) float32
     basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
     rows: np.ndarray  # (FLOATS · LANES,) float32: splats, one after the other
@@ -136,13 +136,13 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
     channels, camera, limits, raw = view.channels, view.camera, view.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
     scratch = ProjectionScratch(
-        aligned_floats(STAGE * LANES),
+        aligned_floats(GATHERED * LANES),
         aligned_floats(GROUP * LANES),
         aligned_floats(16 * LANES),
         aligned_floats(FLOATS * LANES),
         np.zeros(4 * LANES, np.int32),
     )
-    stage, group, rows, boxes = scratch.stage, scratch.group, scratch.rows, scratch.boxes
+    gathered, group, rows, boxes = scratch.gathered, scratch.group, scratch.rows, scratch.boxes
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
     # a reference in the loop costs an atomic operation
@@ -154,9 +154,9 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
         apply_steps(stale, candidates, k)
     for k in range(first, end, LANES):
         prefetch_group(parameters, stale, bases * channels.colors, candidates, k + PREFETCH_DISTANCE, end)
-        collect(parameters, candidates, k, bases * channels.colors, stage)
-        mean, has_nan = project_group(group, stage, raw, camera, limits, has_nan)
-        write_channels(group, stage, channels, mean, camera, scratch.basis)
+        collect(parameters, candidates, k, bases * channels.colors, gathered)
+        mean, has_nan = project_group(group, gathered, raw, camera, limits, has_nan)
+        write_channels(group, gathered, channels, mean, camera, scratch.basis)
         turn_splats(group, rows)
         write_boxes(group, boxes)
         in_use = (U(1) << U(min(LANES, end - k))) - U(1)

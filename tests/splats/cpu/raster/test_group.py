@@ -19,7 +19,7 @@ from tdgbench.splats.cpu.raster.group import (
     write_boxes,
     write_channels,
 )
-from tdgbench.splats.cpu.raster.parameters import STAGE, collect
+from tdgbench.splats.cpu.raster.parameters import GATHERED, collect
 from tdgbench.splats.cpu.raster.tiles import Ellipse
 from tdgbench.splats.cpu.raster.types import (
     CHANNELS,
@@ -48,10 +48,10 @@ WIDTH, HEIGHT = 60, 44
 @kernel()
 def fill_group(parameters, channels, camera, limits, group):
     """The registers of the first LANES Gaussians; returns whether any is NaN."""
-    stage, basis = aligned_floats(STAGE * LANES), aligned_floats(16 * LANES)
-    collect(parameters, np.arange(LANES).astype(np.int32), 0, channels.colors, stage)
-    mean, has_nan = project_group(group, stage, False, camera, limits, broadcast(F(0)))
-    write_channels(group, stage, channels, mean, camera, basis)
+    gathered, basis = aligned_floats(GATHERED * LANES), aligned_floats(16 * LANES)
+    collect(parameters, np.arange(LANES).astype(np.int32), 0, channels.colors, gathered)
+    mean, has_nan = project_group(group, gathered, False, camera, limits, broadcast(F(0)))
+    write_channels(group, gathered, channels, mean, camera, basis)
     return any_positive(has_nan)
 
 

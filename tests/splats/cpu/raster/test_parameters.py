@@ -2,7 +2,7 @@ import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, OPACITY_AT, SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.parameters import STAGE, collect, deviations, opacity_and_log2
+from tdgbench.splats.cpu.raster.parameters import GATHERED, collect, deviations, opacity_and_log2
 from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, put_column
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -12,11 +12,11 @@ COUNT = 25 * LANES
 
 @kernel()
 def activate_all(rows, parameters, out):
-    stage = aligned_floats(STAGE * LANES)
+    gathered = aligned_floats(GATHERED * LANES)
     for k in range(0, rows.shape[0], LANES):
-        collect(parameters, rows, k, 1, stage)
-        opacity, logarithm = opacity_and_log2(stage, True)
-        s0, s1, s2 = deviations(stage, True)
+        collect(parameters, rows, k, 1, gathered)
+        opacity, logarithm = opacity_and_log2(gathered, True)
+        s0, s1, s2 = deviations(gathered, True)
         put_column(out, k, 5, 0, opacity)
         put_column(out, k, 5, 1, logarithm)
         put_column(out, k, 5, 2, s0)
@@ -26,11 +26,11 @@ def activate_all(rows, parameters, out):
 
 @kernel()
 def collect_all(rows, parameters, colors, out):
-    stage = aligned_floats(STAGE * LANES)
+    gathered = aligned_floats(GATHERED * LANES)
     for k in range(0, rows.shape[0], LANES):
-        collect(parameters, rows, k, colors, stage)
+        collect(parameters, rows, k, colors, gathered)
         for c in range(out.shape[1]):
-            put_column(out, k, out.shape[1], c, load(stage, c * LANES))
+            put_column(out, k, out.shape[1], c, load(gathered, c * LANES))
 
 
 def test_rows_and_arrays_are_collected_alike():

@@ -4,7 +4,7 @@ import torch
 
 from tdgbench.splats.backends import reference
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.parameters import STAGE, collect
+from tdgbench.splats.cpu.raster.parameters import GATHERED, collect
 from tdgbench.splats.cpu.raster.projection import footprint_of, screen_radius
 from tdgbench.splats.cpu.raster.source import source_of_arrays
 from tdgbench.splats.cpu.raster.types import pack_camera
@@ -17,10 +17,10 @@ COUNT = 25 * LANES
 
 @kernel()
 def project_all(rows, parameters, camera, out):
-    stage = aligned_floats(STAGE * LANES)
+    gathered = aligned_floats(GATHERED * LANES)
     for k in range(0, rows.shape[0], LANES):
-        collect(parameters, rows, k, 1, stage)
-        footprint = footprint_of(stage, False, camera)
+        collect(parameters, rows, k, 1, gathered)
+        footprint = footprint_of(gathered, False, camera)
         (x, y, z), (a, b, c) = footprint.point, footprint.covariance
         u, v = x * footprint.rz * camera.fx + camera.cx, y * footprint.rz * camera.fy + camera.cy
         put_column(out, k, 8, 0, u)

@@ -1,4 +1,4 @@
-"""The work of a cell, stage by stage, from loading its scene to writing its folder."""
+"""The work of a cell, phase by phase, from loading its scene to writing its folder."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class CellRun(SetupObserver):
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
-        self.current = "options"  # name of the current stage
+        self.current = "options"  # name of the current phase
         self.is_locked = False  # whether this run holds the cell's lock
         self.remarks: list[str] = []  # what did not work, but changes no result
 
@@ -80,10 +80,10 @@ class CellRun(SetupObserver):
         return cell_folder_of(self.experiment, self.record)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a stage, which the terminal and a failure name."""
+    def phase(self, name: str) -> Iterator[None]:
+        """Time a phase, which the terminal and a failure name."""
         self.current = name
-        self.progress.stage(name)
+        self.progress.phase(name)
         start = time.perf_counter()
         yield
         self.record.seconds[name] = round(self.record.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
@@ -91,13 +91,15 @@ class CellRun(SetupObserver):
     def count(self, done: int, total: int) -> None:
         self.progress.count(done, total)
 
-    def note_camera(self, facts: Facts, notes: list[str]) -> None:
-        self.record.camera["estimated"] = facts
+    def note_thermal_camera(self, facts: Facts, notes: list[str]) -> None:
+        self.record.thermal_camera["estimated"] = facts
         self.record.notes += notes
 
     def note_rig(self, trial: RigTrial) -> None:
-        self.record.camera["rig"] = asdict(trial)
-        self.record.notes.append(f"camera: the rig is {'learnt' if trial.pays else 'not learnt'}: {trial.reason}")
+        self.record.thermal_camera["rig"] = asdict(trial)
+        self.record.notes.append(
+            f"thermal camera: the rig is {'learnt' if trial.pays else 'not learnt'}: {trial.reason}"
+        )
 
     def note_prior(self, description: dict[str, object]) -> None:
         self.record.prior = description
@@ -118,7 +120,7 @@ class CellRun(SetupObserver):
     def identify(self) -> IdentifiedCell:
         """Compute the cell's key, for which no image is decoded, and make the method."""
         cfg, record = self.cfg, self.record
-        with self.stage("load"):
+        with self.phase("load"):
             dataset, skips = self.locate()
             cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
             record.config = relevant_config(cfg, cell.method)
@@ -129,7 +131,7 @@ class CellRun(SetupObserver):
     def load(self, cell: IdentifiedCell) -> Scene:
         """Load the scene. While that fails, the cell has no key, so that the next run tries again."""
         key, self.record.key = self.record.key, ""
-        with self.stage("load"):
+        with self.phase("load"):
             scene = cell.outline.read()
         self.record.key = key
         return scene
@@ -144,7 +146,7 @@ class CellRun(SetupObserver):
         priors = self._cache("priors", "depth priors were")
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
         self._describe_images(ready.scored)
-        with self.stage("train"):
+        with self.phase("train"):
             checkpoint = self._open_checkpoint()
             log = checkpoint.resume(ready.trainer)
             try:
@@ -161,15 +163,15 @@ class CellRun(SetupObserver):
         record = self.record
         trainer, scene, response, log, checkpoint, scorer = trained
         with whole_folder(self.folder) as part:
-            with self.stage("render"):
+            with self.phase("render"):
                 renders = render_views(trainer, scene.test, response)
                 write_renders(renders, scene.test, part)
-            with self.stage("score"):
+            with self.phase("score"):
                 scores = scorer.score(scene, renders)
-            with self.stage("score_train"):
+            with self.phase("score_train"):
                 record.train_scores = score_training_views(trainer, scene, scorer, response)
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
-            with self.stage("write"):
+            with self.phase("write"):
                 for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, part / files_of(name).model)
                 write_parts(trainer, part)

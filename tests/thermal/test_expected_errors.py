@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.thermal.error_priors import FEWEST, PriorStds, fit_drift, sequence_positions, shutter_events
+from tdgbench.thermal.expected_errors import FEWEST, ExpectedErrors, fit_drift, sequence_positions, shutter_events
 from tdgbench.thermal.maps import TERMS
 
 PLACES = np.arange(60.0)
@@ -64,11 +64,11 @@ def test_no_drift_varies_more_than_cameras_do():
 
 
 def test_widths_of_images_without_temperatures_follow_their_contrast():
-    assert PriorStds.of("°C", 5.0) == PriorStds.of("°C", 0.1)
-    low, high = PriorStds.of("image", 0.1), PriorStds.of("image", 0.2)
+    assert ExpectedErrors.of("°C", 5.0) == ExpectedErrors.of("°C", 0.1)
+    low, high = ExpectedErrors.of("image", 0.1), ExpectedErrors.of("image", 0.2)
     assert (high.offsets, high.gains, high.vignette) == pytest.approx((2 * low.offsets, low.gains, 2 * low.vignette))
 
 
 def test_quadratic_terms_of_a_vignette_are_the_widest():
-    widths = dict(zip(TERMS, PriorStds(2.0, 0.05, 0.8).of_vignette(), strict=True))
+    widths = dict(zip(TERMS, ExpectedErrors(2.0, 0.05, 0.8).of_vignette(), strict=True))
     assert [widths[term] for term in ((1, 0), (1, 1), (0, 3), (2, 2))] == pytest.approx([0.4, 0.8, 0.4, 0.2])

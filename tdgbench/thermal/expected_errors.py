@@ -1,4 +1,4 @@
-"""Priors of a thermal camera: the size of its errors, and how they change over time.
+"""Errors to expect of a thermal camera, as the prior of the fit: their size, and how they change over time.
 
 Sparse points do not determine all parameters. If a camera moves along a surface, a linear vignette, offsets that are
 linear in the camera's position, and a linear gradient over the scene cancel in the images. In such directions the prior
@@ -38,7 +38,7 @@ def sequence_positions(names: Sequence[str]) -> dict[str, float]:
     return {name: place[name] for name in names}
 
 
-class PriorStds(NamedTuple):
+class ExpectedErrors(NamedTuple):
     """Standard deviations of a camera's errors, in the scene's unit, but of gains.
 
     vignette: of its quadratic terms, over the image; of linear ones half as much, of each degree above half of that
@@ -50,7 +50,7 @@ class PriorStds(NamedTuple):
     vignette: float
 
     @classmethod
-    def of(cls, unit: str, spread: float) -> PriorStds:
+    def of(cls, unit: str, spread: float) -> ExpectedErrors:
         """Return them for a unit. spread: standard deviation of the scene's values.
 
         In °C: uncooled cameras are off by up to ±5 °C in a flight (Kelly et al. 2019), and exact to some 5 % (FLIR
@@ -80,14 +80,14 @@ class Drift(NamedTuple):
         same = np.searchsorted(self.events, a)[:, None] == np.searchsorted(self.events, b)[None]
         return np.asarray(self.variance * (1 - self.jitter) * (1 + far) * np.exp(-far) * same)
 
-    def prior(self, positions: np.ndarray) -> np.ndarray:
+    def offset_covariance(self, positions: np.ndarray) -> np.ndarray:
         """Return the covariance (V, V) of the offsets at positions (V,)."""
         jitter = self.variance * max(self.jitter, JITTERS[0])
         return self.covariance(positions, positions) + jitter * np.eye(len(positions))
 
     def expected(self, at: np.ndarray, positions: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Interpolate the offsets (V,) of views at positions (V,) at other positions (A,) (Gaussian-process mean)."""
-        return np.asarray(self.covariance(at, positions) @ np.linalg.solve(self.prior(positions), offsets))
+        return np.asarray(self.covariance(at, positions) @ np.linalg.solve(self.offset_covariance(positions), offsets))
 
 
 def fit_drift(positions: np.ndarray, offsets: np.ndarray, known: np.ndarray, width: float) -> Drift:
@@ -116,6 +116,6 @@ def shutter_events(positions: np.ndarray, offsets: np.ndarray) -> tuple[float, .
 
 def _likelihood(drift: Drift, x: np.ndarray, y: np.ndarray) -> float:
     """Return the log likelihood of offsets, their variance being that which fits best."""
-    factor = cho_factor(drift.prior(x), lower=True)
+    factor = cho_factor(drift.offset_covariance(x), lower=True)
     spread = float(y @ cho_solve(factor, y)) / len(y)
     return -0.5 * len(y) * np.log(spread) - float(np.log(np.diag(factor[0])).sum())

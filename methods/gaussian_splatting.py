@@ -15,13 +15,13 @@ from tdgbench.training.losses import thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
-class Splat(Method):
+class GaussianSplatting(Method):
     """L = weight · ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth): 3DGS, eq. 7; ThermalGaussian.
 
     The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
-    name = "splat"
+    name = "3dgs"
 
     def __init__(
         self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
