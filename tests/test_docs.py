@@ -69,6 +69,7 @@ def test_named_experiments_and_tools_exist(page):
 def test_the_commands_page_is_complete():
     text = COMMANDS.read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE))
+    rows["method"] = (COMMANDS.parent / "methods.md").read_text(encoding="utf-8")
     for folder in (ROOT / "conf").iterdir():
         if folder.is_dir() and folder.name != "experiment":
             choices = {path.stem for path in folder.glob("*.yaml")}

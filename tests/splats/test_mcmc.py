@@ -36,7 +36,7 @@ def test_the_copies_look_like_the_one_they_share_from():
 
 @pytest.fixture
 def model(small_gray_scene):
-    return ready_to_train(small_gray_scene, "splat", 100, *MCMC).method.model
+    return ready_to_train(small_gray_scene, "3dgs", 100, *MCMC).method.model
 
 
 def test_a_round_moves_the_dead_and_grows_to_the_limit(model):
@@ -99,7 +99,7 @@ def test_the_gradients_are_those_of_the_regularised_loss(model, small_gray_scene
 
 
 def test_a_training_grows_to_its_limit_and_reports_it(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "splat", 60, *MCMC)
+    trainer = ready_to_train(small_gray_scene, "3dgs", 60, *MCMC)
     log = train(trainer)
     assert len(trainer.gaussians["thermal"]) == 330 and math.isfinite(log.lines[-1].loss)
     assert trainer.reports()["thermal"]["split"] == 0
