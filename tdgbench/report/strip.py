@@ -15,6 +15,8 @@ from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, error_map, middle_view, stored_mask
 
+MOST_BESIDE = 4  # methods whose errors are beside their renders
+
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
     """Draw renders of an experiment's finished cells; False if there are none. A picture that is unusable is n/a."""
@@ -23,16 +25,17 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
     methods = list(dict.fromkeys(r.method for r in done))
     if not done:
         return False
-    columns = 1 + 2 * len(methods)
-    figure = Figure(figsize=(2.4 * columns, 1.95 * len(scenes)), layout="constrained")
-    axes = figure.subplots(len(scenes), columns, squeeze=False)
-    for row, place in zip(axes, scenes, strict=True):
-        for axis in row:
-            axis.set_axis_off()
+    below = len(methods) > MOST_BESIDE  # errors have a row of their own
+    rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
+    figure = Figure(figsize=(2.4 * columns, 1.95 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for axis in axes.flat:
+        axis.set_axis_off()
+    for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
         for m, method in enumerate(methods):
             group = [r for r in done if (r.dataset, r.scene, r.split, r.method) == (*place, method)]
             if group:
-                axes_of_cell = row[0], row[1 + m], row[1 + len(methods) + m]
+                axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
                 draw_cell(axes_of_cell, group[0], cell_folder_of(experiment, group[0]), place_name(place, scenes))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from tdgbench.bench.record import Record
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
@@ -35,7 +37,15 @@ GAUSSIANS = RecordMeasure(
     name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
     of_record=lambda record: float(sum(record.gaussians.values())),
 )  # fmt: skip
-OF_RECORDS = (HOURS, GAUSSIANS)  # those that are `published` are columns of the main table
+PARAMETERS = RecordMeasure(
+    name="parameters", label="parameters", meaning="trained numbers of Gaussians and networks", digits=0, ratio=True,
+    of_record=lambda record: float(sum(report.get("parameters", 0) for report in record.parts.values()) or np.nan),
+)  # fmt: skip
+MEMORY = RecordMeasure(
+    name="memory_mb", label="memory", meaning="largest memory of the process that ran the cell", unit="MB", digits=0,
+    ratio=True, of_record=lambda record: np.nan if record.peak_rss_mb is None else record.peak_rss_mb,
+)  # fmt: skip
+OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `published` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
 MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 

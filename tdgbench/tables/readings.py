@@ -19,8 +19,10 @@ from tdgbench.tables.long_table import metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
+    MEMORY,
     OF_RECORDS,
     OVERALL,
+    PARAMETERS,
     PUBLISHED,
     PUBLISHED_SCORES,
     digits,
@@ -29,7 +31,8 @@ from tdgbench.tables.measures import (
 from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import half_width
 
-COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables
+COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
+SHOWN = (*PUBLISHED, "depth_consistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,

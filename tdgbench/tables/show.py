@@ -11,8 +11,8 @@ from rich.text import Text
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.long_table import first_points, mask_notes, split_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
-from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
+from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
+from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
 from tdgbench.text import one_line
@@ -134,14 +134,13 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 
     Single scenes are in readings.csv and effects.csv.
     """
-    table = Table("method", "iterations", "scene", *(measure(m).column for m in PUBLISHED), GAUSSIANS.label)
+    table = Table("method", "iterations", "scene", *(measure(m).column for m in SHOWN))
     for (method, iterations, scene), group in with_setup(widest_average(readings), "method").groupby(
         ["method", "iterations", "scene"], sort=False
     ):
         values = group.groupby("metric")["value"].mean()
-        texts = [as_text(m, values[m], str(scene)) if m in values else "n/a" for m in PUBLISHED]
-        gaussians = f"{values[GAUSSIANS.name]:.{GAUSSIANS.digits}f}"
-        table.add_row(_name(method), str(iterations), _name(scene), *texts, gaussians)
+        texts = [as_text(m, values[m], str(scene)) if m in values else "n/a" for m in SHOWN]
+        table.add_row(_name(method), str(iterations), _name(scene), *texts)
     console.print(table)
     heads, rows = changes_as_text(effects)
     table = Table(*heads)

@@ -145,7 +145,8 @@ class SplatModel(Part):
 
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
-        counts = {"gaussians": len(self), "cloned": self.work.cloned, "split": self.work.split}
+        size = {"gaussians": len(self), "parameters": self.state.values.numel()}
+        counts = {**size, "cloned": self.work.cloned, "split": self.work.split}
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}
         return {**counts, "pruned": self.work.pruned, **moved, **behind}
 
