@@ -1,1 +1,1 @@
-"""Data sets on disk: get the published ones, check what is there, prepare a scene of camera files."""
+"""Data sets on disk: get published ones, check what is there, make a scene of camera files, export one."""

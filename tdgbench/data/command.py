@@ -1,4 +1,4 @@
-"""`tdgbench data get|check|prepare`."""
+"""`tdgbench data get|check|prepare|export`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ ACTIONS = {
     "get": "download a published data set",
     "check": "say what is in a folder of scenes",
     "prepare": "make a scene of camera files",
+    "export": "write a scene as other systems read it",
 }
 
 

@@ -51,6 +51,11 @@ class Camera:
             pixels = local[:, :2] / z[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2]
         return pixels, z
 
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """Return which of the world points (N, 3) lie in front of the camera and in its image, (N,) bool."""
+        pixels, z = self.project(points)
+        return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
+
 
 @dataclass(frozen=True)
 class PointCloud:

@@ -11,17 +11,15 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-from tdgbench.bench.lock import file_lock
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
+from tdgbench.data.new_folder import new_folder
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
 from tdgbench.data.progress import step
-from tdgbench.files import whole_folder
 from tdgbench.scenes import Camera, PointCloud, SceneError
 from tdgbench.scenes.colmap import write_model
-from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, robust_range
 
@@ -52,17 +50,11 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with file_lock(out.with_name(f".{out.name}.lock")) as acquired:
-        if not acquired:
-            raise SceneError(f"another process is preparing {out}; wait for it, or choose another folder")
-        if is_there(out):
-            raise SceneError(f"{out} is there already; choose another folder, or remove it")
-        with whole_folder(out) as part:
-            report = Report(str(folder), str(out))
-            _prepare(folder, part, options, report)
-            (part / "report.txt").write_text(report.text(), encoding="utf-8")
-            (part / "report.json").write_text(report.json(), encoding="utf-8")
+    with new_folder(out) as part:
+        report = Report(str(folder), str(out))
+        _prepare(folder, part, options, report)
+        (part / "report.txt").write_text(report.text(), encoding="utf-8")
+        (part / "report.json").write_text(report.json(), encoding="utf-8")
     return report
 
 

@@ -109,27 +109,35 @@ def _missing(folder: Path) -> str:
     return f"it has no {', '.join(names)}"
 
 
-def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud) -> None:
-    """Write a binary COLMAP model of views (file name, camera), which share one K, and points."""
+def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud, observations: int = 0) -> None:
+    """Write a binary COLMAP model of views (file name, camera) and points. Views with one K and size share a camera.
+
+    observations: so many of the points that lie in a view's image, at most, are its 2D points, where they are projected
+    to; points that a surface hides are among them.
+    """
     model = pycolmap.Reconstruction()
+    cameras: dict[tuple[float, ...], int] = {}
+    tracks: list[list[pycolmap.TrackElement]] = [[] for _ in points.points]
     for index, (name, camera) in enumerate(views, start=1):
-        K = camera.K
-        if index == 1:
-            first = pycolmap.Camera(
-                model="PINHOLE",
-                width=camera.width,
-                height=camera.height,
-                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
-                camera_id=1,
+        K, width, height = camera.K, camera.width, camera.height
+        intrinsics = (width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        if intrinsics not in cameras:
+            number = cameras[intrinsics] = len(cameras) + 1
+            shared = pycolmap.Camera(
+                model="PINHOLE", width=width, height=height, params=list(intrinsics[2:]), camera_id=number
             )
-            model.add_camera_with_trivial_rig(first)
-        elif not np.array_equal(K, views[0][1].K):
-            raise ValueError("all views of a written model share one camera")
+            model.add_camera_with_trivial_rig(shared)
         rotation = pycolmap.Rotation3d(camera.world_to_camera[:3, :3])
         pose = pycolmap.Rigid3d(rotation, camera.world_to_camera[:3, 3])
-        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=index), pose)
+        seen = np.flatnonzero(camera.shows(points.points)) if observations else np.empty(0, int)
+        seen = seen[:: max(1, -(-len(seen) // max(1, observations)))]
+        pixels, _ = camera.project(points.points[seen])
+        image = pycolmap.Image(name=name, keypoints=pixels, camera_id=cameras[intrinsics], image_id=index)
+        model.add_image_with_trivial_frame(image, pose)
+        for place, point in enumerate(seen):
+            tracks[point].append(pycolmap.TrackElement(index, place))
     colors = np.round(points.colors * 255).astype(np.uint8)
-    for xyz, color in zip(points.points, colors, strict=True):
-        model.add_point3D(xyz, pycolmap.Track(), color)
+    for xyz, track, color in zip(points.points, tracks, colors, strict=True):
+        model.add_point3D(xyz, pycolmap.Track(track), color)
     folder.mkdir(parents=True, exist_ok=True)
     model.write_binary(str(folder))

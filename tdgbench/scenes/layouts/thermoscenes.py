@@ -42,7 +42,7 @@ def _find(folder: Path) -> SceneFiles:
         place = by_name.get(name) if stated is None else folder / stated
         if place is not None and is_there(place):
             thermal[name] = _image(place, f"{path}: frame {name}")
-        if is_there(folder / frame.file):
+        if frame.file != stated and is_there(folder / frame.file):
             rgb[name] = _image(folder / frame.file, f"{path}: frame {name}")
     if not thermal:
         raise SceneError(

@@ -237,6 +237,5 @@ def _share_in_images(points: np.ndarray, cameras: list[Camera]) -> float:
     """Return the share of the points (N, 3) that lie in front of a camera and in its image."""
     seen = np.zeros(len(points), bool)
     for camera in cameras:
-        pixels, z = camera.project(points)
-        seen |= (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1) & (z > 0)
+        seen |= camera.shows(points)
     return float(seen.mean())
