@@ -37,6 +37,7 @@ SCORES = (
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95
+CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]
 
 
 class Effect(NamedTuple):
@@ -164,8 +165,7 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
         if not both.empty:
             lengths_used = str(after[1]) if before[1] == after[1] else f"{before[1]} → {after[1]}"
             parts.append(_changes(both).assign(effect=name, iterations=lengths_used))
-    columns = ["effect", "iterations", "init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low",
-               "ci95_high", "seeds", "scenes"]  # fmt: skip
+    columns = ["effect", "iterations", *CHANGES]
     return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
 
 
@@ -187,20 +187,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
             kind = "ratio" if measure(str(metric)).ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
-    names = [
-        "init",
-        "split",
-        "dataset",
-        "scene",
-        "metric",
-        "kind",
-        "change",
-        "ci95_low",
-        "ci95_high",
-        "seeds",
-        "scenes",
-    ]
-    return pd.DataFrame(rows, columns=names)
+    return pd.DataFrame(rows, columns=CHANGES)
 
 
 def _interval(values: np.ndarray) -> tuple[float, float, float]:
