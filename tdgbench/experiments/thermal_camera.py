@@ -206,7 +206,7 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
     groups = cells.groupby(PLACE, sort=False)
     means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes")]].mean()
     means.insert(0, "seeds", groups["seed"].nunique())
-    return means.assign(**{f"{JUDGED}_error": groups[JUDGED].sem()}).reset_index()
+    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem()}).reset_index()
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
