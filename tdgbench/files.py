@@ -36,7 +36,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     its place; after a kill at any moment, `settle` leaves one of them there. The caller must hold a lock on `folder`.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    settle(folder)
+    finish_replacement(folder)
     part = _hidden(folder, str(os.getpid()))
     with named_errors(folder):
         part.mkdir()  # not tempfile.mkdtemp, whose folders are private to the user whatever the umask
@@ -54,10 +54,10 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 def put_in_place(content: Path, folder: Path) -> None:
     """Replace a folder by another one beside it, whose content is complete. The caller must hold a lock on `folder`."""
     content.replace(_hidden(folder, "new"))
-    settle(folder)
+    finish_replacement(folder)
 
 
-def settle(folder: Path) -> None:
+def finish_replacement(folder: Path) -> None:
     """Finish what a killed process began in `whole_folder`: put its complete new content in place, remove the rest.
 
     The caller must hold a lock on `folder`. Raises OSError if a folder cannot be renamed; no content is lost then.

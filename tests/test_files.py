@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tdgbench.files import settle, whole_file, whole_folder, write_text
+from tdgbench.files import finish_replacement, whole_file, whole_folder, write_text
 
 
 def test_a_file_is_whole_or_not_at_all(tmp_path):
@@ -95,7 +95,7 @@ def test_a_kill_between_renames_loses_nothing(tmp_path, monkeypatch, number, con
         killed_at_rename(number, patch)
         with whole_folder(target) as part:
             (part / "model.ply").write_text("two")
-    settle(target)
+    finish_replacement(target)
     assert (target / "model.ply").read_text() == content
     assert list(tmp_path.iterdir()) == [target]
 
@@ -125,7 +125,7 @@ def test_a_folder_that_cannot_be_put_in_place_leaves_the_old_one(tmp_path, monke
         with whole_folder(target) as part:
             (part / "model.ply").write_text("two")
     assert (target / "model.ply").read_text() == "one"
-    settle(target)  # once there is space
+    finish_replacement(target)  # once there is space
     assert (target / "model.ply").read_text() == "two" and list(tmp_path.iterdir()) == [target]
 
 

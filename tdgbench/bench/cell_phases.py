@@ -221,7 +221,7 @@ class CellRun(SetupObserver):
     def _describe_images(self, scene: Scene) -> None:
         """Put the temperature range and the contrast of the images into the record. scene: as it is scored."""
         span, contrast = scene.temperature, self.cfg.contrast.training
-        self.record.temperature = None if span is None or scene.channels != 1 else [span.min, span.max]
+        self.record.temperature_range = None if span is None or scene.channels != 1 else [span.min, span.max]
         if contrast != "none":
             self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
 

@@ -8,15 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    with_config,
-)
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
@@ -114,7 +106,7 @@ class Record:
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
     channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
-    temperature: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of image values 0 and 1
+    temperature_range: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
     masked: dict[str, Share] = field(default_factory=dict)  # share of the pixels without a thermal value, as `views`
     scores: Scores = field(default_factory=dict)

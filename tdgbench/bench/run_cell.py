@@ -20,7 +20,7 @@ from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record
-from tdgbench.files import settle
+from tdgbench.files import finish_replacement
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
@@ -77,7 +77,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")
     run.is_locked = True
-    settle(run.folder)
+    finish_replacement(run.folder)
     existing = stored.readable_record(run.folder)
     skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
     if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):

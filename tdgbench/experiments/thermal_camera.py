@@ -48,7 +48,7 @@ SHOWN = {  # on the terminal: title, format
     "capture": ("capture", "{}"), "method": ("method", "{}"), "thermal_camera": ("camera", "{}"),
     "psnr": ("PSNR", "{:.2f}"),
     "psnr_affine": ("affine", "{:.2f}"), "psnr_right_half": ("right half", "{:.2f}"), "psnr_true": ("true", "{:.2f}"),
-    "psnr_true_error": ("±", "{:.2f}"), "recovered": ("recovered", "{:.0%}"), "ssim": ("SSIM", "{:.3f}"),
+    "psnr_true_sem": ("±", "{:.2f}"), "recovered": ("recovered", "{:.0%}"), "ssim": ("SSIM", "{:.3f}"),
     "mae_degC": ("°C", "{:.3f}"), "mae_degC_without_offset": ("°C, no offset", "{:.3f}"),
     "offset_degC_worst": ("offset °C", "{:.3f}"), "gain_worst": ("gain", "{:.4f}"),
     "vignette_degC_worst": ("vignette °C", "{:.3f}"), "train_seconds": ("train s", "{:.1f}"),
@@ -156,7 +156,7 @@ def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> d
     Empty for a scene without temperatures, or a true camera that stretches images. A cell without an estimate has the
     errors of an ideal camera, which are the drift itself. train: names of the training views.
     """
-    if record.temperature is None or truth.camera.limits is not None:
+    if record.temperature_range is None or truth.camera.limits is not None:
         return {}
     facts = record.thermal_camera.get("estimated", {})
     if "offsets" not in facts:
@@ -200,13 +200,13 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
 
     clean, ideal: the capture without errors and the camera that does nothing. recovered: share of what a capture's
     errors cost the ideal camera in PSNR to the true temperatures that another camera brings back, a mean over the seeds
-    that have all it needs. psnr_true_error: standard error of the mean; NaN for one seed.
+    that have all it needs. psnr_true_sem: standard error of the mean; NaN for one seed.
     """
     cells = cells.assign(recovered=_recovered(cells, clean, ideal))
     groups = cells.groupby(PLACE, sort=False)
     means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes")]].mean()
     means.insert(0, "seeds", groups["seed"].nunique())
-    return means.assign(**{f"{JUDGED}_error": groups[JUDGED].sem()}).reset_index()
+    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem()}).reset_index()
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:

@@ -50,9 +50,7 @@ class MarigoldPrior:
         kind = _pipeline_class()
         with loading("marigold", self.model):
             pipeline = kind.from_pretrained(
-                self.model,
-                variant=self._variant,
-                dtype=torch.float32 if self._variant is None else torch.float16,
+                self.model, variant=self._variant, dtype=torch.float32 if self._variant is None else torch.float16
             )
         pipeline.set_progress_bar_config(disable=True)
         return pipeline.to(chosen_device(self.device))

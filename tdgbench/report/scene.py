@@ -38,7 +38,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "view": view or "n/a",
         "methods": shown,
         "masked": masks.masked_in_words(record.masked),
-        "temperature": None if record.temperature is None else [f"{t:g}" for t in record.temperature],
+        "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
         "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
         "curves": curves_as_svg(cells, problems),

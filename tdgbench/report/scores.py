@@ -145,7 +145,7 @@ def _number(row: Any, published: Any) -> dict[str, Any]:
     std = getattr(row, "std", np.nan)
     if not np.isnan(std):
         text += f" ± {as_text(row.metric, std, row.scene)}"
-    ends = [getattr(row, end, np.nan) for end in ("low", "high")]
+    ends = [getattr(row, end, np.nan) for end in ("ci95_low", "ci95_high")]
     span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
     interval = f"95 % interval over seeds and views: {span}" if span else ""
     note, details = difference_note(published, row.scene)
@@ -165,8 +165,8 @@ def difference_note(published: Any, scene: str) -> tuple[str, str]:
     details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
     if published.verdict == UNDECIDED:
         details[0] += f", {published.why}; seeds needed: {published.seeds_needed}"
-    if not np.isnan(published.low):
-        interval = f"{published.low:.4g} to {published.high:.4g}"
+    if not np.isnan(published.ci90_low):
+        interval = f"{published.ci90_low:.4g} to {published.ci90_high:.4g}"
         details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")
     if published.papers > 1:
         ends = dict.fromkeys(as_text(metric, end, scene) for end in (published.others_low, published.others_high))

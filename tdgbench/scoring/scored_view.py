@@ -32,12 +32,12 @@ class RenderedImages:
     image: np.ndarray
     depth: np.ndarray
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
-    temperatures: np.ndarray | None = None
+    without_response: np.ndarray | None = None
 
     @property
     def ideal(self) -> np.ndarray:
         """(H, W, C), the render as an ideal camera would show it."""
-        return self.image if self.temperatures is None else self.temperatures
+        return self.image if self.without_response is None else self.without_response
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import pandas as pd
 
 from tdgbench.text import csv_text
 
-NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "p", "margin", "others_low", "others_high",
-           "spread", "printed", "mean", "tolerance", "change")  # fmt: skip
+NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "ci95_low", "ci95_high", "ci90_low",
+           "ci90_high", "p", "margin", "others_low", "others_high", "spread", "printed", "mean", "tolerance",
+           "change")  # fmt: skip
 
 
 def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -> str:

@@ -138,10 +138,8 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
-    verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index).rename(
-        columns={"word": "verdict"}
-    )
-    verdicts = verdicts[["margin", "low", "high", "verdict", "seeds_needed", "why"]]
+    verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
+    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "why"]]
     return with_other_papers(pd.concat([merged, verdicts], axis=1))
 
 

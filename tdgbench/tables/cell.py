@@ -29,12 +29,12 @@ class Cell:
         return method_label(self.record, with_init=True) + (f", seed {self.record.seed}" if self.record.seed else "")
 
     @property
-    def budget(self) -> int:
+    def planned_iterations(self) -> int:
         """The planned number of iterations; on a plateau training ends before."""
         return planned_iterations(self.record)
 
     @property
-    def scene(self) -> tuple[str, str]:
+    def dataset_and_scene(self) -> tuple[str, str]:
         """Data set and scene."""
         return self.record.dataset, self.record.scene
 
@@ -44,12 +44,12 @@ class Cell:
         return tuple(str(self.record.environment.get(name)) for name in ("cpu", "gpu", "threads"))
 
     @property
-    def setup(self) -> str:
+    def settings_key(self) -> str:
         """All settings but method, prior, init, seed and number of iterations."""
         config = {k: v for k, v in self.record.config.items() if k not in ("method", "prior", "init", "seed", "budget")}
         whole = self.record.setting("budget")
         budget = {k: v for k, v in whole.items() if k not in ("iterations", "name")} if isinstance(whole, dict) else {}
-        place = [*self.scene, self.record.data, self.record.split]
+        place = [*self.dataset_and_scene, self.record.data, self.record.split]
         return json.dumps([*place, config, budget], sort_keys=True)
 
     def log(self) -> pd.DataFrame | None:

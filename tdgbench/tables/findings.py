@@ -146,11 +146,14 @@ def _effects(effects: pd.DataFrame) -> Iterable[str]:
     rows = with_setup(widest_average(effects), "effect")
     rows = rows[rows["metric"] == metric]
     label = measure(metric).change
-    for words, chosen in ((f"{label}, rises with", rows["low"] > 0), (f"{label}, falls with", rows["high"] < 0)):
+    for words, chosen in (
+        (f"{label}, rises with", rows["ci95_low"] > 0),
+        (f"{label}, falls with", rows["ci95_high"] < 0),
+    ):
         changes = [f"{r.effect}, {r.iterations} iterations: {change_as_text(r)}" for r in rows[chosen].itertuples()]
         if changes:
             yield f"{words} {'; '.join(changes)}"
-    alone, open_ = rows["low"].isna().sum(), ((rows["low"] <= 0) & (rows["high"] >= 0)).sum()
+    alone, open_ = rows["ci95_low"].isna().sum(), ((rows["ci95_low"] <= 0) & (rows["ci95_high"] >= 0)).sum()
     if open_:
         yield f"{label}: the 95 % interval contains 0 for {_changes(open_)}"
     if alone:

@@ -10,14 +10,7 @@ import pandas as pd
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import first_points, split_notes
-from tdgbench.tables.measures import (
-    ABLATION_PAIRS,
-    AVERAGE,
-    OVERALL,
-    PUBLISHED,
-    digits,
-    measure,
-)
+from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, OVERALL, PUBLISHED, digits, measure
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}

@@ -30,8 +30,8 @@ class RecordMeasure(Measure):
 
 
 HOURS = RecordMeasure(
-    name="hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True, published=True,
-    of_record=lambda record: record.seconds["train"] / 3600,
+    name="train_hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True,
+    published=True, of_record=lambda record: record.seconds["train"] / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
     name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
@@ -85,7 +85,7 @@ def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
 
     form: format of numbers that are no time, in the place of the paper's digits; with `+`, times have a sign, too.
 
-    >>> as_text("ssim", 0.88991), as_text("hours", 0.5), as_text("hours", 0.01, form="+.3f")
+    >>> as_text("ssim", 0.88991), as_text("train_hours", 0.5), as_text("train_hours", 0.01, form="+.3f")
     ('0.890', '0:30:00', '+0:00:36')
     """
     if name != HOURS.name:

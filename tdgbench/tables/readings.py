@@ -40,6 +40,7 @@ SCORES = (
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95
+CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]
 
 
 class Effect(NamedTuple):
@@ -146,10 +147,10 @@ def _with_published(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def effects(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return effect, iterations, init, split, dataset, scene, metric, kind, change, low, high, seeds, scenes.
+    """Return effect, iterations, init, split, dataset, scene, metric, kind, change, ci95_low, ci95_high, seeds, scenes.
 
-    kind: `difference` (after − before), or `ratio` (after / before) for hours and Gaussians. low, high: the 95 %
-    interval over seeds, NaN for one seed. The rows are the compared methods at each length; fewer iterations, method
+    kind: `difference` (after − before), or `ratio` (after / before) for times and Gaussians. ci95: the interval over
+    seeds, NaN for one seed. The rows are the compared methods at each length; fewer iterations, method
     by method; and the paper's method at the fewest iterations against its baseline at the most, as published.
     """
     lengths = sorted(cells["iterations"].unique())
@@ -167,8 +168,7 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
         if not both.empty:
             lengths_used = str(after[1]) if before[1] == after[1] else f"{before[1]} → {after[1]}"
             parts.append(_changes(both).assign(effect=name, iterations=lengths_used))
-    columns = ["effect", "iterations", "init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high",
-               "seeds", "scenes"]  # fmt: skip
+    columns = ["effect", "iterations", *CHANGES]
     return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
 
 
@@ -190,8 +190,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
             kind = "ratio" if measure(str(metric)).ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
-    names = ["init", "split", "dataset", "scene", "metric", "kind", "change", "low", "high", "seeds", "scenes"]
-    return pd.DataFrame(rows, columns=names)
+    return pd.DataFrame(rows, columns=CHANGES)
 
 
 def _interval(values: np.ndarray) -> tuple[float, float, float]:
@@ -220,4 +219,4 @@ def change_as_text(row: Any) -> str:
         return "n/a"
     form = ".2f" if row.kind == "ratio" else f"+.{digits(row.metric)}f"
     text = format(row.change, form)
-    return text if np.isnan(row.low) else f"{text} [{row.low:{form}}, {row.high:{form}}]"
+    return text if np.isnan(row.ci95_low) else f"{text} [{row.ci95_low:{form}}, {row.ci95_high:{form}}]"

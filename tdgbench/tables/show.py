@@ -152,5 +152,5 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 def _show_reasons(tables: Tables, console: Console) -> None:
     missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
     for reason, group in missing.groupby("reason", sort=False):
-        metrics = ", ".join(dict.fromkeys(group["metric"]))
+        metrics = ", ".join(measure(metric).label for metric in dict.fromkeys(group["metric"]))
         _say(console, f"n/a ({len(group)} × {metrics}): {reason}")

@@ -45,7 +45,7 @@ def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd
 
 
 def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
-    """Return KEYS, low, high: 95 % bootstrap interval of each mean, resampling seeds and, of each seed, test views."""
+    """Return KEYS, ci95_low, ci95_high of each mean, by a bootstrap over seeds and the test views of each seed."""
     rng = np.random.default_rng(SEED)
     cells: dict[tuple[str, str, str, str], list[dict[str, np.ndarray]]] = {}
     for record in sorted(records, key=lambda r: (r.title, r.seed)):
@@ -66,7 +66,7 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
                 group = [replicates[k] for k in chosen]
                 scene = AVERAGE if dataset else OVERALL
                 rows.append(_row((method, dataset, "", scene, metric), np.mean(group, axis=0)))
-    return pd.DataFrame(rows, columns=[*KEYS, "low", "high"])
+    return pd.DataFrame(rows, columns=[*KEYS, "ci95_low", "ci95_high"])
 
 
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
@@ -96,7 +96,7 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
 
 def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
     low, high = np.quantile(drawn, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return {**dict(zip(KEYS, key, strict=True)), "low": float(low), "high": float(high)}
+    return {**dict(zip(KEYS, key, strict=True)), "ci95_low": float(low), "ci95_high": float(high)}
 
 
 class MethodComparison(NamedTuple):

@@ -39,14 +39,14 @@ ONE_SEED = "one seed has no spread"
 class ScoreVerdict(NamedTuple):
     """A verdict and its grounds.
 
-    margin: of the metric (NaN: none). low, high: interval of our mean (NaN below two seeds). seeds_needed: a number,
+    margin: of the metric (NaN: none). ci90: interval of our mean (NaN below two seeds). seeds_needed: a number,
     `> 100`, `n/a` (no number of seeds decides it), `unknown`, or empty (decided). why: reason for `undecided`.
     """
 
-    word: str
+    verdict: str
     margin: float
-    low: float
-    high: float
+    ci90_low: float
+    ci90_high: float
     seeds_needed: str
     why: str
 
@@ -109,7 +109,7 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
 
     An average over scenes is judged like a scene, by the spread of averages over the seeds that all scenes have.
 
-    >>> verdict("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).word
+    >>> verdict("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).verdict
     'reproduced'
     """
     nan = float("nan")

@@ -151,9 +151,9 @@ class Context:
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
-        significance = self._significance(images, background, rig)
+        growth_test = self._growth_test(images, background, rig)
         rates = dict(learning_rates or {})
-        options = ModelOptions(name or modality, rig, significance, background, rates, position_unit)
+        options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
@@ -185,12 +185,12 @@ class Context:
             return None
         return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
 
-    def _significance(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> GrowthTest | None:
+    def _growth_test(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> GrowthTest | None:
         rule = self.budget.growth
         if rule is None:
             return None
-        taken_by = {} if rig is None else {"camera_of": rig.camera}
-        return GrowthTest(rule, self.scene.train, images, self.curriculum, self.backend, background, **taken_by)
+        camera_of = {} if rig is None else {"camera_of": rig.camera}
+        return GrowthTest(rule, self.scene.train, images, self.curriculum, self.backend, background, **camera_of)
 
 
 def training_device(backend: str) -> torch.device:

@@ -60,11 +60,11 @@ class GrowthTest:
         return typical_noise((self.modality.array(view), self.modality.valid(view)) for view in self.views)
 
     @torch.no_grad()
-    def decide(self, gaussians: Gaussians, degree: int, turn: int) -> GrowthDecision:
-        """Return which Gaussians to grow and prune. degree: of the harmonics in use; turn: number of the round."""
+    def decide(self, gaussians: Gaussians, degree: int, round_number: int) -> GrowthDecision:
+        """Return which Gaussians to grow and prune. degree: of the harmonics in use."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
-        for view in self.views_of_round(turn):
+        for view in self.views_of_round(round_number):
             seen = self.measure(self.curriculum.at_resolution(view), gaussians, degree)
             views += seen.visible
             weight += seen.weight
@@ -78,20 +78,20 @@ class GrowthTest:
         """Return a mask (N,) of Gaussians with little weight (N,), px, in the views that show them (N,)."""
         return (views >= FEWEST_VIEWS) & (self.curriculum.scale**2 * weight < self.rule.min_weight * views)
 
-    def views_of_round(self, turn: int) -> list[View]:
+    def views_of_round(self, round_number: int) -> list[View]:
         """Return the views of a round, evenly spread and shifted by one in every round."""
         views = [view for view in self.views if self.curriculum.shows(view)]
-        looks = min(self.rule.views, len(views))
-        return [views[(turn + i * len(views) // looks) % len(views)] for i in range(looks)]
+        count = min(self.rule.views, len(views))
+        return [views[(round_number + i * len(views) // count) % len(views)] for i in range(count)]
 
     def measure(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
         """Render a view and return the footprints of the Gaussians in its residual."""
-        taken_by = self.camera_of(view.camera)
-        camera = Pinhole.of(taken_by).to(gaussians.means)
+        thermal_camera = self.camera_of(view.camera)
+        camera = Pinhole.of(thermal_camera).to(gaussians.means)
         active = gaussians.activated(degree)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.tensors_of(view, image.device)
-        return footprints(gaussians, taken_by, target - image, valid, self.backend)
+        return footprints(gaussians, thermal_camera, target - image, valid, self.backend)
 
 
 class Footprints(NamedTuple):

@@ -31,16 +31,16 @@ class ModelOptions:
     """Options of one model beyond the budget.
 
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
-    significance: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
-    black. rates: learning rates of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
+    growth_test: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
+    black. learning_rates: of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
     means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
     rig: Rig | None = None
-    significance: GrowthTest | None = None
+    growth_test: GrowthTest | None = None
     background: torch.Tensor | None = None
-    rates: Mapping[str, float | str] = field(default_factory=dict)
+    learning_rates: Mapping[str, float | str] = field(default_factory=dict)
     position_unit: float | None = None
 
 
@@ -64,11 +64,12 @@ class SplatModel(Part):
         self.budget = budget
         self.backend = backend
         self.degree = 0
-        self.optimizer = Adam(self.state, budget.rates, options.position_unit or extent, options.rates)
+        unit = options.position_unit or extent
+        self.optimizer = Adam(self.state, budget.rates, unit, options.learning_rates)
         self.density = budget.density.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.significance, self.background = options.significance, options.background
+        self.growth_test, self.background = options.growth_test, options.background
         self.blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -169,9 +170,9 @@ class SplatModel(Part):
 
     def _decide_growth(self, iteration: int) -> GrowthDecision | None:
         """Apply the budget's growth rule; None without one, or if no round of density control is due."""
-        if self.significance is None or not self.density.is_round(iteration):
+        if self.growth_test is None or not self.density.is_round(iteration):
             return None
-        return self.significance.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
+        return self.growth_test.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
 
     def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor

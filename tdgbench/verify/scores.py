@@ -119,7 +119,7 @@ def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
 
 def _scene(record: Record, pictures: StoredPictures) -> Scene:
     """Return the scene of the test views, as far as a cell's files have it."""
-    span = None if record.temperature is None else TemperatureRange(*record.temperature)
+    span = None if record.temperature_range is None else TemperatureRange(*record.temperature_range)
     return Scene(
         record.scene, record.dataset, record.group, train=[], test=[pictures.view(name) for name in pictures.cameras],
         points=None, temperature=span, split=record.split, fingerprint=record.data, channels=record.channels,

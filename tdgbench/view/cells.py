@@ -48,7 +48,7 @@ class ViewedCell:
     @property
     def degC(self) -> tuple[float, float] | None:
         """Temperatures of the values 0 and 1; None if the thermal images are pseudo-colour or no range is known."""
-        low_high = self.record.temperature
+        low_high = self.record.temperature_range
         return (low_high[0], low_high[1]) if low_high is not None and self.record.channels == 1 else None
 
     @cached_property

@@ -28,7 +28,7 @@ def test_training_and_test_images_are_changed(record_of):
     before = record_of("method=3dgs")
     after = record_of("method=3dgs", "contrast.training=clahe")
     assert after.key != before.key and after.scores["psnr"] != before.scores["psnr"]
-    assert before.temperature and after.temperature is None and after.scores["mae_degC"] is None
+    assert before.temperature_range and after.temperature_range is None and after.scores["mae_degC"] is None
     assert "contrast: images are trained on and scored with contrast.training=clahe" in after.notes
     kept = record_of("method=3dgs", "contrast.training=sequence")
-    assert kept.temperature is not None and kept.scores["mae_degC"] is not None
+    assert kept.temperature_range is not None and kept.scores["mae_degC"] is not None

@@ -68,7 +68,7 @@ def test_the_record_holds_what_training_views_were_corrected_for(results, cell):
     response = response_of(cell[0])
     assert response == found.response and not response.is_ideal
     assert set(response.offsets) >= {view.name for view in scene.test} and response.vignette
-    assert cell[0].temperature == pytest.approx([scene.temperature.min, scene.temperature.max])
+    assert cell[0].temperature_range == pytest.approx([scene.temperature.min, scene.temperature.max])
     assert cell[0].camera["estimated"]["undetermined"] == 0
 
 
@@ -97,7 +97,7 @@ def test_scores_are_those_of_the_pictures(cell):
     found = [psnr(render, target) for render, target in pairs]
     assert [float(row["psnr"]) for row in rows] == pytest.approx(found, abs=1e-4)
     assert record.scores["psnr"] == pytest.approx(np.mean(found), abs=1e-4)
-    span = record.temperature[1] - record.temperature[0]
+    span = record.temperature_range[1] - record.temperature_range[0]
     errors = [np.abs(render - target).mean() for render, target in pairs]
     assert record.scores["mae_degC"] == pytest.approx(span * np.mean(errors), abs=1e-3)
 

@@ -18,7 +18,7 @@ def truth(**errors) -> CameraTruth:
 
 
 def record(**camera) -> Record:
-    return Record("3dgs", "synthetic", "a", "colmap", 0, "", "", temperature=[10.0, 30.0], thermal_camera=camera)
+    return Record("3dgs", "synthetic", "a", "colmap", 0, "", "", temperature_range=[10.0, 30.0], thermal_camera=camera)
 
 
 def facts(offsets, gains, reference=20.0, views=NAMES):
@@ -54,5 +54,5 @@ def test_the_errors_of_an_ideal_camera_are_the_drift(camera):
 
 def test_without_temperatures_there_is_nothing_to_compare():
     one = record(estimated={"unknown": "no points"})
-    one.temperature = None
+    one.temperature_range = None
     assert camera_errors(one, truth(encoding="agc"), NAMES) == {}

@@ -148,7 +148,7 @@ def test_recovered_is_the_share_of_what_the_errors_cost():
     assert table.loc[("drift", "estimated"), "recovered"] == pytest.approx(0.8)
     assert table["recovered"].isna().sum() == 3
     assert table.loc[("drift", "estimated"), "psnr_true"] == 38.5 and (table["seeds"] == 2).all()
-    assert table["psnr_true_error"].to_numpy() == pytest.approx(0.5)
+    assert table["psnr_true_sem"].to_numpy() == pytest.approx(0.5)
 
 
 def test_little_lost_has_no_share():

@@ -34,7 +34,7 @@ def published_as_records(experiment, seed=0) -> None:
     for method in ("msmg", "tdg"):
         for s in SCENES:
             scores = {m: float(values[method, s.name, m]) for m in ("psnr", "ssim", "lpips")}
-            hours = float(values[method, s.name, "hours"])
+            hours = float(values[method, s.name, "train_hours"])
             write(
                 experiment, method, s.name, DATASETS[s.dataset], s.group, seed=seed, scores=scores,
                 seconds={"train": hours * 3600},

@@ -101,11 +101,13 @@ def test_hours_are_times_for_readers_and_numbers_on_disk(tmp_path):
     cell = row["cells"][-1]
     assert table["metrics"][-1] == "time, h:mm:ss ↓"
     assert cell["text"] == "1:01:00 ± 0:01:25" and cell["sort"] == pytest.approx(3660 / 3600)
-    (published,) = tables.difference.query("method == 'tdg' and scene == 'Truck' and metric == 'hours'")["published"]
+    (published,) = tables.difference.query("method == 'tdg' and scene == 'Truck' and metric == 'train_hours'")[
+        "published"
+    ]
     assert cell["note"] == "+" + duration(3660 - 3600 * published)
     assert cell["title"].startswith(f"published {duration(3600 * published)}: undecided")
     stored = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
-    hours = stored.query("method == 'tdg' and metric == 'hours' and scene == 'Truck'")
+    hours = stored.query("method == 'tdg' and metric == 'train_hours' and scene == 'Truck'")
     assert hours["value"].tolist() == ["1.016667"]
 
 
@@ -150,7 +152,7 @@ def test_the_section(tables):
     found = published_section(tables)
     psnr = next(v for v in found["verdicts"] if v["metric"] == measure("psnr").title)
     assert psnr["margin"] == "0.2" and psnr["counts"] == "1 reproduced, 1 worse, 1 undecided (unknown for 1)"
-    assert measure("hours").title not in [v["metric"] for v in found["verdicts"]]
+    assert measure("train_hours").title not in [v["metric"] for v in found["verdicts"]]
     parterre = next(r for r in found["rows"] if r["head"][1] == "Parterre")
     assert parterre["cells"][0] == {"text": "tdg 24.06; thermosplat-2601 26.16", "spread": "2.10"}
     assert len(found["rows"]) == 8 and len(found["notes"]) == 1

@@ -24,4 +24,7 @@ def test_setup_ignores_method_seed_and_length(tmp_path):
         return {"method": method, "budget": {"iterations": iterations, "sh_every": sh_every}, "metrics": "3dgs"}
 
     a, b, c = (Cell(record(config=config(*one)), tmp_path) for one in (("tdg", 9, 5), ("msmg", 10, 5), ("tdg", 9, 6)))
-    assert a.setup == b.setup != c.setup and (a.budget, b.budget) == (9, 10)
+    assert a.settings_key == b.settings_key != c.settings_key and (a.planned_iterations, b.planned_iterations) == (
+        9,
+        10,
+    )

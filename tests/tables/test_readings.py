@@ -35,14 +35,17 @@ def test_effects_are_paired_by_seed():
     depth = row(table, effect="depth, as written", metric="psnr", scene="orbit")
     assert depth["change"] == pytest.approx(0.6) and depth["seeds"] == 2
     half = 12.7062 * np.std([0.5, 0.7], ddof=1) / np.sqrt(2)
-    assert (depth["low"], depth["high"]) == (pytest.approx(0.6 - half, abs=1e-3), pytest.approx(0.6 + half, abs=1e-3))
-    assert set(table["metric"]) == {"psnr", "ssim", "hours", "gaussians"}  # LPIPS is n/a
+    assert (depth["ci95_low"], depth["ci95_high"]) == (
+        pytest.approx(0.6 - half, abs=1e-3),
+        pytest.approx(0.6 + half, abs=1e-3),
+    )
+    assert set(table["metric"]) == {"psnr", "ssim", "train_hours", "gaussians"}  # LPIPS is n/a
 
 
 def test_hours_and_gaussians_are_compared_by_ratio():
     table = effects(reading_cells(CELLS))
     assert row(table, effect="depth, as written", metric="gaussians")["change"] == pytest.approx(2.0)
-    whole = row(table, effect="as published: TDg at the fewest for MSMG at the most", metric="hours")
+    whole = row(table, effect="as published: TDg at the fewest for MSMG at the most", metric="train_hours")
     assert whole["change"] == pytest.approx(0.125) and whole["iterations"] == "3000 → 1000"
     fewer = row(table, effect="fewer iterations: tdg", metric="psnr")
     assert fewer["change"] == pytest.approx(-1.65)
@@ -50,7 +53,7 @@ def test_hours_and_gaussians_are_compared_by_ratio():
 
 def test_one_seed_has_no_interval():
     table = effects(reading_cells([CELLS[0], CELLS[2]]))
-    assert np.isnan(row(table, effect="depth, as written", metric="psnr")["low"])
+    assert np.isnan(row(table, effect="depth, as written", metric="psnr")["ci95_low"])
 
 
 def test_averages_are_over_scenes_that_all_have():

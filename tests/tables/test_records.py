@@ -113,7 +113,7 @@ def test_broken_scores_of_views_leave_their_interval_out(experiment, content):
     (cell_of(experiment, "night") / "views.csv").write_bytes(content)
     tables = build_tables(experiment)
     rows = tables.main.set_index(["scene", "metric"])
-    assert rows.loc[("orbit", "psnr"), "low"] < 21 and np.isnan(rows.loc[("night", "psnr"), "low"])
+    assert rows.loc[("orbit", "psnr"), "ci95_low"] < 21 and np.isnan(rows.loc[("night", "psnr"), "ci95_low"])
     assert rows.loc[("night", "psnr"), "value"] == 21.0
     (problem,) = tables.problems
     assert "views.csv cannot be read" in problem

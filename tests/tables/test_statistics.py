@@ -37,7 +37,7 @@ def test_intervals_hold_what_the_samples_hold(tmp_path):
         with_views(write(tmp_path, scene="Truck", seed=seed), 20 + rng.normal(size=12))
     found = intervals(read_all(tmp_path), tmp_path).set_index("metric")
     row = found[found["scene"] == "Truck"].loc["psnr"]
-    assert 19 < row["low"] < 20 < row["high"] < 21.2 and row["high"] - row["low"] > 0.2
+    assert 19 < row["ci95_low"] < 20 < row["ci95_high"] < 21.2 and row["ci95_high"] - row["ci95_low"] > 0.2
     assert "lpips" not in found.index  # n/a in every view
     again = intervals(read_all(tmp_path), tmp_path)
     assert again.equals(intervals(read_all(tmp_path), tmp_path))
@@ -51,9 +51,9 @@ def test_the_published_numbers_are_reproduced_by_themselves(tmp_path):
         write(tmp_path, record.method, record.scene, record.dataset, record.group, seed=1,
               scores=record.scores, seconds=record.seconds)  # fmt: skip
     tables = build_tables(tmp_path)
-    of_scores = tables.difference[tables.difference["metric"] != "hours"]
+    of_scores = tables.difference[tables.difference["metric"] != "train_hours"]
     assert set(of_scores["verdict"]) == {REPRODUCED} and (of_scores["seeds"] == 2).all()
-    assert set(tables.difference.query("metric == 'hours'")["verdict"]) == {UNDECIDED}
+    assert set(tables.difference.query("metric == 'train_hours'")["verdict"]) == {UNDECIDED}
     assert (tmp_path / "tables" / "paired.csv").exists()
     assert tables.comparisons[0].pair == paper_pair()
     speed = tables.comparisons[0].speed
@@ -69,7 +69,7 @@ def test_paired_test_is_scipys():
     )
     want = stats.wilcoxon(psnr["tdg"], psnr["msmg"], alternative="greater").pvalue
     assert found.loc["psnr", "p"] == pytest.approx(want) and found.loc["psnr", "scenes"] == 14
-    assert found.loc["hours", "better"] == 14
+    assert found.loc["train_hours", "better"] == 14
     few = paired_tests(table[table["scene"].isin(["Truck", "Lion"])], paper_pair())
     assert few["p"].isna().all()
 

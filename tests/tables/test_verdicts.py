@@ -45,7 +45,7 @@ NAN = float("nan")
 )
 def test_words(metric, ours, published, std, seeds, word):
     found = verdict(metric, "Truck", ours, published, std, seeds)
-    assert found.word == word
+    assert found.verdict == word
     assert bool(found.seeds_needed) == bool(found.why) == (word == UNDECIDED)
 
 
@@ -56,13 +56,13 @@ def test_words(metric, ours, published, std, seeds, word):
         ("psnr", NAN, 0.1, 3, UNKNOWN, "no number of ours"),
         ("psnr", 27.2, 0.1, 3, NEVER, "at the margin"),
         ("psnr", 27.21, 0.1, 3, "> 100", "crosses the margin"),
-        ("hours", 27.0, 0.0, 3, NEVER, "machine"),
+        ("train_hours", 27.0, 0.0, 3, NEVER, "machine"),
         ("train_psnr", 27.0, 0.1, 3, NEVER, "no margin"),
     ],
 )
 def test_undecided_says_why(metric, ours, std, seeds, needed, why):
     found = verdict(metric, "Truck", ours, 27.0, std, seeds)
-    assert found.word == UNDECIDED and found.seeds_needed == needed and why in found.why
+    assert found.verdict == UNDECIDED and found.seeds_needed == needed and why in found.why
 
 
 def test_the_interval_is_students():

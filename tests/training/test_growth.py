@@ -18,8 +18,8 @@ RULE = GrowthRule(views=10, z=5.0, min_weight=0.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
-    significance = GrowthTest(rule, views, modality, curriculum or Curriculum(), "cpu")
-    return significance.decide(two() if gaussians is None else gaussians, 0, turn=1)
+    growth_test = GrowthTest(rule, views, modality, curriculum or Curriculum(), "cpu")
+    return growth_test.decide(two() if gaussians is None else gaussians, 0, round_number=1)
 
 
 def test_what_all_views_show_grows():
@@ -36,7 +36,9 @@ def test_what_the_background_shows_does_not_grow():
         image = (view.thermal + behind.numpy()).astype(np.float32)
         given.append(view_of(view.name, view.camera, image, None))
     over_black, over_gray = (
-        GrowthTest(RULE, given, THERMAL, Curriculum(), "cpu", background=background).decide(two(), 0, turn=1).strength
+        GrowthTest(RULE, given, THERMAL, Curriculum(), "cpu", background=background)
+        .decide(two(), 0, round_number=1)
+        .strength
         for background in (None, gray)
     )
     assert over_gray.numpy() == pytest.approx(judge(views(edge)).strength.numpy(), rel=0.05, abs=0.01)
@@ -103,22 +105,22 @@ def test_what_has_no_weight_is_pruned():
     assert not judge(views(edge, count=1), hidden, rule).prune.any()
 
 
-def numbered(turn: int, held_out: list[int]) -> list[int]:
+def numbered(round_number: int, held_out: list[int]) -> list[int]:
     """Numbers of the views that a round looks at, 4 of 12, while some are held out."""
     given = views(edge, count=12)
     curriculum = Curriculum(held_out=[given[number] for number in held_out])
-    significance = GrowthTest(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
-    return [int(view.name) for view in significance.views_of_round(turn)]
+    growth_test = GrowthTest(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
+    return [int(view.name) for view in growth_test.views_of_round(round_number)]
 
 
-@pytest.mark.parametrize("turn", [0, 1, 7])
-def test_rounds_look_at_different_views_that_are_evenly_spread(turn):
-    assert sorted((number - turn) % 12 for number in numbered(turn, held_out=[])) == [0, 3, 6, 9]
+@pytest.mark.parametrize("round_number", [0, 1, 7])
+def test_rounds_look_at_different_views_that_are_evenly_spread(round_number):
+    assert sorted((number - round_number) % 12 for number in numbered(round_number, held_out=[])) == [0, 3, 6, 9]
 
 
-@pytest.mark.parametrize("turn", [0, 1, 7])
-def test_views_that_are_held_out_decide_nothing(turn):
-    chosen = numbered(turn, held_out=[0, 3, 9])
+@pytest.mark.parametrize("round_number", [0, 1, 7])
+def test_views_that_are_held_out_decide_nothing(round_number):
+    chosen = numbered(round_number, held_out=[0, 3, 9])
     assert len(set(chosen)) == 4 and not {0, 3, 9} & set(chosen)
 
 

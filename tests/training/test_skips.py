@@ -143,6 +143,6 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert found[name].reason == f"the budget has no rule for {name}"
     assert not found[name].allowed and not found[name].taken
     assert all(found[other].taken for other in {"growth", "pixels", "settling"} - {name})
-    assert (trainer.gaussians["thermal"].significance is None) == (name == "growth")
+    assert (trainer.gaussians["thermal"].growth_test is None) == (name == "growth")
     assert (trainer.context.curriculum.steps == []) == (name == "pixels")
     assert (trainer.context.curriculum.held_out == []) == (name == "settling")

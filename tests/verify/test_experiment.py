@@ -89,7 +89,7 @@ def test_edited_scores(spoiled):
         ({"iterations": -1}, "$.iterations: Input should be greater than or equal to 0, not -1"),
         ({"resumed": [0]}, "$.resumed.0: Input should be greater than or equal to 1, not 0"),
         ({"channels": 2}, "$.channels: must be 0 or 1 or 3, not 2"),
-        ({"temperature": [20.0]}, "$.temperature: List should have at least 2 items"),
+        ({"temperature_range": [20.0]}, "$.temperature_range: List should have at least 2 items"),
         ({"views": {"train": 1.5}}, "$.views.train: Input should be a valid integer, not 1.5"),
         ({"scores": {"psnr": 20.0}}, "scores lacks ssim, which views.csv has"),
         ({"scores": {"psnr": "n/a"}}, "$.scores.psnr: Input should be a valid number, not 'n/a'"),

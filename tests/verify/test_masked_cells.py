@@ -52,7 +52,7 @@ def test_scores_are_those_of_valid_pixels(cell):
     record, renders, targets = read_record(cell), pictures(cell, "renders"), pictures(cell, "targets")
     masks = {name: read_mask(cell, name) for name in pictures(cell, "masks")}
     assert masks and set(masks) < set(rows)
-    low, high = record.temperature
+    low, high = record.temperature_range
     for name, mask in masks.items():
         assert not targets[name][~mask].any()
         error = (renders[name].astype(float) - targets[name])[mask] / 255

@@ -20,7 +20,7 @@ def test_a_cell_has_models_cameras_and_pictures(tdg_folder, msmg_folder):
     assert list(cells) == ["tdg", "msmg"]
     tdg, msmg = cells.values()
     assert set(tdg.models) == {"thermal"} and set(msmg.models) == {"thermal", "rgb"}
-    assert tdg.degC == tuple(tdg.record.temperature) and len(tdg.train) == 8 and len(tdg.test) == 2
+    assert tdg.degC == tuple(tdg.record.temperature_range) and len(tdg.train) == 8 and len(tdg.test) == 2
     view = next(iter(msmg.test))
     pictures = msmg.pictures(view)
     assert set(pictures) == {"thermal", "rgb"} and set(tdg.pictures(view)) == {"thermal"}

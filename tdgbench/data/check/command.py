@@ -11,7 +11,8 @@ from rich.table import Table
 
 from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
-from tdgbench.scenes.inputs import is_there
+from tdgbench.scenes.inputs import is_hidden, is_there, listed
+from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import SPLITS
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
@@ -34,7 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"{arguments.root} does not exist", stderr=True)
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
     if exists and place.is_paper and all(check.status == "missing" for check in checks):
-        say(f"no scene in {arguments.root}: for layouts, see docs/data.md; the paper's scenes:", stderr=True)
+        say(f"no scene in {arguments.root}; a scene is a folder with one of (docs/data.md):", stderr=True)
+        for layout in LAYOUTS.values():
+            say(f"  {layout.title}: {layout.looks}", stderr=True)
+        if not arguments.json and any(not is_hidden(path.name) for path in listed(arguments.root)):
+            return 1  # somebody's own capture: a list of the paper's scenes would not help
+        say("the paper's scenes:", stderr=True)
     if arguments.json:
         say(checks_as_json(arguments.root, checks, place.is_paper))
     else:

@@ -163,11 +163,7 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: i
         params=np.array(crop.params) * np.array([width / crop.width, height / crop.height] * 2),
     )  # fmt: skip
     fine = Undistortion(source, output, "the RGB camera")
-    return Grid(
-        Undistortion(source, crop, "the RGB camera"),
-        *fine.positions,
-        np.array(output.calibration_matrix()),
-    )
+    return Grid(Undistortion(source, crop, "the RGB camera"), *fine.positions, np.array(output.calibration_matrix()))
 
 
 def no_distortion(rgb: Size) -> pycolmap.Camera:

@@ -96,9 +96,5 @@ def _shipped(content: Transforms, path: Path) -> dict[str, str]:
 
 
 LAYOUT = Layout(
-    "thermoscenes",
-    TITLE,
-    f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]",
-    _fits,
-    _find,
+    "thermoscenes", TITLE, f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]", _fits, _find
 )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +16,8 @@ from tdgbench.scenes.synthetic.capture import TrueCamera, TrueRig
 
 FOLDER = "camera"  # inside the scene's
 CAMERA, RIG = "camera.npz", "rig.json"
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -39,20 +43,8 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
 
 
 def read_truth(scene: Path) -> CameraTruth:
-    """Read the true camera of a synthetic scene. Raises SceneError for a scene without one, or with a damaged file.
-
-    scene: its folder.
-    """
-    path = scene / FOLDER / CAMERA
-    if not is_there(path):
-        raise SceneError(f"{scene} states no true thermal camera; synthetic scenes do, if their camera has errors")
-    try:
-        with np.load(regular_file(path), allow_pickle=False) as file:
-            stored = dict(file)
-        names = stored.pop("names").tolist()
-        return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
-    except Exception as error:  # numpy and zipfile raise many kinds
-        raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error
+    """Read the true camera from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
+    return _read(scene / FOLDER / CAMERA, "true thermal camera; synthetic scenes do, if it has errors", _camera)
 
 
 def write_rig(scene: Path, rig: TrueRig) -> None:
@@ -61,14 +53,22 @@ def write_rig(scene: Path, rig: TrueRig) -> None:
 
 
 def read_rig(scene: Path) -> TrueRig:
-    """Read the true rig of a synthetic scene. Raises SceneError for a scene without one, or with a damaged file.
+    """Read the true rig from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
+    what = "rig; synthetic scenes do, if their thermal camera is not the given one"
+    return _read(scene / FOLDER / RIG, what, lambda path: TrueRig(**read_json(path)))
 
-    scene: its folder.
-    """
-    path = scene / FOLDER / RIG
+
+def _camera(path: Path) -> CameraTruth:
+    with np.load(regular_file(path), allow_pickle=False) as file:
+        stored = dict(file)
+    names = stored.pop("names").tolist()
+    return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
+
+
+def _read(path: Path, what: str, read: Callable[[Path], T]) -> T:
     if not is_there(path):
-        raise SceneError(f"{scene} states no rig; synthetic scenes do, if their thermal camera is not the given one")
+        raise SceneError(f"{path.parents[1]} states no {what}")
     try:
-        return TrueRig(**read_json(path))
-    except (ValueError, TypeError) as error:
+        return read(path)
+    except Exception as error:  # numpy and zipfile raise many kinds
         raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error

@@ -227,10 +227,7 @@ def _turntable(seed: int) -> World:
 
 def _facade(seed: int) -> World:
     wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
-    leaks = (
-        Spot((1.1, 0.0, 2.3), (0.25, 1.0, 0.5), 6.0),
-        Spot((-1.2, 0.0, 0.9), (0.5, 1.0, 0.22), 8.0),
-    )
+    leaks = (Spot((1.1, 0.0, 2.3), (0.25, 1.0, 0.5), 6.0), Spot((-1.2, 0.0, 0.9), (0.5, 1.0, 0.22), 8.0))
     wall = Material(PLASTER, BRICK, wave(1, 0.9), 12.0, 2.0, 0.6, leaks)
     window = Material((0.25, 0.32, 0.38), (0.45, 0.52, 0.58), wave(2, 1.2), 17.0, 2.0, 0.8)
     objects: list[tuple[Solid, Material]] = [

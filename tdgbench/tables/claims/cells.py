@@ -54,7 +54,11 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
         return main_table.average_gains(claim, evidence)
     _need_cells(claim, evidence)
     new, old = (
-        {(cell.setup, cell.record.seed): cell for cell in as_published(evidence.cells) if cell.record.method == m}
+        {
+            (cell.settings_key, cell.record.seed): cell
+            for cell in as_published(evidence.cells)
+            if cell.record.method == m
+        }
         for m in methods.paper_pair()
     )
     pairs = [Pair(cell, old[place]) for place, cell in new.items()]
@@ -126,8 +130,10 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
     for mine, other in sides:
         pairs = make_pairs(evidence.cells, mine, other)
         for name, margin in claim["margins"].items():
-            for budget in sorted({pair.mine.budget for pair in pairs}):
-                findings += _gain(claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.budget == budget])
+            for budget in sorted({pair.mine.planned_iterations for pair in pairs}):
+                findings += _gain(
+                    claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.planned_iterations == budget]
+                )
     if not findings:
         sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
         raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
@@ -144,7 +150,7 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
         both = [(pair, numbers) for pair, numbers in both if min(numbers) > 0]
     if not both:
         return []
-    scenes = [pair.mine.scene for pair, _ in both]
+    scenes = [pair.mine.dataset_and_scene for pair, _ in both]
     if quantity.ratio:
         gain = gain_interval(scenes, [float(np.log(b / a)) for _, (a, b) in both])
         verdict, between, value = judge_gain(gain, float(-np.log1p(-margin))), "/", _ratio(gain)
@@ -154,7 +160,7 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
         verdict, between, value = judge_gain(gain, margin), "−", _difference(gain, sign, quantity)
     mine, other = (Side(cell.record.method, cell.record.init) for cell in both[0][0])
     names = f"{_name(mine, other)} {between} {_name(other, mine)}"
-    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.budget for cell in both[0][0]))
+    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in both[0][0]))
     return [Finding(verdict, f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}")]
 
 
@@ -180,8 +186,8 @@ def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, fl
     longest = {setup: length for (method, setup), length in published_lengths(cells).items() if method == "msmg"}
     for cell in cells:
         if cell.record.init == COLMAP and cell.record.seconds.get("train"):
-            of_method = times.setdefault((cell.setup, cell.record.seed, cell.machine), {})
-            of_method.setdefault(cell.record.method, {}).setdefault(cell.budget, cell)
+            of_method = times.setdefault((cell.settings_key, cell.record.seed, cell.machine), {})
+            of_method.setdefault(cell.record.method, {}).setdefault(cell.planned_iterations, cell)
     ratios = []
     for (setup, _, _), by_method in times.items():
         tdg, smooth, msmg = (by_method.get(method, {}) for method in ("tdg", "3dgs_smooth", "msmg"))
@@ -191,5 +197,5 @@ def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, fl
         length = min(equal)
         chain = (msmg[longest[setup]], msmg[length], smooth[length], tdg[length])
         logs = [np.log(cell.record.seconds["train"]) for cell in chain]
-        ratios.append((chain[0].scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
+        ratios.append((chain[0].dataset_and_scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
     return ratios

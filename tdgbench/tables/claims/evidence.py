@@ -119,8 +119,8 @@ def as_published(cells: Sequence[Cell]) -> list[Cell]:
     chosen: dict[str, dict[tuple[str, int], Cell]] = {method: {} for method in pair}
     for cell in cells:
         method = cell.record.method
-        if cell.record.init == "colmap" and lengths.get((method, cell.setup)) == cell.budget:
-            chosen[method].setdefault((cell.setup, cell.record.seed), cell)
+        if cell.record.init == "colmap" and lengths.get((method, cell.settings_key)) == cell.planned_iterations:
+            chosen[method].setdefault((cell.settings_key, cell.record.seed), cell)
     shared = chosen[pair.method].keys() & chosen[pair.baseline].keys()
     return [cell for by_place in chosen.values() for place, cell in by_place.items() if place in shared]
 
@@ -134,8 +134,8 @@ def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
     for method, pick in zip(methods.paper_pair(), (min, max), strict=True):
         for cell in cells:
             if cell.record.method == method and cell.record.init == "colmap":
-                place = (method, cell.setup)
-                budgets[place] = pick(budgets.get(place, cell.budget), cell.budget)
+                place = (method, cell.settings_key)
+                budgets[place] = pick(budgets.get(place, cell.planned_iterations), cell.planned_iterations)
     return budgets
 
 
@@ -151,7 +151,7 @@ def _lengths(cells: Sequence[Cell]) -> str:
         return ""
     parts = []
     for method in methods.paper_pair():
-        budgets = sorted({cell.budget for cell in cells if cell.record.method == method})
+        budgets = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
         parts.append(f"{methods.label(method)} at {' and '.join(str(budget) for budget in budgets)}")
-    scenes = len({cell.scene for cell in cells})
+    scenes = len({cell.dataset_and_scene for cell in cells})
     return f"{scenes} scene{'s' if scenes > 1 else ''}; {', '.join(parts)} iterations"

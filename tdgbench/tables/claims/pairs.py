@@ -47,7 +47,7 @@ def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
     sides: list[dict[tuple[object, ...], Cell]] = [{}, {}]
     for cell in cells:
         record = cell.record
-        key = (cell.setup, record.seed, cell.budget, record.iterations)
+        key = (cell.settings_key, record.seed, cell.planned_iterations, record.iterations)
         for by_key, side in zip(sides, (mine, other), strict=True):
             if (record.method, record.init) == side:
                 by_key.setdefault(key, cell)

@@ -154,7 +154,7 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
     if log is None or not isinstance(share, int | float) or column not in log:
         return None
     expected = cell.record.setting("budget.expected_iterations")
-    length = min(cell.budget, expected) if isinstance(expected, int) else cell.budget
+    length = min(cell.planned_iterations, expected) if isinstance(expected, int) else cell.planned_iterations
     switch, width = int(share * length), window * length
     before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]
     after = log.loc[log["iteration"].between(switch, switch + width), column]
@@ -169,7 +169,7 @@ QUANTITIES: dict[str, Quantity] = {
     "overfit": Quantity("PSNR of training − test views", _of_each(_overfit), digits=2, unit=" dB"),
     "depth_abs_rel": Quantity("depth error", _of_each(partial(_score, metric="depth_abs_rel")), ratio=True),
     "depth_consistency": Quantity("depth inconsistency", _consistency, ratio=True),
-    "hours": Quantity("training time", _of_each(_seconds), ratio=True, timed=True),
+    "train_hours": Quantity("training time", _of_each(_seconds), ratio=True, timed=True),
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
     "gaussians": Quantity("Gaussians at the end", _of_each(_gaussians), ratio=True),

@@ -22,7 +22,7 @@ CLAIM = {"level": 0.95, "window": 0.05}
         ("depth_abs_rel", 0.05, 0.1),
         ("train_psnr", 40.0, 40.0),
         ("overfit", 7.0, 10.0),
-        ("hours", 50.0, 100.0),
+        ("train_hours", 50.0, 100.0),
         ("added", 500, 1000),
         ("pruned", 250, 500),
         ("gaussians", 2000, 4000),

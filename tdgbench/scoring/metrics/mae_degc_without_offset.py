@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scoring.metric import ViewMetric
-from tdgbench.scoring.metrics.temperature_error import differences
+from tdgbench.scoring.metrics.mae_degc import differences
 from tdgbench.scoring.scored_view import ScoredView
 
 
