@@ -23,6 +23,7 @@ from tdgbench.bench.signature import (
 )
 from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
+from tdgbench.splats.density import GradientKind
 from tdgbench.training.skips import RULES, SWITCHES
 
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
@@ -156,6 +157,8 @@ class _Method(_PlugIn):
     order: int | None = None
     compared_with: str | None = None
     paper_iterations: PositiveInt | None = None
+    gradient: GradientKind | None = None
+    grad_threshold: NonNegativeFloat | None = None
     method: dict[str, Any]
 
 

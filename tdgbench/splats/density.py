@@ -3,13 +3,16 @@
 Constants and order follow `train.py` and `gaussian_model.py` of 3DGS. There the call that appends clones zeroes the
 screen radii, so that the test "screen radius > 20 px" never removes anything: `screen_radius_prune: false` does the
 same, `true` applies the test as described.
+
+AbsGS (Ye et al. 2024): a pixel's pull on the image mean of a large Gaussian cancels that of another in their sum, whose
+length 3DGS tests. The absolute gradient is the length of the sums of |d/du| and |d/dv| over pixels.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
@@ -18,10 +21,13 @@ from torch import Tensor
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.scratch import free_buffers
-from tdgbench.splats.cpu.statistics import GradientStatistics, observe_visible
+from tdgbench.splats.cpu.statistics import EMPTY, GradientStatistics, observe_visible
+from tdgbench.splats.filter import Filter
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
+
+GradientKind = Literal["signed", "absolute"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,16 @@ class DensityRules:
     round_recovery: NonNegativeInt  # × every: no round in a training's last iterations; the model needs them to recover
     reset_recovery: NonNegativeInt  # × every: the same for opacity resets
     max_gaussians: PositiveInt | None = None  # no growth beyond this
+    gradient: GradientKind = "signed"  # to which `grad_threshold` applies
+    split_gradient: GradientKind | None = None  # that splits Gaussians; None: as clones
+    split_threshold: NonNegativeFloat | None = None  # of that gradient; None: `grad_threshold`
+    opacity_cap_every: PositiveInt | None = None  # iterations, until `stop`; None: opacities have no cap
+    opacity_cap: Annotated[float, Field(gt=0, lt=1)] = 0.8
+
+    @property
+    def uses_absolute(self) -> bool:
+        """Whether growth depends on absolute gradients."""
+        return "absolute" in (self.gradient, self.split_gradient)
 
     def is_round(self, iteration: int, iterations: int) -> bool:
         """Return whether a training of so many iterations clones, splits and prunes at an iteration.
@@ -64,6 +80,11 @@ class DensityRules:
         """Return whether a training of so many iterations resets opacities at an iteration."""
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
+
+    def is_cap(self, iteration: int, iterations: int) -> bool:
+        """Return whether a training of so many iterations caps opacities at an iteration."""
+        is_due = self.opacity_cap_every is not None and iteration % self.opacity_cap_every == 0
+        return is_due and 0 < iteration < self.stop and iterations - iteration >= self.reset_recovery * self.every
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:
         """Return density control by these rules; see `DensityControl`."""
@@ -86,7 +107,7 @@ class DensityChange:
     """Changes of the set of Gaussians in one iteration."""
 
     densified: bool = False  # a round of cloning, splitting and pruning took place
-    opacity_reset: bool = False
+    opacity_reset: bool = False  # or a cap
     cloned: int = 0
     split: int = 0
     pruned: int = 0
@@ -105,6 +126,10 @@ class GrowthDecision(NamedTuple):
 class DensityControl:
     """Accumulates gradients and radii over views, and changes the set of Gaussians by its rules."""
 
+    filter: Filter | None = (
+        None  # of the Gaussians: computed anew in rounds; resets and caps are those of what it leaves
+    )
+
     def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
         """extent: of the scene, world units. iterations: length of the training."""
         self.rules, self.extent, self.state, self.iterations = rules, extent, state, iterations
@@ -112,6 +137,7 @@ class DensityControl:
 
     def _clear(self) -> None:
         self.grad_sum, self.view_counts, self.max_radii = self.state.values.new_zeros(3, len(self.state))
+        self.absolute_sum = self.grad_sum.new_zeros(len(self.state) if self.rules.uses_absolute else 0)
 
     @torch.no_grad()
     def observe_visible(self, view: Gradients | PendingGradients) -> None:
@@ -128,16 +154,22 @@ class DensityControl:
     @torch.no_grad()
     def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
         """Accumulate the gradients of a view of width × height px."""
+        if self.rules.uses_absolute and gradients.image.shape[1] < 5:
+            raise ValueError("these gradients lack the absolute ones: render the view with absgrad=True")
         if self._is_fast:
             gradients.observe(self.statistics(width, height))
             return
         index, _, image = gradients.rows()
-        norm = (image[:, :2] * image.new_tensor((0.5 * width, 0.5 * height))).norm(dim=1)
-        self.grad_sum.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
+        halves = image.new_tensor((0.5 * width, 0.5 * height))
+        for total, first in ((self.grad_sum, 0), (self.absolute_sum, 3)):
+            if len(total):
+                norm = (image[:, first : first + 2] * halves).norm(dim=1)
+                total.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
     def statistics(self, width: int, height: int) -> GradientStatistics:
         """Return where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
-        return GradientStatistics(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True)
+        absolute = self.absolute_sum.numpy() if self.rules.uses_absolute else EMPTY
+        return GradientStatistics(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True, absolute)
 
     @property
     def _is_fast(self) -> bool:
@@ -145,7 +177,8 @@ class DensityControl:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what was accumulated since the last change, as `torch.save` takes it."""
-        return {name: getattr(self, name).cpu() for name in ("grad_sum", "view_counts", "max_radii")}
+        absolute = ("absolute_sum",) if self.rules.uses_absolute else ()
+        return {name: getattr(self, name).cpu() for name in ("grad_sum", "view_counts", "max_radii", *absolute)}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned, after the rows were restored."""
@@ -157,10 +190,20 @@ class DensityControl:
         """Return whether density control still observes views at an iteration."""
         return iteration < self.rules.stop
 
+    def needs_absgrad(self, iteration: int) -> bool:
+        """Return whether density control reads absolute gradients of an iteration's views."""
+        return self.rules.uses_absolute and self.is_active(iteration)
+
     def is_due(self, iteration: int) -> bool:
         """Return whether `update` changes Gaussians at an iteration."""
-        is_reset = self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
-        return self.is_round(iteration) or is_reset
+        return self.is_round(iteration) or self._ceiling(iteration) is not None
+
+    def _ceiling(self, iteration: int) -> float | None:
+        """Return the largest opacity that a reset or cap leaves at an iteration; None if neither is due."""
+        if self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations):
+            return self.rules.opacity_reset_to
+        is_cap = self.is_active(iteration) and self.rules.is_cap(iteration, self.iterations)
+        return self.rules.opacity_cap if is_cap else None
 
     def regularised(self, gradients: Gradients | PendingGradients) -> Gradients | PendingGradients:
         """Return the gradients of an iteration with those of terms of the loss that are density control's own."""
@@ -181,11 +224,12 @@ class DensityControl:
 
         decision: replaces the gradient threshold of 3DGS.
         """
-        rules, change = self.rules, DensityChange()
+        change = DensityChange()
         if not self.is_active(iteration):
             return change
         change.densified = self.is_round(iteration)
-        change.opacity_reset = rules.is_reset(iteration, self.iterations)
+        ceiling = self._ceiling(iteration)
+        change.opacity_reset = ceiling is not None
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
@@ -193,11 +237,20 @@ class DensityControl:
             self.state.replace_rows(*self._removed_and_added(change, iteration, generator, decision))
             self._clear()
             free_buffers()
-        if change.opacity_reset:
-            ceiling = math.log(rules.opacity_reset_to / (1 - rules.opacity_reset_to))
-            self.state.values[:, self.state.columns_of("opacity_logits")].clamp_max_(ceiling)
+            self._update_filter()
+        if ceiling is not None:
+            if self.filter is not None:
+                self.filter.cap(self.state, ceiling)
+            else:
+                logit = math.log(ceiling / (1 - ceiling))
+                self.state.values[:, self.state.columns_of("opacity_logits")].clamp_max_(logit)
             optimizer.reset_moments("opacity_logits")
         return change
+
+    def _update_filter(self) -> None:
+        """Compute the filters of all Gaussians anew, if they have any."""
+        if self.filter is not None:
+            self.filter.update(self.state)
 
     def _removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
@@ -205,11 +258,11 @@ class DensityControl:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""
         rules, values = self.rules, self.state.values
         old = self.state.split(values)
-        by_gradients = self._by_gradients()
-        decision = decision or by_gradients
-        change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
+        by_gradients = self._by_gradients(small)
+        decision = decision or by_gradients
+        change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         grow = decision.grow
         if rules.max_gaussians is not None:
             grow = _strongest(grow, decision.strength, rules.max_gaussians - len(old))
@@ -231,10 +284,24 @@ class DensityControl:
         change.pruned += int(drop.sum())
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
-    def _by_gradients(self) -> GrowthDecision:
-        """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large."""
-        grads = torch.nan_to_num(self.grad_sum / self.view_counts)
-        return GrowthDecision(grads, grads >= self.rules.grad_threshold, torch.zeros_like(grads, dtype=torch.bool))
+    def _by_gradients(self, small: Tensor) -> GrowthDecision:
+        """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large.
+
+        small: (N,) bool: Gaussians that are cloned; others are split, by a gradient and threshold that may differ.
+        """
+        rules = self.rules
+        grads = self._mean_gradients(rules.gradient)
+        grow = grads >= rules.grad_threshold
+        if rules.split_gradient is not None or rules.split_threshold is not None:
+            threshold = rules.grad_threshold if rules.split_threshold is None else rules.split_threshold
+            of_large = self._mean_gradients(rules.split_gradient or rules.gradient)
+            grads, grow = torch.where(small, grads, of_large), torch.where(small, grow, of_large >= threshold)
+        return GrowthDecision(grads, grow, torch.zeros_like(grow))
+
+    def _mean_gradients(self, kind: GradientKind) -> Tensor:
+        """Return the mean length (N,) of the gradients of a kind, in units of half the image."""
+        total = self.grad_sum if kind == "signed" else self.absolute_sum
+        return torch.nan_to_num(total / self.view_counts)
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

@@ -22,7 +22,7 @@ class Gradients:
     spans: list[tuple[int, int]]
     index: Tensor  # (capacity,) int32: the Gaussian of each row
     values: Tensor  # (capacity, columns) as in `tdgbench.splats.columns`; trailing columns of zeros may be missing
-    image: Tensor  # (capacity, 3): d loss / d image mean per px (2), radius in px
+    image: Tensor  # (capacity, 3 or 5): d loss / d image mean per px (2), radius in px; absolute gradients per px (2)
     projected_spans: list[tuple[int, int]]
     projected: Tensor  # (capacity,) int32: Gaussians that were projected
     radii: Tensor  # (capacity,) int32 px: their radii; 0 is not visible
@@ -63,11 +63,14 @@ class Gradients:
         return bad.max(axis=0, initial=0)
 
     @classmethod
-    def dense(cls, values: Tensor, image: Tensor, radii: Tensor) -> Gradients:
-        """Return gradients of every Gaussian: values (N, columns), image means (N, 2) per px; radii (N,) px."""
+    def dense(cls, values: Tensor, image: Tensor, radii: Tensor, absgrad: Tensor | None = None) -> Gradients:
+        """Return gradients of every Gaussian: values (N, columns), image means (N, 2) per px; radii (N,) px.
+
+        absgrad: (N, 2) sums over pixels of the absolute gradients of the image means, per px.
+        """
         everything = torch.arange(len(values), dtype=torch.int32, device=values.device)
         whole = [(0, len(values))]
-        image = torch.cat([image, radii[:, None].to(image)], dim=1)
+        image = torch.cat([image, radii[:, None].to(image), *([] if absgrad is None else [absgrad])], dim=1)
         return cls(whole, everything, values, image, whole, everything, radii)
 
     @classmethod
@@ -88,7 +91,7 @@ class Gradients:
         return cls.dense(values, image, radii)
 
     def rows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the index (n,), values (n, columns) and image (n, 3) of the rows in use."""
+        """Return the index (n,), values (n, columns) and image (n, 3 or 5) of the rows in use."""
         parts = [slice(first, first + count) for first, count in self.spans]
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 

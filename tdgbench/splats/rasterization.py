@@ -35,6 +35,7 @@ def rasterization(
     render_mode: str = "RGB",
     backend: str = "auto",
     blending: Blending = AS_3DGS,
+    absgrad: bool = False,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Splat N Gaussians into C cameras, with gradients.
 
@@ -42,10 +43,11 @@ def rasterization(
     sh_degree: degree of the harmonics in use, 0 to 3, at most that of `colors`. backgrounds: (C, D), default black.
     render_mode: "RGB", "D" (accumulated z, Σ z_k w_k: TDg, eq. 3), "ED" (that over alpha), "RGB+D" or "RGB+ED"
     (depth is the last channel). backend: "auto" or a module of `tdgbench.splats.backends`. blending: by default that
-    of 3DGS; `cuda` has gsplat's.
+    of 3DGS; `cuda` has gsplat's. absgrad: the backward pass also adds up absolute gradients (AbsGS).
 
     Returns renders (C, H, W, D [+ 1]), alphas (C, H, W, 1), and meta with `means2d` (C tensors (N, 2) px, whose `.grad`
     the backward pass sets), `radii` (C, N) px (0: not visible), `depths` (C, N), `backend`, `width` and `height`.
+    `absgrad`: with that option C tensors (N, 2), Σ over pixels of |d loss / d means2d|, which the backward pass sets.
     A NaN in any Gaussian makes every image NaN. Raises ValueError for shapes or options that do not fit.
 
     >>> means, quats = torch.tensor([[0.0, 0.0, 2.0]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
@@ -64,7 +66,7 @@ def rasterization(
         camera = Pinhole(viewmats[c], Ks[c], width, height, near_plane, far_plane, eps2d)
         background = None if backgrounds is None else backgrounds[c]
         options: dict[str, Any] = {"depth": "D" in render_mode, "background": background, "blending": blending}
-        views.append(render_view(gaussians, camera, **options, backend=backend))
+        views.append(render_view(gaussians, camera, **options, absgrad=absgrad, backend=backend))
     chosen = choose_backend(backend, means.device, means.dtype)
     return *_stack(views, render_mode), {
         **_stack_projections(views),
@@ -93,6 +95,7 @@ def _stack_projections(views: list[Render]) -> dict[str, Any]:
         "means2d": [projection.means2d for projection in projections],
         "radii": torch.stack([projection.radii for projection in projections]),
         "depths": torch.stack([projection.depths for projection in projections]),
+        "absgrad": [projection.absgrad for projection in projections if projection.absgrad is not None],
     }
 
 

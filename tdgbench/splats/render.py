@@ -20,6 +20,7 @@ def render_view(
     depth: bool = False,
     background: Tensor | None = None,
     blending: Blending = AS_3DGS,
+    absgrad: bool = False,
     backend: str = "auto",
 ) -> Render:
     """Render one view; the options are those of `RenderOptions`. A pose that requires a gradient gets one.
@@ -43,7 +44,7 @@ def render_view(
         raise ValueError(f"the background has the shape {tuple(background.shape)}; it must be ({channels},)")
     chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
     gaussians, camera = with_pose_gradient(gaussians, camera)
-    return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending))
+    return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending, absgrad))
 
 
 def render_state(

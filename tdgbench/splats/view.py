@@ -70,6 +70,7 @@ class RenderOptions(NamedTuple):
     depth: bool = False  # render accumulated depth in the same pass
     background: Tensor | None = None  # (D,) colour behind the Gaussians; None: black
     blending: Blending = AS_3DGS
+    absgrad: bool = False  # the backward pass also sets `Projection.absgrad`
 
 
 class Projection(NamedTuple):
@@ -78,6 +79,7 @@ class Projection(NamedTuple):
     means2d: Tensor  # (N, 2) px; the backward pass sets its `.grad`, which density control needs
     radii: Tensor  # (N,) int32 px; 0: not visible
     depths: Tensor  # (N,) camera-space z of the centres
+    absgrad: Tensor | None = None  # (N, 2) the backward pass adds Σ over pixels |d loss / d image mean|, per px
 
 
 @dataclass

@@ -14,6 +14,7 @@ from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
+from tdgbench.splats.filter import FIELD, Filter
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum, schedule
@@ -151,9 +152,11 @@ class Context:
             start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
-        growth_test = self._growth_test(images, background, rig)
+        growth_test, filters = self._growth_test(images, background, rig), self._filter(rig)
         rates = dict(learning_rates or {})
-        options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit)
+        if filters is not None:
+            start.extra_fields[FIELD], rates[FIELD] = torch.zeros_like(start.means[:, :1]), 0.0
+        options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit, filters)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
@@ -191,6 +194,12 @@ class Context:
             return None
         camera_of = {} if rig is None else {"camera_of": rig.camera}
         return GrowthTest(rule, self.scene.train, images, self.curriculum, self.backend, background, **camera_of)
+
+    def _filter(self, rig: Rig | None) -> Filter | None:
+        rule, cameras = self.budget.filter, [view.camera for view in self.scene.train]
+        if rule is None:
+            return None
+        return Filter(rule, cameras) if rig is None else Filter(rule, cameras, rig.camera)
 
 
 def training_device(backend: str) -> torch.device:

@@ -33,7 +33,12 @@ OFTEN = (
 )  # fmt: skip
 SHIPPED = sorted(path.stem for path in (ROOT / "conf/method").glob("*.yaml"))
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
-OPTIONS = ["3dgs thermal_camera.rig=true", "msmg thermal_camera.rig=true"]  # that change parts
+OPTIONS = [
+    "3dgs thermal_camera.rig=true",
+    "msmg thermal_camera.rig=true",
+    "3dgs +density=absgs +filter=mip",
+    "msmg +filter=mip thermal_camera.rig=true",
+]  # that change parts
 
 
 @pytest.fixture

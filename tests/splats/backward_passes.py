@@ -34,15 +34,15 @@ def cloud(channels: int, degree: int, dtype=torch.float32, count: int = COUNT) -
     return Gaussians(means, scales.log(), quats, opacities.logit(), sh).map(lambda t: t.to(dtype))
 
 
-def backward_pass(given: Gaussians, backend: str, used_degree: int) -> BackwardPass:
+def backward_pass(given: Gaussians, backend: str, used_degree: int, **of_view) -> BackwardPass:
     """Of a loss with random slopes, the same ones for every backend."""
     state = TrainingState(given)
     view, K = (t[0] for t in turned_camera(WIDTH, HEIGHT))
     collected = []
     optimizer = Adam(state, RATES, 1.0)
-    options = StateOptions(used_degree, depth=True, tolerance=optimizer.tolerance(1))
+    options = StateOptions(used_degree, **{"depth": True, **of_view}, tolerance=optimizer.tolerance(1))
     rendered = render_state(state, optimizer, Pinhole(view, K, WIDTH, HEIGHT), options, collected.append, backend)
-    outputs = rendered.image, rendered.depth, rendered.transmittance
+    outputs = [o for o in (rendered.image, rendered.depth, rendered.transmittance) if o is not None]
     g = torch.Generator().manual_seed(0)
     loss = sum((o * torch.randn(o.shape, generator=g, dtype=torch.float64).to(o)).sum() for o in outputs)
     loss.backward()

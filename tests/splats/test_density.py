@@ -125,3 +125,60 @@ def test_everything_may_be_pruned(rules):
 def test_same_seed_same_children(rules):
     first, second = (update(control(rules, hot=(1,)), 600)[0] for _ in range(2))
     assert torch.equal(first.means, second.means)
+
+
+def look_twice(density: DensityControl, signed: dict[int, float], absolute: dict[int, float]) -> None:
+    """One view of 100×50 px; numbers are lengths of gradients in units of half the image."""
+    like = density.state.values
+    grads = like.new_zeros(2, 5, 2)
+    for which, lengths in enumerate((signed, absolute)):
+        for index, length in lengths.items():
+            grads[which, index] = torch.tensor([0.6 * length / 50, 0.8 * length / 25])
+    gradients = Gradients.dense(like.new_zeros(5, 16), grads[0], torch.full((5,), 5).int(), grads[1])
+    density.observe_visible(gradients)
+    density.observe_gradients(gradients, 100, 50)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    ("changes", "grown"),
+    [  # clones, splits: 0, 4 are small; 1, 2 are large
+        ({}, (1, 2)),
+        ({"gradient": "absolute", "grad_threshold": 7e-4}, (1, 1)),
+        ({"split_gradient": "absolute", "split_threshold": 4e-4}, (1, 1)),
+        ({"split_gradient": "absolute"}, (1, 2)),
+        ({"split_threshold": 2.5e-4}, (1, 1)),
+    ],
+)
+def test_which_gradient_clones_and_splits(rules, dtype, changes, grown):
+    density = DensityControl(dataclasses.replace(rules, **changes), EXTENT, five(dtype=dtype), 30_000)
+    look_twice(density, {0: 2.1e-4, 1: 2.1e-4, 2: 3e-4, 4: 1e-4}, {0: 2.5e-4, 1: 8e-4, 2: 3.5e-4, 4: 8e-4})
+    saved = density.state_dict()
+    again = DensityControl(density.rules, EXTENT, five(dtype=dtype), 30_000)
+    again.load_state_dict(saved)
+    for one in (density, again):
+        change = update(one, 600)[1]
+        assert (change.cloned, change.split) == grown
+    assert ("absolute_sum" in saved) == density.rules.uses_absolute
+
+
+def test_a_method_may_state_its_authors_choice(rules):
+    assert (rules.gradient, rules.grad_threshold) == ("signed", 2e-4)
+    theirs = instantiate(config("+method.gradient=absolute", "+method.grad_threshold=7e-4").budget.density)
+    assert (theirs.gradient, theirs.grad_threshold) == ("absolute", 7e-4)
+
+
+def test_gradients_without_absolute_ones_are_refused(rules):
+    density = DensityControl(dataclasses.replace(rules, gradient="absolute"), EXTENT, five(), 30_000)
+    with pytest.raises(ValueError, match="render the view with absgrad=True"):
+        look(density)
+
+
+def test_opacity_cap(rules):
+    capped = dataclasses.replace(rules, opacity_cap_every=500)
+    for iteration, highest in ((500, 0.8), (600, 0.95), (3000, 0.01), (14_500, 0.8), (15_000, 0.95)):
+        density = control(capped, state=five(opacity=0.95))
+        assert density.is_due(iteration) == (iteration != 15_000)
+        result, change = update(density, iteration)
+        assert result.opacities.max().item() == pytest.approx(highest) and change.opacity_reset == (highest < 0.9)
+    assert update(control(rules, state=five(opacity=0.95)), 500)[0].opacities.max().item() == pytest.approx(0.95)

@@ -10,7 +10,7 @@ from tests.helpers.configs import config
 def test_compiles_what_a_gray_scene_needs():
     compile_kernels({1}, instantiate(config("budget=demo").budget), "auto")
     for depth in (False, True):
-        assert make_blend(1, depth).signatures and make_blend_backward(1, depth).signatures
+        assert make_blend(1, depth).signatures and make_blend_backward(1, depth, False).signatures
 
 
 def test_compiles_what_masks_need():

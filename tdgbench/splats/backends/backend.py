@@ -31,11 +31,12 @@ class StateOptions(NamedTuple):
     tolerance: Tolerance | None = None  # of the culling bounds; None: project every Gaussian
     background: torch.Tensor | None = None  # (D,) colour behind the Gaussians; None: black
     hook: Hook | None = None  # differentiable function from the Gaussians to what is rendered; None: activation
+    absgrad: bool = False  # `Gradients.image` also has absolute gradients
 
     @property
     def of_view(self) -> RenderOptions:
         """The options that also apply to rendered tensors."""
-        return RenderOptions(self.depth, self.background, self.blending)
+        return RenderOptions(self.depth, self.background, self.blending, self.absgrad)
 
 
 class Backend(Protocol):
@@ -84,8 +85,12 @@ class Backend(Protocol):
             rows = rows.requires_grad_()
         gaussians = (options.hook or Gaussians.activated)(state.split(rows), options.sh_degree)
         view = self.render(*with_pose_gradient(gaussians, camera.to(rows)), options.of_view)
+        projection = view.projection
+        if options.absgrad and (projection is None or projection.absgrad is None):
+            raise ValueError(
+                "this backend gives no absolute gradients; choose backend=cpu or budget.density.gradient=signed"
+            )
         if rows.requires_grad:
-            projection = view.projection
             _deliver_once(rows, lambda grad: collect(_dense(grad, projection)))
         return view
 
@@ -108,4 +113,4 @@ def _dense(grad: torch.Tensor, projection: Projection | None) -> Gradients:
     """Return the gradients by rows (N, columns) and by image means, after the backward pass of a view."""
     if projection is None or projection.means2d.grad is None:
         raise RuntimeError("a backend must set `projection`, and `means2d.grad` in its backward pass")
-    return Gradients.dense(grad, projection.means2d.grad, projection.radii)
+    return Gradients.dense(grad, projection.means2d.grad, projection.radii, projection.absgrad)

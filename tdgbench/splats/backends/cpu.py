@@ -36,26 +36,29 @@ def _tensors(arrays) -> list[Tensor]:
 class Rasterize(torch.autograd.Function):
     """color (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
-    `probe` (N, 2) receives the image means; its gradient is d loss / d image mean, per px.
+    `probe` (N, 2) receives the image means; its gradient is d loss / d image mean, per px. `absgrad` (N, 2) or None:
+    the backward pass adds the absolute gradients.
     """
 
     @staticmethod
-    def forward(ctx, means, quats, scales, opacities, colors, probe, settings):
+    def forward(ctx, means, quats, scales, opacities, colors, probe, absgrad, settings):
         source = source_of_arrays(_arrays((means, quats, scales, opacities, colors)))
         done = forward(source, settings)
         radii, probe.data = _tensors(dense_projected(done.projected, done.projected_spans, source.count))
-        ctx.saved = (source, settings, done, colors.shape)
+        ctx.saved = (source, settings, done, colors.shape, absgrad)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
         return (*_tensors(done.images), radii)
 
     @staticmethod
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
-        source, settings, done, color_shape = ctx.saved
+        source, settings, done, color_shape, absgrad = ctx.saved
         rows = blend_backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
         dense = dense_gradients(rows, source.count, int(np.prod(color_shape[1:])))
-        means, quats, scales, opacities, colors, means2d = _tensors(dense)
-        return means, quats, scales, opacities, colors.view(color_shape), means2d, None
+        means, quats, scales, opacities, colors, means2d, absolute = _tensors(dense)
+        if absgrad is not None:
+            absgrad += absolute
+        return means, quats, scales, opacities, colors.view(color_shape), means2d, None, None
 
 
 class _RenderRows(torch.autograd.Function):
@@ -92,15 +95,16 @@ class CpuBackend(Backend):
             colors = colors[:, None, :]
         degree = -1 if sh_degree is None else sh_degree
         probe = torch.empty(len(means), 2, requires_grad=torch.is_grad_enabled() and means.requires_grad)
+        absgrad = torch.zeros(len(means), 2) if options.absgrad else None
         images = []
         for part, of_pass in _passes(colors.shape[-1], options):
             settings = _settings(camera, part.stop - part.start, degree, of_pass)
             parameters = (means, quats, scales, opacities, colors[..., part].contiguous())
-            image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, settings)
+            image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, absgrad, settings)
             images.append(image)
         image = images[0] if len(images) == 1 else torch.cat(images, dim=-1)
         depths = means.detach() @ camera.viewmat[2, :3].to(means) + camera.viewmat[2, 3].to(means)
-        return Render(image, depth if options.depth else None, transmittance, Projection(probe, radii, depths))
+        return Render(image, depth if options.depth else None, transmittance, Projection(probe, radii, depths, absgrad))
 
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
@@ -122,12 +126,18 @@ class CpuBackend(Backend):
 def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, RenderOptions]]:
     """Yield the channels that each pass blends, and its options; depth, a channel too, is in the last pass."""
     firsts = [*range(0, channels, MAX_CHANNELS)] or [0]
+    if options.absgrad and channels + options.depth > MAX_CHANNELS:
+        asked = f"{channels} channels{' and depth' * options.depth}"
+        raise ValueError(
+            f"backend cpu gives absolute gradients of up to {MAX_CHANNELS} channels, and {asked} were requested; "
+            "use backend=reference or budget.density.gradient=signed"
+        )
     if options.depth and channels == firsts[-1] + MAX_CHANNELS:
         firsts.append(channels)
     for first in firsts:
         part = slice(first, min(first + MAX_CHANNELS, channels))
         behind = None if options.background is None else options.background[part]
-        yield part, RenderOptions(options.depth and first == firsts[-1], behind, options.blending)
+        yield part, RenderOptions(options.depth and first == firsts[-1], behind, options.blending, options.absgrad)
 
 
 def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOptions) -> Settings:
@@ -145,6 +155,7 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
         depth_channel=options.depth,
         background=black if background is None else background.detach().contiguous().numpy(),
         limits=pack_limits(options.blending),
+        absgrad=options.absgrad,
     )
 
 

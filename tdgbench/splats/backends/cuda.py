@@ -58,11 +58,12 @@ class CudaBackend(Backend):
         channels, camera = colors.shape[-1], camera.to(means)
         if sh_degree is not None and channels < SH_CHANNELS:
             colors = torch.nn.functional.pad(colors, (0, SH_CHANNELS - channels))
+        asked = {"absgrad": True} if options.absgrad else {}
         mode = "RGB" if not options.depth else "RGB+D" if channels else "D"
         rendered, alphas, meta = rasterization(
             means, quats, scales, opacities, colors, camera.viewmat[None], camera.K[None], camera.width, camera.height,
             near_plane=camera.near_plane, far_plane=camera.far_plane, eps2d=camera.eps2d, sh_degree=sh_degree,
-            packed=False, tile_size=16, render_mode=mode,
+            packed=False, tile_size=16, render_mode=mode, **asked,
         )  # fmt: skip
         transmittance = 1.0 - alphas[0, ..., 0]
         depth = rendered[0, ..., -1] if options.depth else None
@@ -72,7 +73,9 @@ class CudaBackend(Backend):
         radii = meta["radii"][0]
         if radii.dim() == 2:  # one per axis since 1.5
             radii = radii.amax(dim=1) * (radii > 0).all(dim=1)
-        projection = Projection(_probe_of(meta["means2d"]), radii.to(torch.int32), meta["depths"][0])
+        absgrad = torch.zeros_like(meta["means2d"][0].detach()) if options.absgrad else None
+        probe = _probe_of(meta["means2d"], absgrad)
+        projection = Projection(probe, radii.to(torch.int32), meta["depths"][0], absgrad)
         return Render(image, depth, transmittance, projection)
 
 
@@ -105,14 +108,19 @@ def _release(version: str | None) -> tuple[int, ...]:
     return (int(found[1]), int(found[2])) if found else (1, 5)
 
 
-def _probe_of(means2d: Tensor) -> Tensor:
-    """Image means (N, 2) of gsplat's (1, N, 2); the backward pass sets `.grad`."""
+def _probe_of(means2d: Tensor, absgrad: Tensor | None) -> Tensor:
+    """Image means (N, 2) of gsplat's (1, N, 2); the backward pass sets `.grad`, and adds to absgrad (N, 2).
+
+    gsplat sets `means2d.absgrad` (1, N, 2) before torch calls the hook of means2d.
+    """
     probe = means2d[0].detach().clone()
     if means2d.requires_grad:
         probe.requires_grad_()
 
         def receive(grad: Tensor) -> None:
             probe.grad = grad[0].clone()
+            if absgrad is not None:
+                absgrad.add_(vars(means2d)["absgrad"][0])
 
         means2d.register_hook(receive)
     return probe

@@ -5,6 +5,9 @@ It states the mathematics without tiles, boxes or shortcuts; all other backends 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -62,12 +65,15 @@ def _screen_radii(means2d, covariance, width, height) -> Tensor:
     return torch.where(visible, radii, 0.0).clamp_max(1e9).to(torch.int32)
 
 
-def blend(pixels, means2d, conics, opacities, channels, blending) -> tuple[Tensor, Tensor]:
+def blend(pixels, means2d, conics, opacities, channels, blending, observe=None) -> tuple[Tensor, Tensor]:
     """Return light (P, D) and transmittance (P,) at pixel centres (P, 2) px, of Gaussians sorted from near to far.
 
-    means2d (N, 2) px, conics (N, 3) px⁻², opacities (N,), channels (N, D).
+    means2d (N, 2) px, conics (N, 3) px⁻², opacities (N,), channels (N, D). The backward pass calls observe(gradients
+    (P, N, 2) of the negative image means, by pixel).
     """
     d = pixels[:, None, :] - means2d[None]
+    if observe is not None and d.requires_grad:
+        d.register_hook(observe)
     quadratic = conics[:, 0] * d[..., 0] ** 2 + conics[:, 2] * d[..., 1] ** 2
     power = -0.5 * quadratic - conics[:, 1] * d[..., 0] * d[..., 1]
     alpha = (opacities * power.exp()).clamp_max(blending.max_alpha)
@@ -103,13 +109,22 @@ class ReferenceBackend(Backend):
             channels = torch.cat([channels, z[:, None]], dim=1)
         order = torch.argsort(z.detach(), stable=True)
         splats = (all_means2d[in_front][order], conics[order], opacities[in_front][order], channels[order])
-        light, transmittance = _blend_image(splats, camera, options.blending)
+        absgrad, observe = None, None
+        if options.absgrad:
+            absgrad = torch.zeros_like(zeros)
+            observe = partial(_add_absolute, absgrad, in_front[order])
+        light, transmittance = _blend_image(splats, camera, options.blending, observe)
         if bool(torch.stack([t.isnan().any() for t in (means, quats, scales, opacities)]).any()):
             light, transmittance = light * torch.nan, transmittance * torch.nan  # its place in the image is unknown
         image, depth = (light[..., :-1], light[..., -1]) if options.depth else (light, None)
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(means.dtype)
-        return Render(image, depth, transmittance, Projection(all_means2d, radii, depths.detach()))
+        return Render(image, depth, transmittance, Projection(all_means2d, radii, depths.detach(), absgrad))
+
+
+def _add_absolute(total: Tensor, index: Tensor, gradients: Tensor) -> None:
+    """Add to total (N, 2), at an index (n,), the sums over pixels of the absolute gradients (P, n, 2)."""
+    total.index_add_(0, index, gradients.abs().sum(dim=0))
 
 
 def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> Tensor:
@@ -122,7 +137,10 @@ def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> T
 
 
 def _blend_image(
-    splats: tuple[Tensor, Tensor, Tensor, Tensor], camera: Pinhole, blending: Blending
+    splats: tuple[Tensor, Tensor, Tensor, Tensor],
+    camera: Pinhole,
+    blending: Blending,
+    observe: Callable[[Tensor], None] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Return light (H, W, D) and transmittance (H, W) of means2d, conics, opacities and channels; see `blend`."""
     means2d, _, _, channels = splats
@@ -133,7 +151,7 @@ def _blend_image(
         transmittance = torch.ones(len(pixels), dtype=means2d.dtype, device=means2d.device)
     else:
         chunks = pixels.split(max(1, PAIRS_AT_ONCE // len(means2d)))
-        parts = [blend(chunk, *splats, blending) for chunk in chunks]
+        parts = [blend(chunk, *splats, blending, observe) for chunk in chunks]
         light = torch.cat([part[0] for part in parts])
         transmittance = torch.cat([part[1] for part in parts])
     return light.reshape(camera.height, camera.width, -1), transmittance.reshape(camera.height, camera.width)

@@ -18,7 +18,7 @@ from tests.helpers.gaussians import random_gaussians, turned_camera
 
 def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=0.01,
                          far_plane=1e10, radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=16,
-                         backgrounds=None, render_mode="RGB", sparse_grad=False):  # fmt: skip
+                         backgrounds=None, render_mode="RGB", sparse_grad=False, absgrad=False):  # fmt: skip
     """gsplat 1.5.3's face: renders (C, H, W, D), alphas (C, H, W, 1), means2d (C, N, 2), radii per axis (C, N, 2)."""
     assert not packed and backgrounds is None
     if sh_degree is None:
@@ -29,11 +29,17 @@ def gsplat_rasterization(means, quats, scales, opacities, colors, viewmats, Ks, 
         colors, sh_degree = colors.new_zeros(len(means), 0), None
     gaussians = GaussianTensors(means, quats, scales, opacities, colors, sh_degree)
     camera = Pinhole(viewmats[0], Ks[0], width, height, near_plane, far_plane, eps2d)
-    view = reference.BACKEND.render(gaussians, camera, RenderOptions(depth="D" in render_mode))
+    view = reference.BACKEND.render(gaussians, camera, RenderOptions(depth="D" in render_mode, absgrad=absgrad))
     image = view.image if view.depth is None else torch.cat([view.image, view.depth[..., None]], dim=-1)
     found = view.projection
     means2d = found.means2d.detach()[None].requires_grad_()
-    found.means2d.register_hook(lambda grad: means2d.backward(grad[None]))
+
+    def backward(grad):
+        if absgrad:
+            means2d.absgrad = found.absgrad[None].clone()
+        means2d.backward(grad[None])
+
+    found.means2d.register_hook(backward)
     meta = {
         "means2d": means2d,
         "radii": torch.stack([found.radii, found.radii], dim=-1)[None],
@@ -58,7 +64,7 @@ def test_hands_over_and_takes_back(stand_in, degree, channels, depth, background
     given = [p.double() for p in random_gaussians(40, 3, degree, channels)]
     (view,), (K,) = (t.double() for t in turned_camera(20, 15))
     color = None if background is None else torch.full((channels,), background, dtype=torch.float64)
-    camera, options = Pinhole(view, K, 20, 15), RenderOptions(depth, color)
+    camera, options = Pinhole(view, K, 20, 15), RenderOptions(depth, color, absgrad=depth)
     results = []
     for backend in (cuda.BACKEND, reference.BACKEND):
         leaves = [p.clone().requires_grad_() for p in given]
@@ -66,10 +72,12 @@ def test_hands_over_and_takes_back(stand_in, degree, channels, depth, background
         g = torch.Generator().manual_seed(0)
         parts = [out.image, out.transmittance, *([out.depth] if depth else [])]
         sum((p * torch.randn(p.shape, generator=g, dtype=torch.float64)).sum() for p in parts).backward()
-        means2d, radii, depths = out.projection
+        means2d, radii, depths, absgrad = out.projection
         used = leaves if channels else leaves[:-1]
-        results.append([*parts, radii.double(), depths, means2d, means2d.grad, *(p.grad for p in used)])
-        assert (out.depth is not None) == depth
+        seen = [absgrad] if depth else []
+        results.append([*parts, radii.double(), depths, means2d, means2d.grad, *seen, *(p.grad for p in used)])
+        assert (out.depth is not None) == depth and (absgrad is not None) == depth
+        assert not depth or (absgrad >= means2d.grad.abs() - 1e-12).all()
     for ours, theirs in zip(*results, strict=True):
         assert torch.allclose(ours, theirs, atol=1e-12)
 
@@ -99,7 +107,7 @@ def test_everything_is_handed_over_on_the_device_of_the_gaussians(monkeypatch):
     given = GaussianTensors(*(p.to("meta") for p in random_gaussians(5, 3, 1, 3)), 1)
     camera = Pinhole(*(t[0].double() for t in turned_camera(20, 15)), 20, 15)
     view = cuda.BACKEND.render(given, camera, RenderOptions(depth=True, background=torch.zeros(3)))
-    tensors = (view.image, view.depth, view.transmittance, *view.projection)
+    tensors = (view.image, view.depth, view.transmittance, *view.projection[:3])
     assert {t.device.type for t in tensors} == {"meta"} and view.image.shape == (15, 20, 3)
 
 

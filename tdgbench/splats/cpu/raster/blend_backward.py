@@ -6,8 +6,8 @@ r_k = Σ_{j>k} w_j (c_j · g) + T_end (background · g − gradient of alpha):
     d/d ln(alpha_k) = w_k (c_k · g) − alpha_k / (1 − alpha_k) r_k
 
 Every (tile, Gaussian) pair has a slot for the sums over the tile's pixels: (1, dx, dy, dx², dx dy, dy²) times the
-above, then w_k g for the channels. The slots are summed later in a fixed order, so that the result does not depend on
-which thread took which tile.
+above, then w_k g for the channels, and if asked for, |d/du| and |d/dv| of the image mean. The slots are summed later
+in a fixed order, so that the result does not depend on which thread took which tile.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from tdgbench.splats.cpu.raster.blocks import (
     LOCAL,
     NONE,
     TABLES,
+    TWO,
     T,
     X,
     Y,
@@ -50,6 +51,7 @@ from tdgbench.splats.cpu.simd.powers import exp2_in_memory
 from tdgbench.splats.cpu.simd.reductions import lane_sums_of_4, lane_sums_of_8
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
+    absolute,
     both,
     broadcast,
     greater,
@@ -64,17 +66,18 @@ from tdgbench.splats.cpu.simd.registers import (
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
+LN_2 = F(np.log(2.0))
 PREFETCH_DISTANCE = 4  # pairs
 MOMENTS = 6
 
 
-def slot_size(channels: int) -> int:
-    """Return the number of floats of a gradient slot: six moments and the channels.
+def slot_size(channels: int, absgrad: bool = False) -> int:
+    """Return the number of floats of a gradient slot: six moments, the channels, and with absgrad two sums.
 
     >>> slot_size(4)
     10
     """
-    return MOMENTS + channels
+    return MOMENTS + channels + 2 * absgrad
 
 
 def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, slots: Slots) -> None:
@@ -83,19 +86,19 @@ def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, sl
         np.zeros(1, np.int64), done.splats.values, done.tiles, settings.limits, TABLES, done.images, gradients,
         done.visits, slots,
     )  # fmt: skip
-    variant = make_blend_backward(len(settings.background), settings.depth_channel)
+    variant = make_blend_backward(len(settings.background), settings.depth_channel, settings.absgrad)
     pool.run(variant, [arguments] * pool.get_threads())
 
 
 @functools.cache
-def make_blend_backward(colors: int, depth: bool):
+def make_blend_backward(colors: int, depth: bool, absgrad: bool):
     """Return the backward kernel of `tdgbench.splats.cpu.raster.blend.make_blend`."""
-    variant = f"{colors}_depth" if depth else f"{colors}"
+    variant = f"{colors}" + "_depth" * depth + "_absgrad" * absgrad
     channels = colors + depth
     # Floats of a block: x, y, T, light behind, then the gradients of the channels. No literal, so that helpers without
     # channels serve all variants.
     size = np.int64((4 + channels) * LANES)
-    slot_floats = slot_size(channels)
+    slot_floats = slot_size(channels, absgrad)
 
     @kernel(variant=variant)
     def blend_backward(counter, splats, tiles, limits, tables, images, gradients, visits, slots):
@@ -130,11 +133,14 @@ def make_blend_backward(colors: int, depth: bool):
                 # first what needs no sums: the registers do not hold all at once
                 write_alphas(alphas, pixels, size, form, blocks, limits, tables.powers)
                 totals = sum_blocks(
-                    pixels, size, channels, alphas, form, colors_of_splat, blocks, limits.min_transmittance
+                    pixels, size, channels, alphas, form, colors_of_splat, blocks, limits.min_transmittance, absgrad
                 )
                 slot = U(tiles.slots[U(k)])
                 slots.written[slot] = True
-                write_slot(slots.values, slot * U(slot_floats), channels, totals, sums)
+                at = slot * U(slot_floats)
+                write_slot(slots.values, at, channels, totals, sums)
+                if absgrad:
+                    write_absolute(slots.values, at, channels, pixels, size, alphas, form, blocks, sums)
 
     return blend_backward
 
@@ -179,8 +185,11 @@ def write_alphas(alphas, pixels, size, form, blocks, limits, powers):
 
 
 @kernel(inline=True)
-def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmittance):
-    """Ten registers: the six moments and up to four channels of one splat, summed over `blocks`."""
+def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmittance, absgrad):
+    """Ten registers: the six moments and up to four channels of one splat, summed over `blocks`.
+
+    With absgrad, d/d ln(alpha) of each pixel takes the place of the second register of `alphas`.
+    """
     zero = broadcast(ZERO)
     m0, mx, my, mxx, mxy, myy = zero, zero, zero, zero, zero, zero
     k0, k1, k2, k3 = zero, zero, zero, zero
@@ -215,6 +224,8 @@ def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmi
         store(pixels, o + LOCAL, behind)
         pull = load(alphas, block * U(2 * LANES) + U(LANES))
         g = select(both(goes_on, greater(zero, pull)), behind * pull + light, zero)
+        if absgrad:
+            store(alphas, block * U(2 * LANES) + U(LANES), g)
         dx, dy = load(pixels, o + X) + form.dx, load(pixels, o + Y) + form.dy
         g_dx, g_dy = g * dx, g * dy
         m0 = m0 + g
@@ -239,3 +250,20 @@ def write_slot(slots, o, channels, totals, sums):
         slots[o + U(8)] = sums[U(LANES)]
         if channels > 3:
             slots[o + U(9)] = sums[U(LANES + 1)]
+
+
+@kernel(inline=True)
+def write_absolute(slots, o, channels, pixels, size, alphas, form, blocks, sums):
+    """Write the last two numbers of a slot: Σ |d/du| and Σ |d/dv| of the image mean, per px; see `sum_blocks`."""
+    u, v = broadcast(ZERO), broadcast(ZERO)
+    while blocks != NONE:
+        block = lowest(blocks)
+        blocks &= blocks - U(1)
+        at = block * U(size)
+        g = load(alphas, block * U(2 * LANES) + U(LANES)) * LN_2
+        dx, dy = load(pixels, at + X) + form.dx, load(pixels, at + Y) + form.dy
+        u = u + absolute(g * (dx * (form.A * TWO) + dy * form.B))
+        v = v + absolute(g * (dy * (form.C * TWO) + dx * form.B))
+    store(sums, 0, lane_sums_of_4(u, v, broadcast(ZERO), broadcast(ZERO)))
+    for j in range(U(2)):
+        slots[o + U(MOMENTS + channels) + j] = sums[j]

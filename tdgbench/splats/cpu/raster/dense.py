@@ -24,6 +24,7 @@ class DenseGradients(NamedTuple):
     opacities: np.ndarray  # (N,)
     colors: np.ndarray  # (N, numbers per Gaussian)
     means2d: np.ndarray  # (N, 2) per px
+    absolute: np.ndarray  # (N, 2) per px, see `GradientArrays`; (N, 0) if it was not asked for
 
 
 @kernel()
@@ -43,6 +44,8 @@ def spread_gradients(first, count, rows, dense):
             dense.colors[i, j] = values[r, U(COLORS_AT) + j]
         for j in range(U(2)):
             dense.means2d[i, j] = image[r, j]
+        for j in range(U(dense.absolute.shape[1])):
+            dense.absolute[i, j] = image[r, U(3) + j]
 
 
 @kernel()
@@ -56,7 +59,8 @@ def spread_projected(first, count, projected, radii, means2d):
 
 def dense_gradients(rows: GradientRows, count: int, colors: int) -> DenseGradients:
     """Return gradients of all `count` Gaussians, `colors` numbers each for their colours."""
-    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, colors), (count, 2))
+    absolute = (count, rows.arrays.image.shape[1] - 3)
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, colors), (count, 2), absolute)
     out = DenseGradients(*(np.zeros(shape, np.float32) for shape in shapes))
     pool.run(spread_gradients, [(*span, rows.arrays, out) for span in rows.spans])
     return out

@@ -69,7 +69,7 @@ class Blended:
         rows = GradientArrays(
             workspace.take("ids of gradients", capacity, np.int32),
             workspace.take("gradients", (capacity, self.columns), np.float32),
-            workspace.take("image gradients", (capacity, 3), np.float32),
+            workspace.take("image gradients", (capacity, 5 if self.settings.absgrad else 3), np.float32),
         )
         return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
 
@@ -109,7 +109,7 @@ def blend_backward(
         )
     )
     workspace = Workspace()
-    floats = slot_size(len(settings.background) + settings.depth_channel)
+    floats = slot_size(len(settings.background) + settings.depth_channel, settings.absgrad)
     values = workspace.take("slots", done.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
     slots = Slots(values, np.zeros(done.pair_capacity, np.bool_))
     fill_slots(settings, done, gradients, slots)

@@ -27,7 +27,7 @@ from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, ad
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
-IMAGE_U, IMAGE_V, IMAGE_RADIUS = range(3)  # registers of `image`
+IMAGE_U, IMAGE_V, IMAGE_RADIUS, IMAGE_ABSOLUTE_U, IMAGE_ABSOLUTE_V = range(5)  # registers of `image`
 
 
 class FusedStep(NamedTuple):
@@ -51,7 +51,7 @@ class GradientScratch(NamedTuple):
     basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
     pull: np.ndarray  # (16 · LANES,) float32: gradients of the basis functions
     gradient: np.ndarray  # (GATHERED · LANES,) float32: by column; those not in use stay 0
-    image: np.ndarray  # (3 · LANES,) float32: gradient of the image mean, and screen radius
+    image: np.ndarray  # (5 · LANES,) float32: gradient of the image mean, screen radius, absolute gradients
     rows: np.ndarray  # (GATHERED · LANES,) float32: the gradients row by row
 
 
@@ -68,7 +68,7 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
         aligned_floats(16 * LANES),
         aligned_floats(16 * LANES),
         aligned_floats(GATHERED * LANES),
-        aligned_floats(3 * LANES),
+        aligned_floats(5 * LANES),
         aligned_floats(GATHERED * LANES),
     )
     batch = Batch(aligned_floats(BATCH * SLOT), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32))
@@ -97,8 +97,9 @@ def write_rows(gaussian_ids, k, scratch, done, rows):
         rows.gaussian_ids[U(done + lane)] = gaussian_ids[U(k + lane)]
     for c in range(0, stride, LANES):
         turn_block(scratch.gradient, c * LANES, LANES, rows.values, done * stride + c, stride)
-    for c in range(3):
-        put_column(rows.image, done, 3, c, load(scratch.image, c * LANES))
+    width = rows.image.shape[1]
+    for c in range(width):
+        put_column(rows.image, done, width, c, load(scratch.image, c * LANES))
 
 
 @kernel(inline=True)
@@ -111,7 +112,11 @@ def step_group(gaussian_ids, k, count, scratch, step):
         i = U(gaussian_ids[U(k) + lane])
         step_row(step.step, i, scratch.rows, lane * U(columns), step.bad)
         if statistics.active and image[U(IMAGE_RADIUS * LANES) + lane] > ZERO:
-            add_length(statistics, i, image[U(IMAGE_U * LANES) + lane], image[U(IMAGE_V * LANES) + lane])
+            u, v = image[U(IMAGE_U * LANES) + lane], image[U(IMAGE_V * LANES) + lane]
+            add_length(statistics, statistics.grad_sum, i, u, v)
+            if statistics.absolute_sum.size > 0:
+                u, v = image[U(IMAGE_ABSOLUTE_U * LANES) + lane], image[U(IMAGE_ABSOLUTE_V * LANES) + lane]
+                add_length(statistics, statistics.absolute_sum, i, u, v)
 
 
 @kernel(inline=True)
@@ -134,6 +139,10 @@ def write_gradient(raw, channels, camera, splats, splat_ids, k, scratch):
     store(image, IMAGE_U * LANES, g_mean2d[0])
     store(image, IMAGE_V * LANES, g_mean2d[1])
     store(image, IMAGE_RADIUS * LANES, gather(splats, splat_ids, k, FLOATS, RADIUS))
+    if channels.absgrad:
+        at = (MOMENTS + channels.colors + channels.depth) * LANES
+        store(image, IMAGE_ABSOLUTE_U * LANES, load(totals, at))
+        store(image, IMAGE_ABSOLUTE_V * LANES, load(totals, at + LANES))
     if raw:
         g_scales = (g_scales[0] * scales[0], g_scales[1] * scales[1], g_scales[2] * scales[2])
     put_three(out, SCALES_AT, g_scales)

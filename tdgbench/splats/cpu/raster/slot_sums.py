@@ -14,7 +14,7 @@ from tdgbench.splats.cpu.simd.reductions import lane_bits
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, is_nonzero
 
 F, U = np.float32, np.uint64
-SLOT = 16  # floats: a slot of six moments and up to four channels, in whole registers
+SLOT = 16  # floats: a slot of six moments, up to four channels and two absolute sums, in whole registers
 BATCH = 4 * LANES  # splats whose memory is fetched before it is read
 
 
@@ -33,7 +33,7 @@ def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
     A batch that ends within a register is filled up with its last splat. What will be read of a Gaussian is prefetched;
     the arguments are those of `projection_backward`.
     """
-    floats, filled = MOMENTS + channels.colors + channels.depth, 0
+    floats, filled = MOMENTS + channels.colors + channels.depth + 2 * channels.absgrad, 0
     pairs, written, values = splats.pairs, slots.written, slots.values
     while r < end and filled < BATCH:
         low, high = broadcast(F(0)), broadcast(F(0))  # high: beyond the first register

@@ -65,6 +65,7 @@ class Channels(NamedTuple):
     colors: int
     degree: int  # of the spherical harmonics; −1: colours as they are
     depth: bool
+    absgrad: bool = False  # two more numbers of a gradient slot: Σ |d/du| and Σ |d/dv| over pixels
 
     def count_bases(self) -> int:
         """Return the number of coefficients per colour."""
@@ -82,10 +83,11 @@ class Settings:
     depth_channel: bool
     background: np.ndarray  # (colours,) float32
     limits: Limits
+    absgrad: bool = False  # the backward pass also sums absolute values of image gradients
 
     @property
     def channels(self) -> Channels:
-        return Channels(len(self.background), self.degree, self.depth_channel)
+        return Channels(len(self.background), self.degree, self.depth_channel, self.absgrad)
 
 
 class Projected(NamedTuple):
@@ -140,7 +142,7 @@ class GradientArrays(NamedTuple):
 
     gaussian_ids: np.ndarray  # (capacity,) int32
     values: np.ndarray  # (capacity, columns) float32, columns as in `tdgbench.splats.columns`
-    image: np.ndarray  # (capacity, 3) float32: d/du and d/dv per px, screen radius in px
+    image: np.ndarray  # (capacity, 3 or 5) float32: d/du, d/dv per px, screen radius in px; Σ |d/du|, Σ |d/dv| per px
 
 
 @dataclass

@@ -6,5 +6,5 @@ def test_slots_hold_moments_and_channels():
 
 
 def test_variants_are_made_once():
-    assert make_blend_backward(1, True) is make_blend_backward(1, True)
-    assert make_blend_backward(1, True) is not make_blend_backward(2, False)
+    assert make_blend_backward(1, True, False) is make_blend_backward(1, True, False)
+    assert make_blend_backward(1, True, False) is not make_blend_backward(2, False, False)

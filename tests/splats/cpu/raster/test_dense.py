@@ -11,12 +11,13 @@ def test_rows_go_to_their_gaussians_and_the_others_are_zero():
     rng = np.random.default_rng(0)
     index = np.array([1, 4, -1, -1, 6, 9, -1], np.int32)  # three spans, one of them empty, with gaps
     spans = [(0, 2), (3, 0), (4, 2)]
-    values, image = rng.normal(size=(7, 16)).astype(F), rng.normal(size=(7, 3)).astype(F)
+    values, image = rng.normal(size=(7, 16)).astype(F), rng.normal(size=(7, 5)).astype(F)
     rows = GradientRows(spans, GradientArrays(index, values, image), Workspace())
-    want, want_image = np.zeros((12, 16), F), np.zeros((12, 3), F)
+    want, want_image = np.zeros((12, 16), F), np.zeros((12, 5), F)
     for r in (0, 1, 4, 5):
         want[index[r]], want_image[index[r]] = values[r], image[r]
-    means, quats, scales, opacities, colors, means2d = dense_gradients(rows, 12, 8)
+    means, quats, scales, opacities, colors, means2d, absolute = dense_gradients(rows, 12, 8)
+    assert absolute.shape == (12, 2) and np.array_equal(absolute, want_image[:, 3:])
     assert np.array_equal(np.concatenate([means, quats, scales, opacities[:, None]], axis=1), want[:, :11])
     assert np.array_equal(colors[:, :5], want[:, 11:]) and not colors[:, 5:].any()
     assert np.array_equal(means2d, want_image[:, :2])
