@@ -7,7 +7,6 @@ half of its random starts, else a brightness of about 1/√height.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import torch
@@ -15,9 +14,9 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional as F
 
+from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling
 from tdgbench.splats import Gaussians
 from tdgbench.splats.harmonics import colors_from_sh
-from tdgbench.splats.optimizer import log_linear
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
@@ -25,40 +24,25 @@ from tdgbench.training.losses import l1_and_dssim
 from tdgbench.training.method import Frame, Method, Share, Step
 from tdgbench.training.part import Network
 
-ADAM = partial(torch.optim.Adam, eps=1e-15)  # of both networks
 HARRIS = 0.04  # find_corners
 
 
-class Transmission(torch.nn.Module):
+class Transmission(Trunk):
     """ATF: the factor of a Gaussian's colour at a time, exp((a + s) d), of its place; utils/ATF_utils.py.
 
-    Eight layers, of which the sixth also gets the input; three heads a, s and d without activation.
+    Three heads a, s and d without activation.
     """
 
-    def __init__(self, width: int = 256, layers: int = 8, frequencies: int = 10) -> None:
-        super().__init__()
-        self.skip = layers // 2
-        self.bands = [2.0**k for k in range(frequencies)]
-        inputs = 4 * (1 + 2 * frequencies)
-        sizes = [inputs, *(width + inputs * (i == self.skip) for i in range(layers - 1))]
-        self.layers = torch.nn.ModuleList(torch.nn.Linear(size, width) for size in sizes)
+    def __init__(self, width: int = 256) -> None:
+        super().__init__(encoded_size(4), width)
         self.absorption, self.distance, self.scattering = (torch.nn.Linear(width, 1) for _ in range(3))
 
     def forward(self, means: Tensor, time: float) -> Tensor:
         """Return the factor (N, 1) of Gaussians at means (N, 3), world units, at a time in [0, 1]."""
         times = torch.full_like(means[:, :1], time)
-        inputs = torch.cat([self._encoded(means), self._encoded(times)], dim=1)
-        hidden = inputs
-        for i, layer in enumerate(self.layers):
-            hidden = F.relu(layer(hidden))
-            if i == self.skip:
-                hidden = torch.cat([inputs, hidden], dim=1)
+        hidden = self.hidden(torch.cat([encoded(means), encoded(times)], dim=1))
         factor: Tensor = torch.exp((self.absorption(hidden) + self.scattering(hidden)) * self.distance(hidden))
         return factor
-
-    def _encoded(self, values: Tensor) -> Tensor:
-        waves = [wave(values * band) for band in self.bands for wave in (torch.sin, torch.cos)]
-        return torch.cat([values, *waves], dim=1)
 
 
 class Conduction(torch.nn.Module):
@@ -131,12 +115,10 @@ class Thermal3DGS(Method):
         torch.manual_seed(context.seed)
         self.transmission = self.conduction = None
         if self.has_transmission:
-            first, last = self.transmission_rates
-            rate = _falling(first, last, steps)
+            rate = falling(self.transmission_rates, steps)
             self.transmission = context.add_part("transmission", Network(Transmission().to(context.device), rate, ADAM))
         if self.has_conduction:
-            first, last = self.conduction_rates
-            rate = _falling(first, last, steps)
+            rate = falling(self.conduction_rates, steps)
             self.conduction = context.add_part("conduction", ConductionPart(Conduction().to(context.device), rate))
 
     def step(self, iteration: int) -> Step:
@@ -207,8 +189,3 @@ def corner_loss(image: Tensor, target: Tensor, valid: Tensor | None = None) -> T
     strength = -HARRIS * responses.square().sum(dim=0).square()
     weighted = (image - target).abs().mean(dim=2) * torch.exp(strength - strength.max())
     return weighted.mean() if valid is None else weighted[valid].mean()
-
-
-def _falling(first: float, last: float, steps: int) -> Any:
-    """Return the learning rate by iteration (1-based), which changes after each step."""
-    return lambda iteration: log_linear(first, last, (iteration - 1) / steps)

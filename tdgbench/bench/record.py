@@ -63,6 +63,7 @@ class PartReport(TypedDict, total=False):
     """What `report` of a part of the training says; other parts than Gaussians have other fields."""
 
     gaussians: Count
+    parameters: Count
     cloned: Count
     split: Count
     pruned: Count

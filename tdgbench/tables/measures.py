@@ -39,7 +39,7 @@ GAUSSIANS = RecordMeasure(
 )  # fmt: skip
 PARAMETERS = RecordMeasure(
     name="parameters", label="parameters", meaning="trained numbers of Gaussians and networks", digits=0, ratio=True,
-    of_record=lambda record: float(sum(int(part.get("parameters", 0)) for part in record.parts.values()) or np.nan),
+    of_record=lambda record: float(sum(part.get("parameters", 0) for part in record.parts.values()) or np.nan),
 )  # fmt: skip
 MEMORY = RecordMeasure(
     name="memory_mb", label="memory", meaning="largest memory of the process that ran the cell", unit="MB", digits=0,

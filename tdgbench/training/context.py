@@ -54,6 +54,11 @@ class ViewOrder(RandomStream):
         self.views, self.curriculum = views, curriculum
         self._order: list[int] = []
 
+    @property
+    def left(self) -> int:
+        """Number of views that the round still has."""
+        return len(self._order)
+
     def next(self) -> View:
         """Return the next view, at the resolution of the iteration."""
         if not self._order:

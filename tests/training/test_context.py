@@ -23,6 +23,7 @@ def test_views_come_once_per_round():
     rounds = [[order.next() for _ in range(7)] for _ in range(3)]
     assert all(sorted(r) == list(range(7)) for r in rounds)
     assert rounds[0] != rounds[1]
+    assert [order.left for _ in range(7) if order.next() is not None] == [6, 5, 4, 3, 2, 1, 0]
 
 
 def test_an_order_of_views_goes_on_where_it_was():

@@ -65,6 +65,19 @@ def _screen_radii(means2d, covariance, width, height) -> Tensor:
     return torch.where(visible, radii, 0.0).clamp_max(1e9).to(torch.int32)
 
 
+@torch.no_grad()
+def visible_radii(gaussians: GaussianTensors, camera: Pinhole) -> Tensor:
+    """Return 3DGS's radii (N,) int32 px of Gaussians on the image of a camera; 0: not visible. Nothing is rendered."""
+    means, quats, scales = gaussians[:3]
+    camera = camera.to(means)
+    depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    seen = (depths > camera.near_plane) & (depths < camera.far_plane)
+    means2d, _, covariance, _ = project(means[seen], quats[seen], scales[seen], *camera[:4], camera.eps2d)
+    radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
+    radii[seen] = _screen_radii(means2d, covariance, camera.width, camera.height)
+    return radii
+
+
 def blend(pixels, means2d, conics, opacities, channels, blending, observe=None) -> tuple[Tensor, Tensor]:
     """Return light (P, D) and transmittance (P,) at pixel centres (P, 2) px, of Gaussians sorted from near to far.
 
@@ -127,7 +140,7 @@ def _add_absolute(total: Tensor, index: Tensor, gradients: Tensor) -> None:
     total.index_add_(0, index, gradients.abs().sum(dim=0))
 
 
-def seen_colors(gaussians: GaussianTensors, index: Tensor, camera: Pinhole) -> Tensor:
+def seen_colors(gaussians: GaussianTensors, index: Tensor | slice, camera: Pinhole) -> Tensor:
     """Return colours (n, D) of the Gaussians at an index (n,), as the camera sees them."""
     if gaussians.sh_degree is None:
         return gaussians.colors[index]

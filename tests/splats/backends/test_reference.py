@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends import reference
+from tdgbench.splats.backends import cpu, reference
+from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
@@ -16,6 +17,17 @@ def test_rotations_are_rotations():
     )
     quarter = reference.rotation_matrices(torch.tensor([[1.0, 0, 0, 1]]))  # 90° about z
     assert torch.allclose(quarter[0] @ torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]), atol=1e-6)
+
+
+@pytest.mark.parametrize("backend", [reference.BACKEND, cpu.BACKEND])
+def test_visible_radii_are_those_of_a_render(backend):
+    parameters = random_gaussians(400, 3, None, 1)
+    parameters[0] *= 3
+    gaussians, (viewmat, K) = GaussianTensors(*parameters), (t[0] for t in turned_camera(60, 45))
+    camera = Pinhole(viewmat, K, 60, 45)
+    radii = reference.visible_radii(gaussians, camera)
+    assert 20 < (radii > 0).sum() < 380
+    assert torch.equal(radii, backend.render(gaussians, camera, RenderOptions()).projection.radii)
 
 
 def test_pieces_do_not_matter(monkeypatch):
