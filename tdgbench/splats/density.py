@@ -11,6 +11,7 @@ length 3DGS tests. The absolute gradient is the length of the sums of |d/du| and
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
@@ -23,6 +24,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.cpu.statistics import EMPTY, GradientStatistics, observe_visible
 from tdgbench.splats.filter import Filter
+from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
@@ -123,12 +125,22 @@ class GrowthDecision(NamedTuple):
     prune: Tensor  # (N,) bool
 
 
+@dataclass
+class TrainingView:
+    """Gradients of a view of width × height px after its backward pass. label: of the render, for density control."""
+
+    gradients: Gradients | PendingGradients
+    width: int
+    height: int
+    label: str = ""
+
+
 class DensityControl:
     """Accumulates gradients and radii over views, and changes the set of Gaussians by its rules."""
 
-    filter: Filter | None = (
-        None  # of the Gaussians: computed anew in rounds; resets and caps are those of what it leaves
-    )
+    filter: Filter | None = None  # of the Gaussians, computed anew in rounds; resets and caps are of what it leaves
+    opacity_fields: tuple[str, ...] = ("opacity_logits",)  # that a reset lowers
+    accumulated: tuple[str, ...] = ("grad_sum", "view_counts", "max_radii", "absolute_sum")  # tensors, 0 after a round
 
     def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
         """extent: of the scene, world units. iterations: length of the training."""
@@ -166,6 +178,11 @@ class DensityControl:
                 norm = (image[:, first : first + 2] * halves).norm(dim=1)
                 total.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
+    def observe(self, views: Sequence[TrainingView]) -> None:
+        """Accumulate the gradients of an iteration's views, which are computed."""
+        for view in views:
+            self.observe_gradients(view.gradients.compute(), view.width, view.height)
+
     def statistics(self, width: int, height: int) -> GradientStatistics:
         """Return where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
         absolute = self.absolute_sum.numpy() if self.rules.uses_absolute else EMPTY
@@ -177,8 +194,7 @@ class DensityControl:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what was accumulated since the last change, as `torch.save` takes it."""
-        absolute = ("absolute_sum",) if self.rules.uses_absolute else ()
-        return {name: getattr(self, name).cpu() for name in ("grad_sum", "view_counts", "max_radii", *absolute)}
+        return {name: getattr(self, name).cpu() for name in self.accumulated}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned, after the rows were restored."""
@@ -239,12 +255,13 @@ class DensityControl:
             free_buffers()
             self._update_filter()
         if ceiling is not None:
-            if self.filter is not None:
-                self.filter.cap(self.state, ceiling)
-            else:
-                logit = math.log(ceiling / (1 - ceiling))
-                self.state.values[:, self.state.columns_of("opacity_logits")].clamp_max_(logit)
-            optimizer.reset_moments("opacity_logits")
+            logit = math.log(ceiling / (1 - ceiling))
+            for name in self.opacity_fields:
+                if self.filter is not None and name == "opacity_logits":
+                    self.filter.cap(self.state, ceiling)
+                else:
+                    self.state.values[:, self.state.columns_of(name)].clamp_max_(logit)
+                optimizer.reset_moments(name)
         return change
 
     def _update_filter(self) -> None:
@@ -265,11 +282,11 @@ class DensityControl:
         change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         grow = decision.grow
         if rules.max_gaussians is not None:
-            grow = _strongest(grow, decision.strength, rules.max_gaussians - len(old))
+            grow = strongest(grow, decision.strength, rules.max_gaussians - len(old))
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        remove = (old.opacities < rules.min_opacity) | decision.prune
+        remove = self._is_transparent(old) | decision.prune
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -278,21 +295,26 @@ class DensityControl:
         remove[split] = True
         added = torch.cat([values[clone], self._children(values[split], generator)])
         new = self.state.split(added)
-        drop = new.opacities < rules.min_opacity
+        drop = self._is_transparent(new)
         if iteration > rules.opacity_reset_every:
             drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
         change.pruned += int(drop.sum())
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
 
-    def _by_gradients(self, small: Tensor) -> GrowthDecision:
+    def _is_transparent(self, gaussians: Gaussians) -> Tensor:
+        """Return which Gaussians (n,) a round prunes for their opacity."""
+        return gaussians.opacities < self.rules.min_opacity
+
+    def _by_gradients(self, small: Tensor | None = None) -> GrowthDecision:
         """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large.
 
-        small: (N,) bool: Gaussians that are cloned; others are split, by a gradient and threshold that may differ.
+        small: (N,) bool: Gaussians that are cloned, None: all; others are split, by a gradient and threshold that may
+        differ.
         """
         rules = self.rules
         grads = self._mean_gradients(rules.gradient)
         grow = grads >= rules.grad_threshold
-        if rules.split_gradient is not None or rules.split_threshold is not None:
+        if small is not None and (rules.split_gradient is not None or rules.split_threshold is not None):
             threshold = rules.grad_threshold if rules.split_threshold is None else rules.split_threshold
             of_large = self._mean_gradients(rules.split_gradient or rules.gradient)
             grads, grow = torch.where(small, grads, of_large), torch.where(small, grow, of_large >= threshold)
@@ -316,7 +338,7 @@ class DensityControl:
         return children
 
 
-def _strongest(grow: Tensor, strength: Tensor, quota: int) -> Tensor:
+def strongest(grow: Tensor, strength: Tensor, quota: int) -> Tensor:
     """Return at most `quota` of the marked Gaussians (N,), the strongest ones."""
     if int(grow.sum()) <= quota:
         return grow

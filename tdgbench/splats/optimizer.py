@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -105,20 +105,20 @@ class Adam:
         self,
         gradients: Gradients | PendingGradients,
         iteration: int,
-        without: str | None = None,
+        without: Sequence[str] = (),
         statistics: GradientStatistics = NO_STATISTICS,
     ) -> str | None:
-        """Take one step at an iteration (1-based); the parameter `without` is treated as if its `.grad` were None.
+        """Take one step at an iteration (1-based); for the parameters `without` it is as if their `.grad` were None.
 
         Pending gradients are computed in the same pass, which adds to `statistics`. Return the name of a parameter
         whose gradient is not finite, or None.
         """
         state = self.state
-        if without is not None:
+        for name in without:
             gradients = gradients.compute()
-            gradients.values[:, state.columns_of(without)] = 0
+            gradients.values[:, state.columns_of(name)] = 0
         for name in self.steps:
-            self.steps[name] += name != without
+            self.steps[name] += name not in without
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:

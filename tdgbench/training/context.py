@@ -14,6 +14,7 @@ from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
+from tdgbench.splats.density import DensityRules
 from tdgbench.splats.filter import FIELD, Filter
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
@@ -143,12 +144,14 @@ class Context:
         extra_fields: Mapping[str, torch.Tensor] | None = None,
         learning_rates: Mapping[str, float | str] | None = None,
         position_unit: float | None = None,
+        density: DensityRules | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
         start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
         learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
         rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
+        density: rules of density control, in the place of the budget's.
         """
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
@@ -163,7 +166,8 @@ class Context:
             start.extra_fields[FIELD], rates[FIELD] = torch.zeros_like(start.means[:, :1]), 0.0
         options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit, filters)
         start = start.map(lambda tensor: tensor.to(self.device))
-        model = SplatModel(start, self.budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
+        budget = self.budget if density is None else replace(self.budget, density=density)
+        model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
 
     def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:

@@ -13,7 +13,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import GrowthDecision
+from tdgbench.splats.density import GrowthDecision, TrainingView
 from tdgbench.splats.filter import Filter
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
@@ -78,7 +78,7 @@ class SplatModel(Part):
         self.blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
-        self._views: list[_View] = []
+        self._views: list[TrainingView] = []
 
     def __len__(self) -> int:
         return len(self.state)
@@ -108,16 +108,18 @@ class SplatModel(Part):
         depth: bool = False,
         hook: Hook | None = None,
         background: torch.Tensor | None = None,
+        label: str = "",
     ) -> Render:
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
         hook: differentiable function from the Gaussians and the SH degree to the tensors that are rendered. Steps are
         slower with a hook, or a pose that requires a gradient: the gradients of all Gaussians pass through torch.
         background: (D,) behind the D channels that a hook renders; by default the model's.
+        label: tells density control which of an iteration's renders this is.
         """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
-            self._views.append(_View(gradients, camera.width, camera.height))
+            self._views.append(TrainingView(gradients, camera.width, camera.height, label))
             self.work.add(gradients, len(self.state))
             if self.density.is_active(self._iteration):
                 self.density.observe_visible(gradients)
@@ -208,9 +210,8 @@ class SplatModel(Part):
         bad = None
         if gradients is not None:
             gradients = self.density.regularised(gradients)
-            bad = self.optimizer.step(
-                gradients, iteration, "opacity_logits" if change.opacity_reset else None, statistics
-            )
+            without = self.density.opacity_fields if change.opacity_reset else ()
+            bad = self.optimizer.step(gradients, iteration, without, statistics)
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
         self.density.after_step(self.optimizer, iteration, self._generator)
@@ -219,13 +220,13 @@ class SplatModel(Part):
             raise EmptyModelError(iteration, self.name)
         return bad
 
-    def _forget(self, views: list[_View]) -> None:
+    def _forget(self, views: list[TrainingView]) -> None:
         """Count the Gaussians with gradients, and free the memory of the views."""
         self.work.touched += sum(view.gradients.touched for view in views)
         views.clear()
 
     def _gradients_of(
-        self, views: list[_View], iteration: int
+        self, views: list[TrainingView], iteration: int
     ) -> tuple[Gradients | PendingGradients | None, GradientStatistics]:
         """Sum the gradients of the views, and add them to density control's statistics.
 
@@ -238,17 +239,8 @@ class SplatModel(Part):
             return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
         for view in views:
             view.gradients = view.gradients.compute()
-            if observes:
-                self.density.observe_gradients(view.gradients, view.width, view.height)
+        if observes:
+            self.density.observe(views)
         if not views:
             return None, NO_STATISTICS
         return Gradients.total([view.gradients.compute() for view in views], len(self.state)), NO_STATISTICS
-
-
-@dataclass
-class _View:
-    """Gradients of a view of width × height px."""
-
-    gradients: Gradients | PendingGradients
-    width: int
-    height: int

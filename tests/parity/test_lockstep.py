@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
-from scipy.optimize import linear_sum_assignment
 
 from tdgbench.scenes import Camera, PointCloud
 from tdgbench.splats import Gaussians
@@ -25,7 +24,7 @@ from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
 from tests.helpers.deferred import apply_deferred_steps
 from tests.parity.drive import HEIGHT, WIDTH, pull, visible_at
-from tests.parity.originals import original
+from tests.parity.originals import difference, matched, original
 
 EXTENT = 3.0
 RULES = ("start=10", "every=16", "opacity_reset_every=40")  # as the original was told
@@ -120,19 +119,6 @@ def same_draws(monkeypatch, theirs):
 
     monkeypatch.setattr(DensityControl, "_children", with_their_draws)
     monkeypatch.setattr(model_module, "render_state", pulled_render)
-
-
-def matched(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """For each of our rows the one of theirs that it is; each is taken once."""
-    assert len(ours) == len(theirs)
-    cost = np.abs(ours[:, None].astype(np.float64) - theirs[None]).sum(axis=2)
-    return linear_sum_assignment(cost)[1]
-
-
-def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Largest difference of a parameter; relative where it is larger than 1."""
-    theirs = theirs[matched(ours, theirs)]
-    return float((np.abs(ours - theirs) / np.maximum(1, np.abs(theirs))).max())
 
 
 def rows_of(model: SplatModel) -> np.ndarray:

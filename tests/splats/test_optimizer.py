@@ -171,7 +171,7 @@ def test_a_step_without_one_parameter():
     optimizer.reset_moments("opacity_logits")
     column = state.columns_of("opacity_logits")
     before, others = state.values[:, column].clone(), state.values[:, :3].clone()
-    optimizer.step(step_gradients(state, 2, 1.0), 2, without="opacity_logits")
+    optimizer.step(step_gradients(state, 2, 1.0), 2, without=("opacity_logits",))
     assert torch.equal(state.values[:, column], before) and not torch.equal(state.values[:, :3], others)
     assert (optimizer.steps["opacity_logits"], optimizer.steps["means"]) == (1, 2)
     assert not state.second[:, column].any() and state.second[:, :3].any()

@@ -1,0 +1,225 @@
+"""MMOne: two renders of one geometry, the gradients that density control reads, and its rules in training."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from methods.mmone import OPACITY_RGB, SH_RGB, with_rgb
+from tdgbench.splats.backends import load_backend
+from tdgbench.splats.density import DensityChange, GrowthDecision
+from tdgbench.splats.view import Pinhole, RenderOptions
+from tdgbench.training.images import RGB, THERMAL
+from tdgbench.training.losses import photometric, thermal_loss
+from tests.helpers.masks import masked_scene
+from tests.helpers.training import OFTEN, digest, ready_to_train, take_gradients, train
+from tests.parity.originals import relative
+
+OFF = 0.003
+NEVER = "budget.density.opacity_reset_every=100000"
+
+
+def opacities(model) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return those of RGB and of thermal images (N,)."""
+    return model.gaussians.extra_fields[OPACITY_RGB].sigmoid().squeeze(1), model.gaussians.opacities
+
+
+@pytest.fixture
+def model(small_gray_scene):
+    """Return Gaussians whose modalities pull them apart, all of them small and opaque, before a round."""
+    model = ready_to_train(small_gray_scene, "mmone", 1000).method.model
+    model.gaussians.opacity_logits[:] = 1.0
+    model.gaussians.extra_fields[OPACITY_RGB][:] = 1.0
+    model.gaussians.log_scales[:] = -12.0
+    model.density.view_counts[:] = 2
+    model.density.grad_sum[:] = 2 * 3e-4
+    model.density.rgb_sum[:, 0] = 2 * 3e-4
+    return model
+
+
+def round_of(model, decision=None, **rules) -> DensityChange:
+    model.density.rules = replace(model.density.rules, **rules)
+    iteration = next(i for i in range(1, 1000) if model.density.is_round(i))
+    return model.density.update(model.optimizer, iteration, torch.Generator().manual_seed(0), decision)
+
+
+def test_both_modalities_start_alike(small_scene):
+    model = ready_to_train(small_scene, "mmone", 10).method.model
+    rgb, thermal = opacities(model)
+    assert torch.equal(rgb, thermal) and torch.allclose(rgb, torch.tensor(0.1))
+    assert torch.equal(model.gaussians.extra_fields[SH_RGB], model.gaussians.sh)
+
+
+def test_loss_and_gradients_are_those_of_the_reference(small_gray_scene):
+    """In double, with renders beyond 1: of every field, and of each modality's means on the image."""
+    trainer = ready_to_train(small_gray_scene, "mmone", 10)
+    method, model = trainer.method, trainer.method.model
+    model.degree = 1
+    draw = torch.Generator().manual_seed(0)
+    for field in (model.gaussians.sh, model.gaussians.extra_fields[SH_RGB]):
+        field[:, :4] += 4 + 1.5 * torch.randn(field[:, :4].shape, generator=draw)
+    for field in (model.gaussians.opacity_logits, model.gaussians.extra_fields[OPACITY_RGB]):
+        field += 2 + 2 * torch.randn(field.shape, generator=draw)
+    for field in (model.gaussians.log_scales, model.gaussians.quats):
+        field += 0.3 * torch.randn(field.shape, generator=draw)
+    model.state.refresh_bounds()
+    leaves = model.copy().map(lambda tensor: tensor.double().requires_grad_())
+    view = method.views.views[0]
+    method.views.next = lambda: view
+    step = trainer.stage.step(1)
+    step.loss.backward()
+    model.density.observe(model._views)
+    camera = Pinhole.of(view.camera).to(leaves.means)
+    options = RenderOptions(blending=model.blending)
+    both = {"rgb": with_rgb(leaves, 1), "thermal": leaves.activated(1)}
+    renders = {name: load_backend("reference").render(given, camera, options) for name, given in both.items()}
+    assert min(render.image.max() for render in renders.values()) > 1
+    rgb, thermal = (render.image.clamp(0, 1) for render in renders.values())
+    target, valid = THERMAL.tensors_of(view, rgb.device)
+    loss = 0.5 * photometric(rgb, RGB.tensors_of(view, rgb.device)[0].double(), 0.2)
+    loss = loss + 0.5 * thermal_loss(thermal, target.double(), 0.2, 0.6, "released", valid)
+    loss.backward()
+    assert step.loss.item() == pytest.approx(loss.item(), rel=1e-5)
+    half = torch.tensor([view.camera.width / 2, view.camera.height / 2]).double()
+    pulls = [render.projection.means2d.grad * half for render in renders.values()]
+    assert relative(model.density.rgb_sum, pulls[0]) < 1e-5
+    assert relative(model.density.thermal_sum, pulls[1]) < 1e-5
+    assert relative(model.density.grad_sum, (pulls[0] + pulls[1]).norm(dim=1)) < 1e-5
+    visible = renders["thermal"].projection.radii > 0
+    assert torch.equal(model.density.view_counts, visible.float())  # two renders are one view
+    index, rows, _ = take_gradients(model).rows()
+    dense = torch.zeros_like(model.state.values).index_add_(0, index, rows)
+    for (name, ours), (_, theirs) in zip(model.state.split(dense).items(), leaves.items(), strict=True):
+        assert relative(ours.reshape(theirs.shape), theirs.grad) < 1e-5, name
+
+
+@pytest.mark.parametrize("reading", ["released", "described"])
+def test_a_decomposed_gaussian_keeps_or_loses_its_thermal_part(model, reading):
+    count = len(model)
+    change = round_of(model, decompose=reading)
+    assert (change.cloned, change.split, change.pruned) == (count, 0, 0) and len(model) == 2 * count
+    rgb, thermal = opacities(model)
+    is_copy = torch.isclose(rgb, torch.tensor(OFF))
+    assert int(is_copy.sum()) == count and (thermal[is_copy] > 0.7).all() and (rgb[~is_copy] > 0.7).all()
+    if reading == "released":
+        assert (thermal[~is_copy] > 0.7).all()
+    else:
+        assert torch.allclose(thermal[~is_copy], torch.tensor(OFF))
+
+
+def test_a_switched_off_opacity_stays_off(small_gray_scene):
+    """Without gradient, and without moments that go on moving it."""
+    often = ("budget.density.start=5", "budget.density.every=10", "budget.density.stop=12", NEVER)
+    trainer = ready_to_train(small_gray_scene, "mmone_described", 40, *often, "method.method.decompose_threshold=0")
+    train(trainer)
+    rgb, thermal = opacities(trainer.method.model)
+    for off in (rgb, thermal):
+        assert int((off - OFF).abs().lt(1e-6).sum()) > 50
+
+
+@pytest.mark.parametrize(
+    "changes, cloned",
+    [
+        ({}, "all"),
+        ({"decompose_threshold": 3.1e-4}, "as usual"),
+        ({"active_opacity": 0.8}, "as usual"),
+        ({"max_gaussians": 5000}, "all"),
+        ({"decompose_threshold": 3.1e-4, "grad_threshold": 3.1e-4}, "none"),
+    ],
+)
+def test_what_is_decomposed(model, changes, cloned):
+    """The others are cloned, with both opacities."""
+    count = len(model)
+    assert round_of(model, **changes).cloned == (0 if cloned == "none" else count)
+    off = [int((of < 0.01).sum()) for of in opacities(model)]
+    assert off == [count if cloned == "all" else 0, 0]
+
+
+def test_single_parts_are_not_decomposed(model):
+    model.gaussians.extra_fields[OPACITY_RGB][:] = -5.8  # 1/331
+    round_of(model)
+    assert float(model.gaussians.extra_fields[OPACITY_RGB].max()) < -5.7 and len(model) > 0
+
+
+def test_growth_ends_at_the_limit(model):
+    count = len(model)
+    model.density.rgb_sum[count // 2 :] = 0  # these are cloned
+    assert round_of(model, max_gaussians=count + count // 2 + 10).cloned == count // 2 + 10
+    assert len(model) == count + count // 2 + 10
+
+
+@pytest.mark.parametrize(
+    "rgb, thermal, kept, stays",
+    [(0.004, 0.6, 0.5, True), (0.004, 0.4, 0.5, False), (0.4, 0.004, 0.5, False), (0.4, 0.004, 0.3, True),
+     (0.006, 0.006, 0.5, True)],
+)  # fmt: skip
+@pytest.mark.parametrize("decompose", ["released", "described"])
+def test_pruning_spares_what_one_modality_needs(model, rgb, thermal, kept, stays, decompose):
+    count, all_of = len(model), model.gaussians
+    model.density.grad_sum[:] = 0
+    all_of.extra_fields[OPACITY_RGB][0], all_of.opacity_logits[0] = torch.tensor([rgb, thermal]).logit()
+    change = round_of(model, kept_opacity=kept, decompose=decompose)
+    assert change.pruned == (not stays) and len(model) == count - change.pruned
+    if stays:
+        found = [float(of.min()) for of in opacities(model)]
+        expected = [OFF if decompose == "described" and min(rgb, thermal) < 0.005 and of < 0.005 else of for of in
+                    (rgb, thermal)]  # fmt: skip
+        assert found == pytest.approx([min(of, 0.7310586) for of in expected], rel=1e-5)
+
+
+def test_a_decision_by_thermal_images_cannot_prune_what_rgb_keeps(model):
+    count = len(model)
+    model.gaussians.extra_fields[OPACITY_RGB][: count // 2] = -3.0
+    all_of = torch.ones(count, dtype=torch.bool)
+    model.density.grad_sum[:] = 0
+    change = round_of(model, GrowthDecision(torch.zeros(count), ~all_of, all_of))
+    assert change.pruned == count // 2
+
+
+def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene):
+    resets = ("budget.density.opacity_reset_every=7", "budget.density.reset_recovery=0")
+    trainer = ready_to_train(small_gray_scene, "mmone", 30, *OFTEN, *resets)
+    seen = []
+
+    def look(log):
+        if log.iterations == 7:
+            seen.extend(of.clone() for of in opacities(trainer.method.model))
+
+    train(trainer, after_iteration=look)
+    assert all(float(of.max()) == pytest.approx(0.01, rel=1e-5) for of in seen)
+
+
+@pytest.mark.parametrize("reading", ["mmone", "mmone_described"])
+def test_a_training_decomposes(small_gray_scene, reading):
+    trainer = ready_to_train(small_gray_scene, reading, 60, *OFTEN, NEVER)
+    train(trainer)
+    rgb, thermal = opacities(trainer.method.model)
+    assert int((rgb < 0.01).sum()) > 0
+    assert not torch.equal(rgb, thermal)
+
+
+@pytest.mark.parametrize("background", ["black", "mean"])
+def test_rgb_is_rendered_over_black(small_gray_scene, background):
+    trainer = ready_to_train(small_gray_scene, "mmone", 3, f"budget.background={background}")
+    train(trainer)
+    model = trainer.method.model
+    model.gaussians.opacity_logits.fill_(-20)
+    model.gaussians.extra_fields[OPACITY_RGB].fill_(-20)
+    frame = trainer.context.frame(small_gray_scene.test[0])
+    rgb, gray = trainer.method.render(frame, "rgb").image, trainer.method.render(frame)
+    assert rgb.shape[2] == 3 and float(rgb.max()) == 0 and gray.depth is not None
+    assert float(gray.image.max()) == (0 if background == "black" else pytest.approx(model.background.item()))
+
+
+def test_another_density_control_is_refused(small_gray_scene):
+    with pytest.raises(ValueError, match="leave out \\+density"):
+        ready_to_train(small_gray_scene, "mmone", 3, "+density=mcmc")
+
+
+def test_nothing_depends_on_what_is_under_the_mask(small_gray_scene):
+    noise, nan = (
+        ready_to_train(masked_scene(small_gray_scene, kind), "mmone", 30, *OFTEN) for kind in ("noise", "nan")
+    )
+    for trainer in (noise, nan):
+        train(trainer)
+    assert digest(noise) == digest(nan)
