@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -193,7 +193,7 @@ class MMOne(Method):
         self.model = context.gaussians(
             extra_fields={SH_RGB: rgb.sh, OPACITY_RGB: rgb.opacity_logits[:, None]},
             learning_rates={SH_RGB: "sh", OPACITY_RGB: "opacity_logits"},
-            density=self.rules(**vars(rules)),
+            budget=replace(context.budget, density=self.rules(**vars(rules))),
         )
         self.views = context.views()
 

@@ -14,7 +14,6 @@ from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
-from tdgbench.splats.density import DensityRules
 from tdgbench.splats.filter import FIELD, Filter
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
@@ -144,20 +143,21 @@ class Context:
         extra_fields: Mapping[str, torch.Tensor] | None = None,
         learning_rates: Mapping[str, float | str] | None = None,
         position_unit: float | None = None,
-        density: DensityRules | None = None,
+        budget: Budget | None = None,
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
         start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
         learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
         rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
-        density: rules of density control, in the place of the budget's.
+        budget: SH degree, rates and density control, as long as the stage's; by default that.
         """
+        budget = budget or self.budget
         images = MODALITIES[modality]
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
-            start = gaussians_from_points(self.points.points, self.points.colors, channels, self.budget.sh_degree)
+            start = gaussians_from_points(self.points.points, self.points.colors, channels, budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         growth_test, filters = self._growth_test(images, background, rig), self._filter(rig)
@@ -166,7 +166,6 @@ class Context:
             start.extra_fields[FIELD], rates[FIELD] = torch.zeros_like(start.means[:, :1]), 0.0
         options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit, filters)
         start = start.map(lambda tensor: tensor.to(self.device))
-        budget = self.budget if density is None else replace(self.budget, density=density)
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import torch
 
 from tdgbench.training.method import Step
-from tdgbench.training.part import NonFiniteError, Part, TrainingError
+from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer
 
 LOG_LINES = 200
@@ -110,9 +110,10 @@ def _train_stages(
 
 def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
     """Return whether the stage ends with an iteration."""
-    may_end = trainer.stopping is not None and trainer.stopping.reached(iteration, loss)
+    rules = [part for part in (trainer.stopping, *trainer.parts.values()) if isinstance(part, Stopping)]
+    reached = [rule.reached(iteration, loss) for rule in rules]  # all of them take the loss
     recovered = all(part.has_recovered(iteration) for part in trainer.parts.values())
-    return iteration >= trainer.context.budget.iterations or (may_end and recovered)
+    return iteration >= trainer.context.budget.iterations or (any(reached) and recovered)
 
 
 def _line(log: TrainingLog, step: Step, loss: float, trainer: Trainer) -> LogLine:

@@ -57,7 +57,7 @@ class Part:
 
 
 class Stopping(Part):
-    """A rule that may end a training before its last iteration."""
+    """A rule that may end a training before its last iteration: the budget's, or a part that a method adds."""
 
     def reached(self, iteration: int, loss: float) -> bool:
         """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""
