@@ -16,11 +16,11 @@ from omegaconf import DictConfig
 from tdgbench.bench import cameras
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import code_version, same_bytes_on
-from tdgbench.bench.key import cell_key, relevant_config
+from tdgbench.bench.key import as_json, cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import PartReport, Record, SkipRecord
+from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
 from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
@@ -138,7 +138,8 @@ class CellRun(SetupObserver):
 
     def train(self, cell: IdentifiedCell, scene: Scene) -> TrainedCell:
         """Set the method up and train it, from the last checkpoint, if there is one, to the end."""
-        self.progress.start(len(scene.train))
+        if cell.method.trains:
+            self.progress.start(len(scene.train))
         scorer: Scorer = instantiate(self.cfg.metrics)
         self.record.backend = training_backend(self.cfg.backend.name)
         scorer.device = training_device(self.record.backend)
@@ -170,7 +171,7 @@ class CellRun(SetupObserver):
                 scores = scorer.score(scene, renders)
             with self.phase("score_train"):
                 record.train_scores = score_training_views(trainer, scene, scorer, response)
-            record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
+            record.scores, record.missing = mean_scores(scores), {**record.missing, **scorer.missing}
             with self.phase("write"):
                 for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, part / files_of(name).model)
@@ -204,8 +205,11 @@ class CellRun(SetupObserver):
             return None
 
     def _fingerprint(self, cell: IdentifiedCell) -> str:
-        """Return the fingerprint of the scene's files, and of those that its prior is read from."""
+        """Return the fingerprint of the scene's files, and of those that its prior or its renders are read from."""
         scene, needs_prior = cell.outline.scene, cell.method.needs_prior
+        if not cell.method.trains:
+            self.record.made_elsewhere = cast(MadeElsewhere, as_json(cell.method.made_elsewhere(scene)))
+            return f"{scene.fingerprint}-{self.record.made_elsewhere['files']}"
         files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
         return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
 
@@ -231,6 +235,13 @@ class CellRun(SetupObserver):
         record.masked = {"train": masked_share(scene.train), "test": masked_share(scene.test)}
         record.resumed = log.resumed
         record.notes += trained.checkpoint.notes
+        record.parts = cast(dict[str, PartReport], trainer.reports())
+        if record.made_elsewhere is not None:
+            record.seconds.pop("train")
+            record.missing = dict.fromkeys(
+                ["train_hours"] if record.gaussians else ["train_hours", "gaussians"], record.made_elsewhere["summary"]
+            )
+            return
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
         work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
@@ -238,7 +249,6 @@ class CellRun(SetupObserver):
         budget, method = trainer.whole_context.budget, trainer.method
         finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]
-        record.parts = cast(dict[str, PartReport], trainer.reports())
 
     @property
     def _checkpoint_path(self) -> Path:

@@ -68,7 +68,7 @@ def finished_records(experiment: Path, outcomes: Iterable[Outcome]) -> list[Reco
 
 
 def scores_in_words(record: Record) -> str:
-    """Return the published scores of a finished cell, and its training time.
+    """Return the published scores of a finished cell, and its training time, or who made it elsewhere.
 
     >>> scores_in_words(Record("tdg", "", "a", "", 0, "", "", scores={"psnr": 24.061}, seconds={"train": 754.0}))
     'PSNR 24.06 dB, SSIM n/a, LPIPS n/a, trained in 0:12:34'
@@ -78,4 +78,5 @@ def scores_in_words(record: Record) -> str:
         value = record.scores.get(name)
         if metric.published:
             parts.append(f"{metric.label} " + ("n/a" if value is None else f"{value:.{metric.digits}f}{metric.suffix}"))
-    return ", ".join([*parts, f"trained in {duration(record.seconds['train'])}"])
+    made = record.made_elsewhere
+    return ", ".join([*parts, made["summary"] if made else f"trained in {duration(record.seconds['train'])}"])

@@ -70,6 +70,14 @@ class PartReport(TypedDict, total=False):
     background: list[float]  # (C,) image value behind the Gaussians; left out: black
 
 
+@with_config(ConfigDict(extra="allow", allow_inf_nan=False))
+class MadeElsewhere(TypedDict):
+    """What `made_elsewhere` of a method says."""
+
+    files: Text
+    summary: Text
+
+
 @dataclass
 class Failure:
     """Why a cell has no scores."""
@@ -121,6 +129,7 @@ class Record:
     init_points: dict[str, Any] = field(default_factory=dict)
     prior: dict[str, Any] | None = None
     thermal_camera: dict[str, dict[str, Any]] = field(default_factory=dict)  # `estimated`: response; `rig`: trial
+    made_elsewhere: MadeElsewhere | None = None  # of a method that does not train: it has no training time, no log
     backend: str = ""
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -261,7 +270,7 @@ def _check_status(record: Record) -> Record:
     problem = ""
     if (record.status == "failed") != (record.failure is not None):
         problem = f"status is {record.status}, but failure is {'' if record.failure is None else 'not '}null"
-    elif record.failure is None and "train" not in record.seconds:
+    elif record.failure is None and record.made_elsewhere is None and "train" not in record.seconds:
         problem = "status is ok, but it lacks seconds.train"
     if problem:
         raise PydanticCustomError("status", "{problem}", {"problem": problem})

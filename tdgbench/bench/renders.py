@@ -40,12 +40,12 @@ def render_images(
     """
     method, frame = trainer.method, trainer.context.frame(view)
     render = method.render(frame).cpu()
-    if render.depth is None:
+    if render.depth is None and method.trains:
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
-    depth = render.depth / render.alpha.clamp_min(1e-6)
+    depth = None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()
     image = render.image.numpy()
     rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
-    return RenderedImages(response.of(image, view.name), depth.numpy(), rendered, response.temperatures(image))
+    return RenderedImages(response.of(image, view.name), depth, rendered, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:

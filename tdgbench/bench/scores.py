@@ -10,6 +10,7 @@ from tdgbench.bench.read_files import read_table
 from tdgbench.bench.renders import render_images, render_views
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
+from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.thermal import IDEAL, ImageResponse
@@ -30,11 +31,18 @@ def score_views(
 def score_training_views(
     trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
 ) -> dict[str, float | None]:
-    """Return mean PSNR and SSIM of the training views, far higher than on test views for a model that overfits."""
+    """Return mean PSNR and SSIM of the training views, far higher than on test views for a model that overfits.
+
+    None for a method that has no renders of them; the reason is in the scorer's `missing`.
+    """
     scores: dict[str, dict[str, float | None]] = {}
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
-        renders = {view.name: render_images(trainer, view, response, others=()) for view in views}
+        try:
+            renders = {view.name: render_images(trainer, view, response, others=()) for view in views}
+        except NotApplicableError as error:
+            scorer.missing |= {f"train_{metric}": str(error) for metric in TRAIN_METRICS}
+            return dict.fromkeys(TRAIN_METRICS)
         scores |= scorer.score_train(views, renders)
     return mean_scores(scores, TRAIN_METRICS)
 

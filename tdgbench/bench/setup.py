@@ -88,6 +88,10 @@ def set_up(
     with observer.phase("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     thermal_camera: ThermalCameraOptions = instantiate(cfg.thermal_camera)
+    if not method.trains and (thermal_camera.estimate or thermal_camera.rig):
+        raise SceneError(
+            f"thermal_camera= changes what is trained on, and {method.name} does not train; use thermal_camera=ideal"
+        )
     scored, is_changed = scene, cfg.contrast.training != "none"
     corrected_scene, response = _correct_thermal_camera(scene, thermal_camera, is_changed, observer)
     scene = with_contrast(corrected_scene, cfg.contrast.training)  # what it cannot change fails before priors
@@ -99,7 +103,7 @@ def set_up(
         init: InitialPoints = instantiate(cfg.init.points)
         context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
         observer.note_points(init.describe(scene))
-    if compiles:
+    if compiles and method.trains:
         with observer.phase("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
             masked = any(view.valid is not None for view in scene.train)
@@ -142,11 +146,11 @@ def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
 def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     """Return views whose RGB image is read.
 
-    A method that trains on RGB needs that of every training view, and scores those of the test views that have one.
+    A method with RGB needs that of every view that it trains on, and scores those of the test views that have one.
     For other methods the skip `rgb` leaves all out; without it, those of the training views are read.
     """
     if "rgb" in method.modalities:
-        return scene.train + [view for view in scene.test if view.load_rgb is not None]
+        return (scene.train if method.trains else []) + [view for view in scene.test if view.load_rgb is not None]
     available = [view for view in scene.train if view.load_rgb is not None]
     reason = f"{method.name} trains on thermal images alone"
     return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available

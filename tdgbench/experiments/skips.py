@@ -102,7 +102,7 @@ def numbers(record: Record) -> dict[str, Any]:
     """Return the numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
     taken = [skip for skip in record.skips if skip["taken"]]
     return {
-        "train_seconds": record.seconds["train"],
+        "train_seconds": record.seconds.get("train", np.nan),
         "seconds_before": sum(record.seconds.get(phase, 0.0) for phase in BEFORE),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),

@@ -186,7 +186,7 @@ def numbers(record: Record, errors: Mapping[str, float]) -> dict[str, Any]:
     scores = {name: record.scores.get(name) for name in SCORES}
     return {
         **{name: np.nan if score is None else score for name, score in scores.items()},
-        "train_seconds": record.seconds["train"],
+        "train_seconds": record.seconds.get("train", np.nan),
         "camera_seconds": record.seconds.get("thermal_camera", 0.0),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),

@@ -55,7 +55,8 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
         "label": label,
         "psnr": "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}",
     }
-    for draw in (_pictures, _depth):
+    only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
+    for draw in (_pictures,) if only_images else (_pictures, _depth):
         try:
             shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
@@ -91,6 +92,8 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
     figure = Figure(figsize=(10, 2.6), layout="constrained")
     panels = figure.subplots(1, len(CURVES))
     for cell in cells:
+        if cell.record.made_elsewhere is not None:
+            continue
         log = cell.log()
         if log is None or not {"seconds", *CURVES} <= set(log.columns):
             problems.append(f"{cell.record.title}: log.csv is missing or no log, so its curves are n/a")

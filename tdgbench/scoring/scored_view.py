@@ -25,12 +25,13 @@ class RenderedImages:
     """A method's renders of one view.
 
     image: (H, W, C) float32 with the response of the thermal camera, not clipped. depth: (H, W) expected z in scene
-    units, 0 where nothing was rendered. others: (H, W, C) float32 of the method's models of other modalities, by
-    modality. temperatures: (H, W, C) float32 without that response; None: equal to `image`.
+    units, 0 where nothing was rendered; None: the renders are images alone. others: (H, W, C) float32 of the method's
+    models of other modalities, by modality. temperatures: (H, W, C) float32 without that response; None: equal to
+    `image`.
     """
 
     image: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray | None
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
     without_response: np.ndarray | None = None
 
@@ -38,6 +39,13 @@ class RenderedImages:
     def ideal(self) -> np.ndarray:
         """(H, W, C), the render as an ideal camera would show it."""
         return self.image if self.without_response is None else self.without_response
+
+    @property
+    def known_depth(self) -> np.ndarray:
+        """`depth`. Raises NotApplicableError without."""
+        if self.depth is None:
+            raise NotApplicableError("the renders have no depth")
+        return self.depth
 
 
 @dataclass(frozen=True)
@@ -118,14 +126,14 @@ class ScoredView:
         truth = self.view.true_depth
         if truth is None:
             raise NotApplicableError("the scene has no true depth")
-        if truth.shape != self.rendered.depth.shape:
+        if truth.shape != self.rendered.known_depth.shape:
             raise NotApplicableError("the true depth has another size than the images")
         return truth.astype(np.float64)
 
     def depths(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the rendered and true z of the valid pixels. Raises NotApplicableError where either is unknown."""
         truth = self.true_depth()
-        return at_valid(self.valid, self.rendered.depth), at_valid(self.valid, truth)
+        return at_valid(self.valid, self.rendered.known_depth), at_valid(self.valid, truth)
 
     def nearest_test_view(self) -> View:
         """Return the test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""

@@ -41,7 +41,7 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
         return np.nan, record.why_failed
     described = measure(metric)
     if isinstance(described, RecordMeasure):
-        return described.of_record(record), ""
+        return described.of_record(record), record.missing.get(metric, "")
     if metric in TRAINING:
         value = record.train_scores.get(metric.removeprefix("train_"))
     else:
@@ -50,9 +50,9 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
 
 
 def planned_iterations(record: Record) -> int:
-    """Return iterations of a cell's budget; those that it made, where its record has no budget."""
+    """Return iterations of a cell's budget; those that it made, where its record has no budget or it does not train."""
     planned = record.setting("budget.iterations")
-    return planned if isinstance(planned, int) else record.iterations
+    return planned if isinstance(planned, int) and record.made_elsewhere is None else record.iterations
 
 
 def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan
 from typing import Any
-
-import numpy as np
 
 from tdgbench.bench.record import Record
 from tdgbench.scenes.modalities import OTHERS
@@ -26,24 +25,24 @@ AVERAGE, OVERALL = "Average", "Average (Overall)"
 class RecordMeasure(Measure):
     """A number of a whole cell, read from its record."""
 
-    of_record: Callable[[Record], float]
+    of_record: Callable[[Record], float]  # NaN: n/a
 
 
 HOURS = RecordMeasure(
     name="train_hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True,
-    published=True, of_record=lambda record: record.seconds["train"] / 3600,
+    published=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
     name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
-    of_record=lambda record: float(sum(record.gaussians.values())),
+    of_record=lambda record: float(sum(record.gaussians.values()) or nan),
 )  # fmt: skip
 PARAMETERS = RecordMeasure(
     name="parameters", label="parameters", meaning="trained numbers of Gaussians and networks", digits=0, ratio=True,
-    of_record=lambda record: float(sum(part.get("parameters", 0) for part in record.parts.values()) or np.nan),
+    of_record=lambda record: float(sum(part.get("parameters", 0) for part in record.parts.values()) or nan),
 )  # fmt: skip
 MEMORY = RecordMeasure(
     name="memory_mb", label="memory", meaning="largest memory of the process that ran the cell", unit="MB", digits=0,
-    ratio=True, of_record=lambda record: np.nan if record.peak_rss_mb is None else record.peak_rss_mb,
+    ratio=True, of_record=lambda record: nan if record.peak_rss_mb is None else record.peak_rss_mb,
 )  # fmt: skip
 OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `published` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]

@@ -54,12 +54,14 @@ def train(
     the last densification or opacity reset.
 
     on_log_line is called with each log line, before_update in each iteration before the parts change, after_iteration
-    at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them.
+    at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them. The log of a
+    method that does not train is empty.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
     """
     log = log or TrainingLog()
+    log.ended = log.ended or not trainer.method.trains
     try:
         _train_stages(trainer, log, on_log_line, after_iteration, before_update)
     except TrainingError as error:

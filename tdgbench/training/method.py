@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 from torch import Tensor
 
+from tdgbench.scenes import Scene
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context, Frame
 
@@ -49,6 +50,7 @@ class Method:
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view
+    trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
 
     def setup(self, context: Context) -> None:
         """Make the parts; called once, before the first step."""
@@ -66,5 +68,16 @@ class Method:
         return [Stage("training", self.setup, self.step)]
 
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        """Render the image of a modality from a frame, without gradients; a thermal one with depth."""
+        """Render the image of a modality from a frame, without gradients; a thermal one with depth.
+
+        A method that does not train may have no depth, and raise NotApplicableError for all but the test views.
+        """
+        raise NotImplementedError
+
+    def made_elsewhere(self, scene: Scene) -> dict[str, Any]:
+        """Return what the record of a method that does not train says of the files that it renders.
+
+        `files`: the hash of their contents, for the cell's key. `summary`: who made them, in words. Others are free.
+        Raises SceneError, which names the file, where they do not fit the scene.
+        """
         raise NotImplementedError

@@ -70,6 +70,8 @@ def verify(experiment: Path) -> Verification:
 def _without_record(experiment: Path) -> list[Path]:
     """Return folders with files of a cell but no record, hidden folders excepted."""
     cells = experiment / "cells"
-    folders = {path.parent for name in OF_A_CELL for path in cells.rglob(name)}
+    folders = {
+        path.parent for name in OF_A_CELL for path in cells.glob(f"*/*/*/*/*/{name}")
+    }  # a method may be `renders`
     visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]
     return [folder for folder in visible if not (folder / FILE).exists() and not (folder / FILE).is_symlink()]

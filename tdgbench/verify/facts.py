@@ -73,8 +73,9 @@ def setting_problems(record: Record) -> Iterator[str]:
 
 def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
     """Check iterations, Gaussians and training time against the log."""
-    if not log:
-        yield "log.csv has no row"
+    if not log or record.made_elsewhere is not None:
+        if log or record.made_elsewhere is None:
+            yield f"log.csv has {'rows, and nothing was trained' if log else 'no row'}"
         return
     iterations, last = [row["iteration"] for row in log], log[-1]
     if iterations != sorted(set(iterations)):
@@ -92,7 +93,8 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
 
 def model_problems(folder: Path, record: Record) -> Iterator[str]:
     """Check models against the recorded number of Gaussians."""
-    expected = {files_of(name).model: count for name, count in {THERMAL: None, **record.gaussians}.items()}
+    needed = {THERMAL: None} if record.made_elsewhere is None else {}
+    expected = {files_of(name).model: count for name, count in {**needed, **record.gaussians}.items()}
     for name in sorted({*expected, *(path.name for path in folder.glob("model*.ply"))}):
         count = expected.get(name)
         if count is None:
@@ -111,7 +113,7 @@ def train_score_problems(record: Record) -> Iterator[str]:
     for metric in TRAIN_METRICS:
         if metric not in record.train_scores:
             yield f"{FILE}: train_scores lacks {metric}"
-        elif record.train_scores[metric] is None and not record.missing.get(metric):
+        elif record.train_scores[metric] is None and not (record.missing.keys() & {metric, f"train_{metric}"}):
             yield f"{FILE}: train_scores.{metric} is n/a without a reason"
 
 

@@ -73,7 +73,7 @@ class StoredPictures:
         """cameras: of all views."""
         self.folder, self.record, self.all_cameras, self.findings = folder, record, cameras, findings
         self.cameras = cameras["test"]
-        self.depths: dict[str, np.ndarray] = {}  # (H, W) float32 by view, of views that could be rendered
+        self.depths: dict[str, np.ndarray | None] = {}  # (H, W) float32 by view, of views that could be rendered
 
     def check_renders(self) -> None:
         """Compare the stored renders with those of the models, and keep the depth maps."""
@@ -138,7 +138,8 @@ class StoredPictures:
         if stored.shape != again.shape:
             return [f"{path} is {stored.shape}, the model gives {again.shape}"]
         if is_thermal:
-            self.depths[name] = (render.requested_depth / render.alpha.clamp_min(1e-6)).numpy()
+            depth = None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()
+            self.depths[name] = depth
             if stored.shape[2] != self.record.channels:
                 return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
         problem = difference_of(stored, again)

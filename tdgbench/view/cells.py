@@ -105,6 +105,8 @@ def open_cell(folder: Path) -> ViewedCell:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
     if THERMAL not in models or not cameras["test"]:
         lacking = "a test view" if THERMAL in models else paths[THERMAL].name
+        if method is not None and THERMAL not in models:
+            lacking = "Gaussians: its renders are images, which the report shows"
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
     return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method=method)
 

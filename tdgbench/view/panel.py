@@ -85,6 +85,8 @@ def _numbers_of(cell: ViewedCell) -> dict[str, str]:
             value = record.scores[name]
             facts[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
     facts |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
+    if record.made_elsewhere is not None:
+        return facts | {"training": record.made_elsewhere["summary"]}
     return facts | {
         "iterations": f"{record.iterations:,}",
         "training": str(timedelta(seconds=round(record.seconds["train"]))),

@@ -35,7 +35,8 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
 def _against_nearest(shown: ScoredView) -> float:
     """Return the depth consistency with the nearest other test view."""
     nearest = shown.nearest_test_view()
-    depth, other = _known(shown.rendered.depth, shown.view), _known(shown.renders[nearest.name].depth, nearest)
+    depth = _known(shown.rendered.known_depth, shown.view)
+    other = _known(shown.renders[nearest.name].known_depth, nearest)
     error = depth_consistency(depth, shown.view.camera, other, nearest.camera)
     if error is None:
         raise NotApplicableError(f"view {shown.view.name} and its neighbour hardly overlap")

@@ -1,0 +1,235 @@
+"""Renders made elsewhere: images of the test views that another program wrote, with a `run.json` that says how.
+
+A folder has one file per test view, and nothing else but what its layout knows. Nothing is resized or left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationError
+
+from tdgbench.scenes import Scene, SceneError
+from tdgbench.scenes.images import is_gray, whole_image
+from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
+from tdgbench.scoring.scored_view import NotApplicableError
+from tdgbench.splats.view import Render
+from tdgbench.text import duration, one_line
+from tdgbench.training.context import Context
+from tdgbench.training.method import Frame, Method
+from tdgbench.training.part import Part, State
+
+RUN = "run.json"
+PLAUSIBLE = (-0.5, 1.5)  # the median of a render, as an image value
+FORMATS = {".png": "PNG", ".jpg": "JPEG"}  # of pictures, by suffix
+Text = Annotated[str, Field(min_length=1)]
+
+
+class Run(BaseModel):
+    """`run.json`: the run that made the renders."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    system: Text
+    repository: Text
+    commit: Annotated[str, Field(pattern="^[0-9a-f]{7,40}$")] | None  # None: the code is not public
+    command: Text
+    split: Text  # as `data.split`
+    value_range: Literal["unit", "degC"]  # of .npy files; pictures are `unit`
+    checkpoint_rule: Literal["last", "best_training_view", "best_test_view"]
+    wall_time: NonNegativeFloat | None  # s, of the training
+    device: Text
+    views: list[Text] | None = None  # test views in the order of the files, of layouts that number them
+
+
+class Layout(NamedTuple):
+    """Names of the files in a folder."""
+
+    renders: str  # regular expression of the renders; its group `view` is the view's name, or `number` its place
+    others: str  # regular expression of further files that the program writes, which are not read
+    first: int = 0  # number of the first view
+
+
+LAYOUTS = {
+    "views": Layout(r"(?P<view>.+)\.(npy|png)", r"(?!)"),
+    # graphdeco-inria/gaussian-splatting, render.py, and all programs that follow it
+    "3dgs": Layout(r"(?P<number>\d{5})\.(png|npy)", r"(?!)"),
+    # Schindler-EPFL-Lab/thermo-nerf c7ee7bec, thermo_nerf/evaluator/evaluator.py, save_images and save_metrics
+    "thermonerf": Layout(
+        r"thermal_(?P<number>\d{5})\.(jpg|npy)",
+        r"(img|thermal_combined|depth|accumulation)_\d{5}\.jpg|metrics\.json|psnr|ssim|lpips",
+    ),
+    # mert-o/ThermalNeRFs d822bd10, nerf/utils.py, lines 796 to 885; ep: the epoch, which must be one
+    "oezer": Layout(r"(?P<run>.+_ep\d{4})_(?P<number>\d{4})_temp\.npy", r".+_ep\d{4}_\d{4}_\w.*\.(png|npy)", first=1),
+}
+
+
+class Images(Part):
+    """The renders (H, W, C) by view: uint8, or float32 in which 0 and 1 are the ends of the scene's range."""
+
+    needed_to_render = True
+
+    def __init__(self, read: Callable[[], dict[str, torch.Tensor]]) -> None:
+        self._read, self._images = read, dict[str, torch.Tensor]()
+
+    def of(self, view: str) -> torch.Tensor:
+        """Return the render of a view, float32. Raises NotApplicableError for one that is no test view."""
+        image = self.state_dict().get(view)
+        if image is None:
+            raise NotApplicableError("the renders were made elsewhere, and there are none but of the test views")
+        return image if image.is_floating_point() else image.float() / 255
+
+    def state_dict(self) -> State:
+        self._images = self._images or self._read()
+        return self._images
+
+    def load_state_dict(self, saved: State) -> None:
+        self._images = dict(saved)
+
+
+class Renders(Method):
+    """Images of the test views from a folder, without depth."""
+
+    name = "renders"
+    renders_plain_gaussians = False
+    trains = False
+
+    def __init__(self, folder: str, layout: Literal["views", "3dgs", "thermonerf", "oezer"]) -> None:
+        """folder: of the renders of one scene, with `run.json`. layout: how the files are named, see LAYOUTS."""
+        self.folder, self.layout = Path(folder), LAYOUTS[layout]
+
+    def made_elsewhere(self, scene: Scene) -> dict[str, Any]:
+        run = read_run(self.folder / RUN, scene)
+        digest = hashlib.sha256(hash_of(self.folder / RUN))
+        for view, path in self._files(scene, run).items():
+            digest.update(view.encode() + b"\0" + hash_of(path))
+        return {**run.model_dump(), "files": digest.hexdigest()[:16], "summary": summary_of(run)}
+
+    def setup(self, context: Context) -> None:
+        scene = context.scene
+        self.images = context.add_part("renders", Images(lambda: self._read(scene)))
+        self._names = {frame.index: name for name, frame in context.frames.items()}
+
+    @torch.no_grad()
+    def render(self, frame: Frame, modality: str = "thermal") -> Render:
+        image = self.images.of(self._names.get(frame.index, ""))
+        return Render(image, None, torch.zeros(image.shape[:2]))
+
+    def _read(self, scene: Scene) -> dict[str, torch.Tensor]:
+        run = read_run(self.folder / RUN, scene)
+        files = self._files(scene, run)
+        sizes = {view.name: (view.camera.height, view.camera.width) for view in scene.test}
+        return {name: torch.from_numpy(read_render(path, run, scene, sizes[name])) for name, path in files.items()}
+
+    def _files(self, scene: Scene, run: Run) -> dict[str, Path]:
+        """Return the file of each test view. Raises SceneError for files and views without each other."""
+        views = [view.name for view in scene.test]
+        numbered = "<number>" in self.layout.renders
+        if numbered and sorted(run.views or ()) != sorted(views):
+            raise SceneError(
+                f"{self.folder / RUN}: views must name the {len(views)} test views of {scene.name} in the order of the "
+                f"files, which have numbers: {_some(set(views) ^ set(run.views or ())) or 'a name is there twice'}"
+            )
+        order, found, unknown, runs = run.views or [], dict[str, Path](), list[str](), set[str]()
+        for path in listed(self.folder):
+            match = re.fullmatch(self.layout.renders, path.name)
+            if match is not None:
+                groups = match.groupdict()
+                place = int(groups.get("number", 0)) - self.layout.first
+                view = groups.get("view") or (order[place] if 0 <= place < len(order) else "")
+                runs.add(groups.get("run", ""))
+                if view in views and view not in found:
+                    found[view] = path
+                    continue
+                if view in found and len(runs) == 1:
+                    raise SceneError(f"{path} and {found[view].name} are both of view {view}; keep one of them")
+            if path.name != RUN and (match or not re.fullmatch(self.layout.others, path.name)):
+                unknown.append(path.name)
+        if len(runs) > 1:
+            raise SceneError(f"{self.folder} has renders of several epochs ({_some(runs)}); keep those of one")
+        missing = set(views) - found.keys()
+        if missing or unknown:
+            problems = [f"test views without a file: {_some(missing)}"] * bool(missing)
+            problems += [f"files of no test view of {scene.name}: {_some(unknown)}"] * bool(unknown)
+            raise SceneError(f"{self.folder}: {'; '.join(problems)}; there must be one file per test view")
+        return found
+
+
+def read_run(path: Path, scene: Scene) -> Run:
+    """Read `run.json`. Raises SceneError, which names all that is wrong, also with another split than the scene's."""
+    try:
+        run = Run.model_validate_json(read_bytes(path))
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, e['loc'])) or 'JSON'}: {one_line(e['msg'])}" for e in error.errors()]
+        raise SceneError(f"{path}: {'; '.join(faults)}") from error
+    if run.split != scene.split:
+        raise SceneError(f"{path}: split is {run.split}, that of {scene.name} is {scene.split}; set data.split")
+    return run
+
+
+def summary_of(run: Run) -> str:
+    """Return who made the renders, the training time that is stated, and what a reader of scores must know."""
+    time = "no training time" if run.wall_time is None else f"a training time of {duration(run.wall_time)}"
+    chosen = "; its checkpoint was chosen by test views" if run.checkpoint_rule == "best_test_view" else ""
+    return f"made elsewhere by {one_line(run.system)}, which states {time} on {one_line(run.device)}{chosen}"
+
+
+def read_render(path: Path, run: Run, scene: Scene, size: tuple[int, int]) -> np.ndarray:
+    """Return a render (H, W, C): uint8 of a picture, float32 of an array. Raises SceneError for what does not fit."""
+    values = _array(path, run, scene) if path.suffix == ".npy" else _picture(path, run)
+    if values.shape[:2] != size:
+        found, expected = (f"{width}×{height} px" for height, width in (values.shape[:2], size))
+        raise SceneError(f"{path} has {found}, its view {expected}; render it at that size, or set data.width")
+    if scene.channels == 1 and is_gray(values):
+        values = values[..., :1]
+    elif scene.channels == 3 and values.shape[2] == 1:
+        values = values.repeat(3, axis=2)
+    if values.shape[2] != scene.channels:
+        raise SceneError(
+            f"{path} is coloured, the thermal images of {scene.name} are gray; write gray, or set data.channels=3"
+        )
+    return np.array(values)
+
+
+def _picture(path: Path, run: Run) -> np.ndarray:
+    with whole_image(path) as image:
+        kind, mode, values = image.format, image.mode, np.asarray(image)
+    if kind != FORMATS[path.suffix] or mode not in ("L", "RGB"):
+        raise SceneError(f"{path} is {kind} of mode {mode}; write {FORMATS[path.suffix]} of 8 bits, gray or RGB")
+    if run.value_range != "unit":
+        raise SceneError(f"{path} is a picture, and value_range in {RUN} is {run.value_range}; write °C as .npy")
+    return values if values.ndim == 3 else values[..., None]
+
+
+def _array(path: Path, run: Run, scene: Scene) -> np.ndarray:
+    values = read_array(path)
+    if values.ndim == 2:
+        values = values[..., None]
+    if values.ndim != 3 or values.shape[2] not in (1, 3) or values.dtype.kind != "f" or not values.size:
+        raise SceneError(
+            f"{path} holds {values.dtype} {values.shape}; it must hold floats (H, W), (H, W, 1) or (H, W, 3)"
+        )
+    if not np.isfinite(values).all():
+        raise SceneError(f"{path} has values that are not finite")
+    if run.value_range == "degC":
+        span = scene.temperature
+        if span is None or scene.channels != 1:
+            raise SceneError(f"{path} holds °C, and {scene.name} has no range of °C; write values in [0, 1]")
+        values = (values.astype(np.float64) - span.min) / (span.max - span.min)
+    median = float(np.median(values))
+    if not PLAUSIBLE[0] <= median <= PLAUSIBLE[1]:
+        what = f"{median:.3g} in its median, where images are in [0, 1]"
+        raise SceneError(f"{path} is {what}; is value_range={run.value_range} in {RUN} right?")
+    return values.astype(np.float32)
+
+
+def _some(names: Any) -> str:
+    """Return the first names of many."""
+    few = sorted(names)[:5]
+    return ", ".join(few) + (f" and {len(names) - len(few)} more" if len(names) > len(few) else "")
