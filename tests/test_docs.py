@@ -9,13 +9,17 @@ from pathlib import Path
 
 import pytest
 import yaml
+from omegaconf import OmegaConf
 
 from tdgbench import __version__
 from tdgbench.tools import TOOLS
+from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 COMMANDS = ROOT / "docs" / "commands.md"
+OF_OTHERS = ("hydra.launcher.",)  # options of packages that are not installed everywhere
+OF_THE_PAST = ("CHANGELOG.md", "docs/findings/")  # pages that keep the options of their time
 
 
 def fenced(text: str) -> list[list[str]]:
@@ -64,6 +68,41 @@ def test_named_experiments_and_tools_exist(page):
     experiments |= set(re.findall(r"^`\S*experiment/(\w+)\.yaml`:$", text, re.MULTILINE))  # of a worked example
     assert set(re.findall(r"\+experiment=([a-z]\w*)", text)) <= experiments
     assert set(re.findall(r"`tdgbench ([a-z]+)(?= |`)", text)) <= set(TOOLS)
+
+
+def set_options(text: str) -> set[str]:
+    """Options `a.b=` that code in a page sets.
+
+    >>> sorted(set_options("`seed=1 data.root=DIR` and `'~job.a=1'`, not x.y=1"))
+    ['data.root', 'job.a']
+    """
+    spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    code = " ".join([*text.split("```")[1::2], *spans])
+    return set(re.findall(r"(?<![\w./-])([a-z_]\w*(?:\.\w+)+)=", code))
+
+
+def without_an_option(names: set[str]) -> set[str]:
+    """The names that neither the default configuration has nor one with another data set, prior or experiment."""
+    left = {name for name in names if not name.startswith(OF_OTHERS)}
+    folders = ("dataset", "prior", "experiment")
+    files = [path for folder in folders for path in sorted((ROOT / "conf" / folder).glob("*.yaml"))]
+    others = [f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}" for path in files]
+    for overrides in [(), *((other,) for other in others)]:
+        if left:
+            cfg = config(*overrides)
+            left -= {name for name in left if OmegaConf.select(cfg, name, default=left) is not left}
+    return left
+
+
+def test_the_options_that_pages_set_exist():
+    pages = [page for page in PAGES if not page.relative_to(ROOT).as_posix().startswith(OF_THE_PAST)]
+    named = set().union(*(set_options(page.read_text(encoding="utf-8")) for page in pages))
+    assert len(named) > 30 and without_an_option(named) == set()
+
+
+def test_an_option_that_does_not_exist_is_noticed():
+    right, wrong = ("dataset.loader.errors.thermal_camera.walk_degC", "dataset.loader.errors.camera.walk_degC")
+    assert without_an_option(set_options(f"`{right}=4 budget.iterations=9` `{wrong}=4`")) == {wrong}
 
 
 def test_the_commands_page_is_complete():

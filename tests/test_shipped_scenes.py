@@ -54,11 +54,11 @@ def test_temperatures_train(small_gray_scene, tmp_path):
     (lion,) = run(tmp_path, *words, "dataset=thermalmix", "scene=Lion", "method=msmg")
     check(lion, in_celsius=True, least_psnr=5)
     assert (lion.dataset, lion.channels) == ("ThermalMix", 1) and lion.notes[0].startswith("layout ThermalMix: ")
-    assert any("filled with 0 °C" in note for note in lion.notes) and lion.temperature[0] > 10
+    assert any("filled with 0 °C" in note for note in lion.notes) and lion.temperature_range[0] > 10
     records = run(tmp_path, *words, "dataset=thermoscenes", "method=tdg", "data.split=folder")
     (cup,) = (record for record in records if record.dataset == "ThermoScenes")
     check(cup, in_celsius=True, least_psnr=5)
-    assert (cup.scene, cup.temperature, cup.views) == ("cup", [14.0, 50.0], {"train": 8, "test": 2})
+    assert (cup.scene, cup.temperature_range, cup.views) == ("cup", [14.0, 50.0], {"train": 8, "test": 2})
 
 
 def test_the_download_trains(small_gray_scene, tmp_path):
@@ -67,7 +67,7 @@ def test_the_download_trains(small_gray_scene, tmp_path):
     words = ("budget.iterations=20", "data.root=data", "dataset=thermalmix", "scene=Hand", "method=tdg")
     (hand,) = run(tmp_path, *words)
     check(hand, in_celsius=True, least_psnr=5)
-    assert (hand.temperature, hand.channels) == ([22.1, 33.6], 1)
+    assert (hand.temperature_range, hand.channels) == ([22.1, 33.6], 1)
     assert any("masked, as filler of the warp" in note for note in hand.notes)
 
 
@@ -75,7 +75,7 @@ def test_options_are_typed_as_data(small_gray_scene, tmp_path):
     write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
     words = ("budget.iterations=2", "data.root=lion", "dataset=folder", "method=3dgs")
     (record,) = run(tmp_path, *words, "data.temperature=[16.8,48.3]", "data.principal_point=center", "data.fillers=[0]")
-    assert record.temperature == [16.8, 48.3] and record.config["dataset"]["options"]["fillers"] == [0]
+    assert record.temperature_range == [16.8, 48.3] and record.config["dataset"]["options"]["fillers"] == [0]
     for option, message in (
         ("data.temperature=[1]", "data.temperature: must have at least 2 items, not 1"),
         ("data.temperature=warm", "data.temperature=warm: must be a valid list"),

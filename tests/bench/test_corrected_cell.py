@@ -69,7 +69,7 @@ def test_the_record_holds_what_training_views_were_corrected_for(results, cell):
     assert response == found.response and not response.is_ideal
     assert set(response.offsets) >= {view.name for view in scene.test} and response.vignette
     assert cell[0].temperature_range == pytest.approx([scene.temperature.min, scene.temperature.max])
-    assert cell[0].camera["estimated"]["undetermined"] == 0
+    assert cell[0].thermal_camera["estimated"]["undetermined"] == 0
 
 
 def test_a_corrected_cell_is_verified(results):

@@ -30,13 +30,13 @@ def test_a_method_is_ready_to_train(data_root):
     assert train(trainer).iterations == 2
 
 
-class GradientStatistics(SetupObserver):
+class Watch(SetupObserver):
     def __init__(self):
-        self.stages, self.counts, self.notes = [], [], []
+        self.phases, self.counts, self.notes = [], [], []
 
     @contextmanager
-    def stage(self, name):
-        self.stages.append(name)
+    def phase(self, name):
+        self.phases.append(name)
         yield
 
     def count(self, done, total):
@@ -49,13 +49,13 @@ class GradientStatistics(SetupObserver):
         self.notes.append(description["kind"])
 
 
-def test_an_observer_sees_stages_and_facts(data_root, tmp_path):
+def test_an_observer_sees_phases_and_facts(data_root, tmp_path):
     cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo")
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    first, again, watch = Skips(), Skips(), GradientStatistics()
+    first, again, watch = Skips(), Skips(), Watch()
     set_up(cfg, scene, skips=first, prior_cache=tmp_path, compiles=False)
     set_up(cfg, scene, skips=again, prior_cache=tmp_path, observer=watch)
-    assert watch.stages == ["images", "prior", "init", "compile", "init"]
+    assert watch.phases == ["images", "prior", "init", "compile", "init"]
     assert watch.counts[-1] == (len(scene.train), len(scene.train)) and watch.notes == ["depth", "colmap"]
     assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
     assert again.rgb.taken and again.rgb.reason == "tdg trains on thermal images alone"

@@ -78,7 +78,7 @@ def test_views_are_scored_with_the_contrast_that_is_trained_on(data_root, monkey
     monkeypatch.setattr(error_time, "score_views", watched)
     cfg = experiment(data_root, "contrast.training=percentile")
     sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
-    assert scored[0].temperature_range is None  # percentile loses it
+    assert scored[0].temperature is None  # percentile loses it
 
 
 def test_views_are_scored_as_the_camera_shows_them(data_root, monkeypatch):
