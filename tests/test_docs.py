@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench import __version__
 from tdgbench.tools import TOOLS
@@ -82,15 +82,16 @@ def set_options(text: str) -> set[str]:
 
 
 def without_an_option(names: set[str]) -> set[str]:
-    """The names that neither the default configuration has nor one with another data set, prior or experiment."""
+    """The names that no configuration has, whatever its data set, prior, method and experiment."""
     left = {name for name in names if not name.startswith(OF_OTHERS)}
-    folders = ("dataset", "prior", "experiment")
+    folders = ("dataset", "prior", "method", "experiment")
     files = [path for folder in folders for path in sorted((ROOT / "conf" / folder).glob("*.yaml"))]
     others = [f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}" for path in files]
     for overrides in [(), *((other,) for other in others)]:
         if left:
             cfg = config(*overrides)
-            left -= {name for name in left if OmegaConf.select(cfg, name, default=left) is not left}
+            parents = {name: OmegaConf.select(cfg, name.rpartition(".")[0]) for name in left}
+            left -= {name for name, at in parents.items() if isinstance(at, DictConfig) and name.split(".")[-1] in at}
     return left
 
 
