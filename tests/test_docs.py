@@ -91,7 +91,7 @@ def without_an_option(names: set[str]) -> set[str]:
         if left:
             cfg = config(*overrides)
             parents = {name: OmegaConf.select(cfg, name.rpartition(".")[0]) for name in left}
-            left -= {name for name, at in parents.items() if isinstance(at, DictConfig) and name.split(".")[-1] in list(at)}
+            left -= {n for n, at in parents.items() if isinstance(at, DictConfig) and n.split(".")[-1] in list(at)}
     return left
 
 

@@ -194,7 +194,8 @@ class DensityControl:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what was accumulated since the last change, as `torch.save` takes it."""
-        return {name: getattr(self, name).cpu() for name in self.accumulated}
+        tensors = {name: getattr(self, name).cpu() for name in self.accumulated}
+        return {name: tensor for name, tensor in tensors.items() if len(tensor)}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned, after the rows were restored."""

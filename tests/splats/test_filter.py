@@ -145,7 +145,7 @@ def test_a_stored_cell_is_rendered_with_its_filters(cell):
     (record,) = read_all(results / "single")
     camera = next(iter(found.test.values()))
     assert found.method is not None and record.setting("budget.filter.kernel") == 0.1
-    assert found.method.render(camera).image.shape[:2] == (camera.height, camera.width)
+    assert found.method.render_from(camera).image.shape[:2] == (camera.height, camera.width)
 
 
 def test_without_them_it_would_look_different(cell, tmp_path):
