@@ -38,7 +38,6 @@ FIRST_LOSS = 100.0  # line 58
 class DepthRegularised(Method):
     """L = (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_depth mean |D_prior − D| + λ_smooth mean (D̄ − D)²."""
 
-    name = "depth_regularised"
     needs_prior = True
 
     def __init__(

@@ -26,19 +26,18 @@ class MFTG(Method):
     Optimiser, learning rates and density control begin anew with the second stage.
     """
 
-    name = "mftg"
     modalities = ("thermal", "rgb")
 
     def __init__(
         self,
         lambda_ssim: Share,
         lambda_smooth: NonNegativeFloat,
-        smooth: SmoothnessReading,
+        smoothness_reading: SmoothnessReading,
         rgb_share: Share,
         start: Literal["cloud", "rgb_model"],
     ) -> None:
         """rgb_share: of the iterations. start: of the thermal stage."""
-        self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
         self.rgb_share, self.start = rgb_share, start
 
     def stages(self) -> list[Stage]:
@@ -70,7 +69,7 @@ class MFTG(Method):
         view = self.views.next()
         render = self.thermal.render(view.camera)
         target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         return Step(loss, {"thermal": loss.item()}, render, target, valid)
 
     @torch.no_grad()

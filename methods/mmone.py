@@ -89,7 +89,7 @@ class MultimodalControl(DensityControl):
         half = image.new_tensor((0.5 * view.width, 0.5 * view.height))
         return image.new_zeros(len(self.state), 2).index_add_(0, index, image[:, :2] * half)
 
-    def _removed_and_added(
+    def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Decompose; then clone, split and prune the others. Added rows: copies, clones, children.
@@ -114,7 +114,7 @@ class MultimodalControl(DensityControl):
             self._switch_off(OPACITY_RGB, self._is_spared_without("rgb"))
         prune = prune & (_opacities(self.state.split(values))["rgb"] <= rules.kept_opacity)
         decision = GrowthDecision(strength, grow, prune)
-        removed, added = super()._removed_and_added(change, iteration, generator, decision)
+        removed, added = super().removed_and_added(change, iteration, generator, decision)
         spared = decomposed[removed]
         change.cloned += len(copies)
         change.pruned -= int(spared.sum())
@@ -158,7 +158,6 @@ class MMOne(Method):
     start alike. RGB renders are over black.
     """
 
-    name = "mmone"
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
 
@@ -166,7 +165,7 @@ class MMOne(Method):
         self,
         lambda_ssim: Share,
         lambda_smooth: NonNegativeFloat,
-        smooth: SmoothnessReading,
+        smoothness_reading: SmoothnessReading,
         weight: NonNegativeFloat,
         decompose: Decompose,
         decompose_threshold: NonNegativeFloat,
@@ -175,7 +174,7 @@ class MMOne(Method):
         kept_opacity: Opacity,
     ) -> None:
         """decompose, decompose_threshold and opacities: see `MultimodalRules`."""
-        self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = lambda_ssim, lambda_smooth, smoothness_reading, weight
         self.rules = partial(
             MultimodalRules,
             decompose=decompose,
@@ -202,7 +201,7 @@ class MMOne(Method):
         rgb, render = self._rendered(view.camera, "rgb").image, self._rendered(view.camera, "thermal")
         target, valid = THERMAL.tensors_of(view, rgb.device)
         loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
-        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
 

@@ -27,7 +27,6 @@ THERMAL_DC, THERMAL_REST = (
 class Model(Method):
     """Gaussians at the SH degree of their file, over the budget's background: black, as all 3DGS programs have it."""
 
-    name = "model"
     trains = False
 
     def __init__(self, ply: str, rgb: str | None, fields: Literal["3dgs", "ommg"]) -> None:

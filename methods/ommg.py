@@ -27,14 +27,13 @@ class OMMG(Method):
     Both colour sets start from the points' colours. RGB renders are over black.
     """
 
-    name = "ommg"
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
 
     def __init__(
-        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
+        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smoothness_reading: SmoothnessReading, weight: NonNegativeFloat
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = lambda_ssim, lambda_smooth, smoothness_reading, weight
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree
@@ -48,7 +47,7 @@ class OMMG(Method):
         channels = self.model.state.channels
         image, rgb = render.image.split([channels, 3], dim=2)
         target, valid = THERMAL.tensors_of(view, image.device)
-        loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
         render.image = image
         terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}

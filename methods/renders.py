@@ -96,7 +96,6 @@ class Images(Part):
 class Renders(Method):
     """Images of the test views from a folder, without depth."""
 
-    name = "renders"
     renders_plain_gaussians = False
     trains = False
 

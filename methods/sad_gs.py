@@ -37,7 +37,6 @@ from tdgbench.training.part import Part
 class SADGS(Method):
     """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free."""
 
-    name = "sad_gs"
     needs_prior = True
 
     def __init__(

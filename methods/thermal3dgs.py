@@ -86,7 +86,6 @@ class ConductionPart(Network):
 class Thermal3DGS(Method):
     """L = (1 − λ_ssim − λ_corner) L1 + λ_ssim (1 − SSIM) + λ_corner max(1 − t / corner_end, 0) L_corner."""
 
-    name = "thermal3dgs"
     renders_plain_gaussians = False
 
     def __init__(
@@ -111,7 +110,7 @@ class Thermal3DGS(Method):
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
         self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.method_iterations
-        steps = context.budget.rates.position_steps
+        steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
         self.transmission = self.conduction = None
         if self.has_transmission:

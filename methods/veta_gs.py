@@ -122,7 +122,6 @@ def canny(levels: np.ndarray) -> np.ndarray:
 class VetaGS(Method):
     """L = (1 − λ_ssim) L1 + λ_ssim (1 − SSIM); later L1 weighs λ_mono less, and λ_mono L_mono is added."""
 
-    name = "veta_gs"
     renders_plain_gaussians = False
 
     def __init__(
@@ -152,7 +151,7 @@ class VetaGS(Method):
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
         self.frame, self.iterations = context.frame, context.budget.method_iterations
         self.noise = context.random("time_noise")
-        steps = context.budget.rates.position_steps
+        steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
         self.deformation, self.features = Deformation(), MonoSSIM(self.spectrum_gradient)
         for name, module, rates in (

@@ -163,10 +163,10 @@ class CellRun(SetupObserver):
         """Render and score the views; write the cell's folder whole or not at all."""
         record = self.record
         trainer, scene, response, log, checkpoint, scorer = trained
-        with whole_folder(self.folder) as part:
+        with whole_folder(self.folder) as unfinished:
             with self.phase("render"):
                 renders = render_views(trainer, scene.test, response)
-                write_renders(renders, scene.test, part)
+                write_renders(renders, scene.test, unfinished)
             with self.phase("score"):
                 scores = scorer.score(scene, renders)
             with self.phase("score_train"):
@@ -174,13 +174,13 @@ class CellRun(SetupObserver):
             record.scores, record.missing = mean_scores(scores), {**record.missing, **scorer.missing}
             with self.phase("write"):
                 for name, model in trainer.gaussians.items():
-                    save_ply(model.gaussians, part / files_of(name).model)
-                write_parts(trainer, part)
-                cameras.write_cameras(part / cameras.FILE, scene)
-                write_views(part / "views.csv", scores)
-                write_log(part / "log.csv", log)
-            record.hashes = hashes(part)
-            record.write(part)
+                    save_ply(model.gaussians, unfinished / files_of(name).model)
+                write_parts(trainer, unfinished)
+                cameras.write_cameras(unfinished / cameras.FILE, scene)
+                write_views(unfinished / "views.csv", scores)
+                write_log(unfinished / "log.csv", log)
+            record.hashes = hashes(unfinished)
+            record.write(unfinished)
         self._discard(checkpoint)
 
     def discard_checkpoint(self) -> None:

@@ -251,7 +251,7 @@ class DensityControl:
             optimizer.flush()
         if change.densified:
             free_buffers()  # of renders: the new Gaussians need the memory
-            self.state.replace_rows(*self._removed_and_added(change, iteration, generator, decision))
+            self.state.replace_rows(*self.removed_and_added(change, iteration, generator, decision))
             self._clear()
             free_buffers()
             self._update_filter()
@@ -270,7 +270,7 @@ class DensityControl:
         if self.filter is not None:
             self.filter.update(self.state)
 
-    def _removed_and_added(
+    def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""

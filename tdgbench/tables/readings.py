@@ -36,7 +36,7 @@ SHOWN = (*PUBLISHED, "depth_consistency", GAUSSIANS.name, PARAMETERS.name, MEMOR
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,
-    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].part),
+    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95

@@ -37,7 +37,7 @@ WRONG = [
     ("budget.sh_every=0", "budget.sh_every=0: must be greater than 0"),
     ("budget.sh_degree=4", "budget.sh_degree=4: must be at most 3"),
     ("budget.rates.opacity=nan", "budget.rates.opacity=nan: must be a finite number"),
-    ("budget.rates.position_final=0", "budget.rates.position_final=0: must be greater than 0"),
+    ("budget.rates.means_final=0", "budget.rates.means_final=0: must be greater than 0"),
     ("budget.density.every=0", "budget.density.every=0: must be greater than 0"),
     ("budget.plateau.gain=-0.1", "budget.plateau.gain=-0.1: must be at least 0"),
     ("metrics.convention=nosuch", "metrics.convention=nosuch: must be 3dgs or standard"),
@@ -51,9 +51,9 @@ WRONG = [
     ("+skip.night=true", "skip: there is no skip night; there are gray, rgb"),
     ("method.method.lambda_depth=inf", "method.method.lambda_depth=inf: must be a finite number"),
     ("method.method.lambda_ssim=1.5", "method.method.lambda_ssim=1.5: must be at most 1"),
-    ("method.method.depth=printed", "method.method.depth=printed: must be written or released"),
+    ("method.method.depth_reading=printed", "method.method.depth_reading=printed: must be written or released"),
     ("method.method.decay=cubic", "method.method.decay=cubic: must be linear or switch"),
-    ("~method.method.smooth", "method.method.smooth: is missing"),
+    ("~method.method.smoothness_reading", "method.method.smoothness_reading: is missing"),
     ("+method.method.speed=1", "method.method.speed=1: is no option; there are lambda_ssim, lambda_smooth"),
     ("method.method._target_=no_such.Class", "method.method._target_=no_such.Class: cannot be imported"),
     ("prior.estimator.blur_px=-1", "prior.estimator.blur_px=-1: must be at least 0"),
@@ -117,10 +117,10 @@ def test_the_options_of_every_experiment_are_allowed(name):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("job.samples=1", "job.samples=1: must be at least 2"),
-        ("job.scenes=orbit", "job.scenes=orbit: must be a valid list"),
-        ("job.runs=[{label: a, method: tdg, share: inf}]", "job.runs[0].share=inf: must be a finite number"),
-        ("+job.speed=1", "job.speed=1: is no option; there are methods, scenes"),
+        ("study.samples=1", "study.samples=1: must be at least 2"),
+        ("study.scenes=orbit", "study.scenes=orbit: must be a valid list"),
+        ("study.runs=[{label: a, method: tdg, share: inf}]", "study.runs[0].share=inf: must be a finite number"),
+        ("+study.speed=1", "study.speed=1: is no option; there are methods, scenes"),
     ],
 )
 def test_an_option_of_an_experiment_that_is_not_allowed(override, message):

@@ -180,12 +180,12 @@ def test_spectra_have_a_gradient_only_if_asked():
 
 def test_settings_of_its_authors_are_those_of_its_budget():
     paper, demo = (config("method=veta_gs", f"budget={name}").budget for name in ("paper", "demo"))
-    assert (paper.iterations, paper.rates.position_steps, paper.density.stop) == (40_000, 40_000, 20_000)
-    assert (demo.iterations, demo.rates.position_steps, demo.density.stop) == (1200, 1200, 700)
+    assert (paper.iterations, paper.rates.means_steps, paper.density.stop) == (40_000, 40_000, 20_000)
+    assert (demo.iterations, demo.rates.means_steps, demo.density.stop) == (1200, 1200, 700)
     for budget in (paper, demo):
         assert (budget.density.gradient, budget.density.grad_threshold) == ("absolute", 7e-4)
     others = [config("method=3dgs", "budget=paper").budget, config("method=mftg", "budget=paper").budget]
-    assert {(other.rates.position_steps, other.density.stop) for other in others} == {(30_000, 15_000)}
+    assert {(other.rates.means_steps, other.density.stop) for other in others} == {(30_000, 15_000)}
 
 
 def test_rates_fall_from_the_first_to_the_last(small_gray_scene):

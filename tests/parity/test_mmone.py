@@ -94,7 +94,7 @@ def test_a_round_in_the_order_of_the_original(theirs, same_draws, reading, time)
     decomposed = torch.from_numpy(theirs[f"{prefix}_decomposed"])
     assert torch.equal(found._decomposed(found._by_gradients().strength), decomposed)
     state, count, copies = found.state, len(found.state), int(decomposed.sum())
-    removed, added = found._removed_and_added(change, ROUNDS[time][0], torch.Generator(), None)
+    removed, added = found.removed_and_added(change, ROUNDS[time][0], torch.Generator(), None)
     ours = state.split(state.values[decomposed]), state.split(added[:copies])
     for part, rows in zip(ours, (np.flatnonzero(decomposed), slice(count, None)), strict=True):
         for logits, name in ((part.extra_fields[OPACITY_RGB], "rgb"), (part.opacity_logits[:, None], "thermal")):
