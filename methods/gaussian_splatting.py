@@ -21,12 +21,19 @@ class GaussianSplatting(Method):
     The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
-    name = "3dgs"
-
     def __init__(
-        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smooth: SmoothnessReading, weight: NonNegativeFloat
+        self,
+        lambda_ssim: Share,
+        lambda_smooth: NonNegativeFloat,
+        smoothness_reading: SmoothnessReading,
+        weight: NonNegativeFloat,
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smooth, self.weight = lambda_ssim, lambda_smooth, smooth, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
+            lambda_ssim,
+            lambda_smooth,
+            smoothness_reading,
+            weight,
+        )
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()
@@ -36,7 +43,7 @@ class GaussianSplatting(Method):
         view = self.views.next()
         render = self.model.render(view.camera)
         target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
 
     @torch.no_grad()

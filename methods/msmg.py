@@ -22,18 +22,17 @@ class MSMG(Method):
     L_rgb is 3DGS's loss (eq. 7), L_thermal that of ThermalGaussian, with smoothness.
     """
 
-    name = "msmg"
     modalities = ("thermal", "rgb")
 
     def __init__(
         self,
         lambda_ssim: Share,
         lambda_smooth: NonNegativeFloat,
-        smooth: SmoothnessReading,
+        smoothness_reading: SmoothnessReading,
         weight_rgb: NonNegativeFloat,
         weight_thermal: NonNegativeFloat,
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
         self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
 
     def setup(self, context: Context) -> None:
@@ -48,7 +47,9 @@ class MSMG(Method):
         loss_rgb = photometric(image, RGB.tensors_of(rgb_view, image.device)[0], self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
         target, valid = THERMAL.tensors_of(thermal_view, render.image.device)
-        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss_thermal = thermal_loss(
+            render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
+        )
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)

@@ -9,7 +9,8 @@ Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimatio
 - eq. 7, progressive weight: `decay_weight`
 - eq. 8, total loss: `TDg.step`
 
-The released code (HannahHaensen/TDg, commit b881cee) differs; the options `depth` and `smooth` choose the reading.
+The released code (HannahHaensen/TDg, commit b881cee) differs; the options `depth_reading` and `smoothness_reading`
+choose.
 """
 
 from __future__ import annotations
@@ -38,24 +39,25 @@ RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 4
 class TDg(Method):
     """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
 
-    name = "tdg"
     needs_prior = True
 
     def __init__(
         self,
         lambda_ssim: Share,
         lambda_smooth: NonNegativeFloat,
-        smooth: SmoothnessReading,
+        smoothness_reading: SmoothnessReading,
         lambda_depth: NonNegativeFloat,
-        depth: Literal["written", "released"],
+        depth_reading: Literal["written", "released"],
         decay: Literal["linear", "switch"],
         decay_end: NonNegativeFloat,
     ) -> None:
-        """smooth: see `smoothness`. depth: `written` (eq. 3, with its gradient) or `released` (without gradient).
+        """smoothness_reading: see `smoothness`. depth_reading: `written` (eq. 3, with its gradient) or `released`
+        (without gradient).
         decay: `linear` (eq. 7) or `switch`. decay_end: t_end as a share of all iterations.
         """
-        self.lambda_ssim, self.lambda_smooth, self.smooth = lambda_ssim, lambda_smooth, smooth
-        self.lambda_depth, self.depth, self.decay, self.decay_end = lambda_depth, depth, decay, decay_end
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
+        self.lambda_depth, self.depth_reading = lambda_depth, depth_reading
+        self.decay, self.decay_end = decay, decay_end
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()
@@ -68,10 +70,10 @@ class TDg(Method):
     def step(self, iteration: int) -> Step:
         view = self.views.next()
         weight = self.lambda_depth * self._decay(iteration)
-        needs_depth = not self.skips_depth or (weight > 0 and self.depth == "written")
-        render = self.model.render(view.camera, depth=needs_depth and self.depth == "written")
+        needs_depth = not self.skips_depth or (weight > 0 and self.depth_reading == "written")
+        render = self.model.render(view.camera, depth=needs_depth and self.depth_reading == "written")
         target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smooth, valid)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         terms = {"thermal": loss.item()}
         if needs_depth:
             depth = self._depth_loss(view, render)
@@ -90,7 +92,7 @@ class TDg(Method):
 
     def _depth_loss(self, view: View, render: Render) -> Tensor:
         prior = self.targets.of(view)
-        if self.depth == "released":
+        if self.depth_reading == "released":
             return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
@@ -98,9 +100,9 @@ class TDg(Method):
         """Decide whether iterations in which the depth loss moves nothing leave it out."""
         iterations = context.budget.iterations
         without, reason = min(iterations, max(0, iterations - self.last_depth_iteration + 1)), ""
-        if self.lambda_depth == 0 or self.depth == "released":
+        if self.lambda_depth == 0 or self.depth_reading == "released":
             without = iterations
-        if self.depth == "released":
+        if self.depth_reading == "released":
             reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
         return context.skips.skip_depth(without, iterations, reason)
 

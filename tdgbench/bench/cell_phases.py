@@ -23,7 +23,7 @@ from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
-from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
+from tdgbench.bench.setup import Facts, SetupObserver, loader_of, method_of, set_up
 from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.files import whole_folder
@@ -122,7 +122,7 @@ class CellRun(SetupObserver):
         cfg, record = self.cfg, self.record
         with self.phase("load"):
             dataset, skips = self.locate()
-            cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
+            cell = IdentifiedCell(outline_of(dataset, cfg.scene), method_of(cfg), skips)
             record.config = relevant_config(cfg, cell.method)
             record.data, record.code = self._fingerprint(cell), code_version(record.config)
             record.key = cell_key(record)
@@ -162,10 +162,10 @@ class CellRun(SetupObserver):
         """Render and score the views; write the cell's folder whole or not at all."""
         record = self.record
         trainer, scene, response, log, checkpoint, scorer = trained
-        with whole_folder(self.folder) as part:
+        with whole_folder(self.folder) as unfinished:
             with self.phase("render"):
                 renders = render_views(trainer, scene.test, response)
-                write_renders(renders, scene.test, part)
+                write_renders(renders, scene.test, unfinished)
             with self.phase("score"):
                 scores = scorer.score(scene, renders)
             with self.phase("score_train"):
@@ -173,13 +173,13 @@ class CellRun(SetupObserver):
             record.scores, record.missing = mean_scores(scores), dict(scorer.missing)
             with self.phase("write"):
                 for name, model in trainer.gaussians.items():
-                    save_ply(model.gaussians, part / files_of(name).model)
-                write_parts(trainer, part)
-                cameras.write_cameras(part / cameras.FILE, scene)
-                write_views(part / "views.csv", scores)
-                write_log(part / "log.csv", log)
-            record.hashes = hashes(part)
-            record.write(part)
+                    save_ply(model.gaussians, unfinished / files_of(name).model)
+                write_parts(trainer, unfinished)
+                cameras.write_cameras(unfinished / cameras.FILE, scene)
+                write_views(unfinished / "views.csv", scores)
+                write_log(unfinished / "log.csv", log)
+            record.hashes = hashes(unfinished)
+            record.write(unfinished)
         self._discard(checkpoint)
 
     def discard_checkpoint(self) -> None:

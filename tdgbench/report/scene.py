@@ -18,7 +18,7 @@ from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import measure
 
-CURVES = {"loss": "loss", "train_psnr": "PSNR of training views, dB", "gaussians": "Gaussians"}
+CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
 
 
 def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ class Measure:
     unit: str = ""
     higher_is_better: bool = False
     limits: tuple[float, float] = (0.0, math.inf)
-    part: str = ""  # the images that the number is of; empty: thermal test views
+    images: str = ""  # the images that the number is of; empty: thermal test views
     latex: str = ""  # label in LaTeX; empty: `label`
     ratio: bool = False  # two values are compared by their ratio, else by their difference
     published: bool = False  # column of the main table
@@ -50,7 +50,7 @@ class Measure:
     @property
     def title(self) -> str:
         """Heading in the report."""
-        name = f"{self.label} of the {self.part}" if self.part else self.label
+        name = f"{self.label} of the {self.images}" if self.images else self.label
         return f"{name}{f', {self.unit}' if self.unit else ''} {self.arrow}"
 
     @property

@@ -44,7 +44,7 @@ class ImageMetric(Metric):
         """Return the same metric of the method's model of another modality."""
         label = LABELS[modality]
         return replace(
-            self, name=metric_name(self.name, modality), part=f"{label} model", modality=modality,
+            self, name=metric_name(self.name, modality), images=f"{label} model", modality=modality,
             order=self.order + AFTER_THERMAL, needs=f"{label} model of the method, {label} test images",
             of_every_modality=False, published=False, on_training_views=False,
         )  # fmt: skip

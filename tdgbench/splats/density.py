@@ -178,7 +178,7 @@ class DensityControl:
             optimizer.flush()
         if change.densified:
             free_buffers()  # of renders: the new Gaussians need the memory
-            self.state.replace_rows(*self._removed_and_added(change, iteration, generator, decision))
+            self.state.replace_rows(*self.removed_and_added(change, iteration, generator, decision))
             self._clear()
             free_buffers()
         if change.opacity_reset:
@@ -187,7 +187,7 @@ class DensityControl:
             optimizer.reset_moments("opacity_logits")
         return change
 
-    def _removed_and_added(
+    def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
         """Return rows to remove (n,), ascending, and rows to add (m, columns) in a round of density control."""

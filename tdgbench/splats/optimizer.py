@@ -30,24 +30,24 @@ MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can 
 class LearningRates:
     """Learning rates of the parameters. That of the means falls log-linearly and is in units of the scene extent."""
 
-    position_initial: PositiveFloat
-    position_final: PositiveFloat
-    position_steps: PositiveInt  # iterations
+    means_initial: PositiveFloat
+    means_final: PositiveFloat
+    means_steps: PositiveInt  # iterations
     sh_dc: NonNegativeFloat
     sh_rest: NonNegativeFloat
-    opacity: NonNegativeFloat
-    log_scale: NonNegativeFloat
-    quaternion: NonNegativeFloat
+    opacity_logits: NonNegativeFloat
+    log_scales: NonNegativeFloat
+    quats: NonNegativeFloat
 
-    def position(self, iteration: int) -> float:
-        """Return the rate of the means at an iteration (1-based): log-linear until `position_steps`, then constant.
+    def means(self, iteration: int) -> float:
+        """Return the rate of the means at an iteration (1-based): log-linear until `means_steps`, then constant.
 
-        >>> rates = LearningRates(1e-2, 1e-4, 50, sh_dc=0.0, sh_rest=0.0, opacity=0.0, log_scale=0.0, quaternion=0.0)
-        >>> [round(rates.position(iteration), 6) for iteration in (0, 25, 50, 500)]
+        >>> rates = LearningRates(1e-2, 1e-4, 50, sh_dc=0.0, sh_rest=0.0, opacity_logits=0.0, log_scales=0.0, quats=0.0)
+        >>> [round(rates.means(iteration), 6) for iteration in (0, 25, 50, 500)]
         [0.01, 0.001, 0.0001, 0.0001]
         """
-        t = min(max(iteration / self.position_steps, 0.0), 1.0)
-        return math.exp(math.log(self.position_initial) * (1 - t) + math.log(self.position_final) * t)
+        t = min(max(iteration / self.means_steps, 0.0), 1.0)
+        return math.exp(math.log(self.means_initial) * (1 - t) + math.log(self.means_final) * t)
 
 
 class Tolerance(NamedTuple):
@@ -209,10 +209,10 @@ class Adam:
             columns, channels = self.state.columns_of(name), self.state.channels_of(name)
             return np.where(np.arange(columns.stop - columns.start) < channels, self.rates.sh_dc, self.rates.sh_rest)
         return {
-            "means": self.rates.position(iteration) * self.extent,
-            "log_scales": self.rates.log_scale,
-            "quats": self.rates.quaternion,
-            "opacity_logits": self.rates.opacity,
+            "means": self.rates.means(iteration) * self.extent,
+            "log_scales": self.rates.log_scales,
+            "quats": self.rates.quats,
+            "opacity_logits": self.rates.opacity_logits,
         }[rate]
 
     @torch.no_grad()

@@ -53,7 +53,7 @@ class Cell:
         return json.dumps([*place, config, budget], sort_keys=True)
 
     def log(self) -> pd.DataFrame | None:
-        """Read log.csv: iteration, seconds, train_psnr (dB, smoothed), loss_thermal, …; None if it is not there."""
+        """Read log.csv: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if it is not there."""
         return _read_csv(self.folder / "log.csv")
 
     def views(self) -> pd.DataFrame | None:

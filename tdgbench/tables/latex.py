@@ -110,7 +110,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
     rows: method, init, metric, value, bold, points.
     """
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
-    parts = " & ".join(measure(psnr).part or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
+    parts = " & ".join(measure(psnr).images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
     for method, group in rows.groupby("method", sort=False):
         lines.append(r"\midrule")

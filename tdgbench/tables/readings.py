@@ -33,7 +33,7 @@ COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,
-    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].part),
+    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
 COVERAGE = 0.95

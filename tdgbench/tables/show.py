@@ -118,7 +118,7 @@ def _show_main(tables: Tables, console: Console) -> None:
 
 def _show_ablation(tables: Tables, console: Console) -> None:
     described = [measure(metric) for metric in ABLATION]
-    heads = (metric.column + (f", {metric.part}" if metric.part else "") for metric in described)
+    heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
     table = Table("method", "first points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]

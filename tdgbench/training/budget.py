@@ -65,10 +65,10 @@ class SettlingRule:
 class PlateauRule:
     """Training ends after `patience` windows in a row whose mean loss is not below the best one by `gain`.
 
-    A window is `rounds` times all training views, so that every view has equal weight in it.
+    A window is `epochs` times all training views, so that every view has equal weight in it.
     """
 
-    rounds: PositiveInt
+    epochs: PositiveInt
     patience: PositiveInt  # windows
     gain: NonNegativeFloat  # relative
     after: NonNegativeInt  # earliest iteration

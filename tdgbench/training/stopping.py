@@ -154,7 +154,7 @@ class Plateau(Stopping):
         if iteration <= self.rule.after:
             return False
         self._sum, self._count = self._sum + loss, self._count + 1
-        if self._count < self.rule.rounds * self.views:
+        if self._count < self.rule.epochs * self.views:
             return False
         mean, self._sum, self._count = self._sum / self._count, 0.0, 0
         if mean < self._best * (1 - self.rule.gain):

@@ -61,8 +61,8 @@ def read_cell(folder: Path) -> StoredCell:
 
 
 def read_log(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of log.csv: iteration, seconds, loss, train_psnr, gaussians. Raises ValueError for other files."""
-    names = ["iteration", "seconds", "loss", "train_psnr", "gaussians"]
+    """Read the rows of log.csv: iteration, seconds, loss, smoothed_psnr, gaussians. Raises ValueError for others."""
+    names = ["iteration", "seconds", "loss", "smoothed_psnr", "gaussians"]
     rows = read_table(folder / "log.csv")
     if not rows or rows[0][: len(names)] != names:
         raise ValueError(f"its first line does not begin with {','.join(names)}")

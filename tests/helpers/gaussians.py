@@ -8,8 +8,8 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.optimizer import LearningRates
 
 RATES = LearningRates(
-    position_initial=1e-2, position_final=1e-4, position_steps=50, sh_dc=2.5e-3, sh_rest=1e-4, opacity=0.05,
-    log_scale=5e-3, quaternion=1e-3,
+    means_initial=1e-2, means_final=1e-4, means_steps=50, sh_dc=2.5e-3, sh_rest=1e-4, opacity_logits=0.05,
+    log_scales=5e-3, quats=1e-3,
 )  # fmt: skip
 
 

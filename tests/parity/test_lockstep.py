@@ -80,8 +80,6 @@ def pulled_render(state, optimizer, camera, options, collect, backend):
 class Pulled(Method):
     """A method whose only loss is that its Gaussians are pulled."""
 
-    name = "pulled"
-
     def __init__(self, start: np.ndarray) -> None:
         rows = torch.from_numpy(start)
         self.start = Gaussians(rows[:, :3], rows[:, 3:6], rows[:, 6:10], rows[:, 10], rows[:, 11:].unflatten(1, (4, 3)))
@@ -98,7 +96,7 @@ class Pulled(Method):
 def pulled(start: np.ndarray, iterations: int) -> Trainer:
     """A training of so many iterations in a scene without views."""
     rules = [f"budget.density.{rule}" for rule in (*RULES, *AS_RELEASED)]
-    length = (f"budget.iterations={iterations}", "budget.rates.position_steps=80", "budget.sh_degree=1")
+    length = (f"budget.iterations={iterations}", "budget.rates.means_steps=80", "budget.sh_degree=1")
     budget = instantiate(config("budget=paper", *length, *rules).budget)
     scene = SimpleNamespace(train=[], views=[], extent=EXTENT)
     return Trainer(Pulled(start), Context(scene, PointCloud(*np.zeros((2, 0, 3))), {}, budget, "cpu", 0))

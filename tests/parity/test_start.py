@@ -32,7 +32,7 @@ def test_first_gaussians():
 def test_position_rate(budget):
     theirs = original("schedule")
     for extent, rates in zip(theirs["extents"], theirs["position_rates"], strict=True):
-        ours = [budget.rates.position(int(step)) * extent for step in theirs["iterations"]]
+        ours = [budget.rates.means(int(step)) * extent for step in theirs["iterations"]]
         assert ours == pytest.approx(rates.tolist(), rel=1e-12)
 
 
@@ -57,9 +57,9 @@ def test_declared_settings(budget, release):
     density = dataclasses.asdict(budget.density)
     ours = {
         "iterations": budget.iterations,
-        "position_lr_init": budget.rates.position_initial,
-        "position_lr_final": budget.rates.position_final,
-        "position_lr_max_steps": budget.rates.position_steps,
+        "position_lr_init": budget.rates.means_initial,
+        "position_lr_final": budget.rates.means_final,
+        "position_lr_max_steps": budget.rates.means_steps,
         "densify_from_iter": density["start"],
         "densify_until_iter": density["stop"],
         "densification_interval": density["every"],

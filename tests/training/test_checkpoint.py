@@ -17,7 +17,7 @@ ITERATIONS = 60
 OFTEN = (  # with a plateau that is watched but never reached
     "budget.density.start=10", "budget.density.every=10", "budget.density.opacity_reset_every=25",
     "budget.density.reset_recovery=1", "budget.sh_every=12",
-    "budget.plateau.rounds=1", "budget.plateau.patience=50", "budget.plateau.gain=0", "budget.plateau.after=0",
+    "budget.plateau.epochs=1", "budget.plateau.patience=50", "budget.plateau.gain=0", "budget.plateau.after=0",
 )  # fmt: skip
 LEAN = (  # every rule of the lean budget: images are small at first; it settles in iteration 48
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",

@@ -63,7 +63,7 @@ def test_a_round_in_the_last_iteration_is_left_out(small_gray_scene, name):
 
 def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
     """Reached at iteration 64, 4 after a reset; without density control it would end there."""
-    late = PlateauRule(rounds=1, patience=1, gain=0.9, after=32)
+    late = PlateauRule(epochs=1, patience=1, gain=0.9, after=32)
     ends = {}
     for recovery in (0, 3):
         overrides = (

@@ -66,7 +66,7 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
 
 def test_training_ends_on_a_plateau(small_scene):
     trainer = ready_to_train(small_scene, "3dgs", 60)
-    trainer.stopping = Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=10), views=5)
+    trainer.stopping = Plateau(PlateauRule(epochs=1, patience=1, gain=0.9, after=10), views=5)
     log = train(trainer)
     assert log.iterations == 20 == log.lines[-1].iteration  # one window to compare with, one that is not 90 % better
 

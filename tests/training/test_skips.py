@@ -131,7 +131,7 @@ def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
 
 
 def test_settling_comes_before_a_plateau(small_gray_scene):
-    rule = "budget.plateau={_target_:tdgbench.training.budget.PlateauRule,rounds:1,patience:1,gain:0.9,after:0}"
+    rule = "budget.plateau={_target_:tdgbench.training.budget.PlateauRule,epochs:1,patience:1,gain:0.9,after:0}"
     found, _ = after_lean(small_gray_scene, rule)
     assert found["settling"].taken
     assert not found["plateau"].taken and found["plateau"].reason == "the rule for settling decided"

@@ -192,7 +192,7 @@ def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
 
 
 def stops_at(losses, **rule):
-    plateau = Plateau(PlateauRule(**{"rounds": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
+    plateau = Plateau(PlateauRule(**{"epochs": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
     return next((i for i, loss in enumerate(losses, start=1) if plateau.reached(i, loss)), None)
 
 
@@ -204,7 +204,7 @@ def test_a_flat_loss_stops_after_its_patience():
     assert stops_at([1.0] * 100) == 15  # one window to compare with, two that are no better
     assert stops_at([1.0] * 100, patience=3) == 20
     assert stops_at([1.0] * 100, after=30) == 45
-    assert stops_at([1.0] * 100, rounds=2) == 30
+    assert stops_at([1.0] * 100, epochs=2) == 30
 
 
 def test_one_better_window_starts_the_patience_anew():

@@ -27,8 +27,6 @@ OFTEN = (
 class CoarseToFine(Method):
     """3DGS for a third of the iterations, then from its Gaussians on, with a network that scales its images."""
 
-    name = "coarse_to_fine"
-
     def stages(self) -> list[Stage]:
         return [
             Stage("coarse", self.set_up_coarse, self.coarse_step, 1 / 3),
@@ -147,7 +145,7 @@ def test_a_failed_load_in_a_later_stage_restarts_the_first_one(small_gray_scene)
 def test_a_rule_of_the_budget_ends_each_stage(small_gray_scene):
     """Iterations of a stage that ended early are not given to the next one."""
     trainer = two_stages(small_gray_scene, "budget.density.start=1000")
-    trainer.stopping = Plateau(PlateauRule(rounds=1, patience=1, gain=0.9, after=0), views=5)
+    trainer.stopping = Plateau(PlateauRule(epochs=1, patience=1, gain=0.9, after=0), views=5)
     log = train(trainer)
     assert trainer.iterations_before == 10 and log.iterations == 10 + 40 and trainer.stopping is None
 

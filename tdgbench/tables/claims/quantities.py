@@ -107,7 +107,7 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
     logs = mine.log(), other.log()
     if logs[0] is None or logs[1] is None:
         return None
-    curves = [log["train_psnr"] for log in logs if log is not None]
+    curves = [log["smoothed_psnr"] for log in logs if log is not None]
     start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
     if best <= start:
         return None
@@ -116,13 +116,13 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
 
 
 def first_at(log: pd.DataFrame, level: float, column: str) -> float:
-    """Return the column's value where train_psnr first has the level, linear between lines. Raises ValueError if never.
+    """Return the column's value where smoothed_psnr first has the level, linear between lines; ValueError: nowhere.
 
-    >>> log = pd.DataFrame({"train_psnr": [10.0, 20.0], "iteration": [0, 100]})
+    >>> log = pd.DataFrame({"smoothed_psnr": [10.0, 20.0], "iteration": [0, 100]})
     >>> first_at(log, 15.0, "iteration")
     50.0
     """
-    psnr, along = log["train_psnr"].to_numpy(), log[column].to_numpy(float)
+    psnr, along = log["smoothed_psnr"].to_numpy(), log[column].to_numpy(float)
     reached = np.flatnonzero(psnr >= level)
     if not len(reached):
         raise ValueError(f"training PSNR never reaches {level:.2f} dB; it ends at {psnr[-1]:.2f} dB")
@@ -134,7 +134,7 @@ def first_at(log: pd.DataFrame, level: float, column: str) -> float:
 
 def psnr_drop(cell: Cell, claim: Claim) -> float | None:
     """Return the fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
-    windows = _around_switch(cell, claim["window"], "train_psnr")
+    windows = _around_switch(cell, claim["window"], "smoothed_psnr")
     return None if windows is None else float(windows[0].mean() - windows[1].min())
 
 

@@ -98,7 +98,7 @@ def test_each_link_changes_one_thing(data_root):
         one.pop("_target_")
         one.update({"weight": 1.0, "lambda_depth": 0.0, "decay_end": 0.0} | one)
     changes = [{k for k in before if k in after and before[k] != after[k]} for before, after in pairwise(chain)]
-    assert changes[1:] == [{"weight"}, {"smooth"}, {"lambda_depth", "decay_end"}, {"share"}]
+    assert changes[1:] == [{"weight"}, {"smoothness_reading"}, {"lambda_depth", "decay_end"}, {"share"}]
 
 
 def test_points_of_a_curve_are_models_that_could_be_saved(data_root):

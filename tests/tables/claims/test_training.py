@@ -13,7 +13,7 @@ CLAIM = {"level": 0.5, "window": 0.1}
 def with_log(folder, name, psnr, loss=None, decay_end=0.5):
     """A cell of 100 iterations, ten lines apart."""
     (folder / name).mkdir()
-    log = pd.DataFrame({"iteration": range(10, 10 * len(psnr) + 1, 10), "train_psnr": psnr})
+    log = pd.DataFrame({"iteration": range(10, 10 * len(psnr) + 1, 10), "smoothed_psnr": psnr})
     log["seconds"] = log["iteration"] / 5
     log["loss_thermal"] = 0.1 if loss is None else loss
     log.to_csv(folder / name / "log.csv", index=False)
