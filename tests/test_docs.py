@@ -73,8 +73,8 @@ def test_named_experiments_and_tools_exist(page):
 def set_options(text: str) -> set[str]:
     """Options `a.b=` that code in a page sets.
 
-    >>> sorted(set_options("`seed=1 data.root=DIR` and `'~job.a=1'`, not x.y=1"))
-    ['data.root', 'job.a']
+    >>> sorted(set_options("`seed=1 data.root=DIR` and `'~study.a=1'`, not x.y=1"))
+    ['data.root', 'study.a']
     """
     spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     code = " ".join([*text.split("```")[1::2], *spans])

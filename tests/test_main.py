@@ -19,29 +19,29 @@ SWEEPS = ("demo", "table1", "table2", "readings")
 SCENES = {"table1": 14, "table2": 2, "readings": 2}  # of the paper's 14: a cell takes a second, also without data
 CELLS = {"table1": 28, "table2": 16, "readings": 24}
 JOBS = {  # experiments other than sweeps, and overrides that make them small
-    "stress": ("job.cases=opacity 0",),
-    "skips": ("job.scenes=[turntable]", "job.skips=[depth]", "budget.iterations=12"),
-    "priors": ("job.scenes=[turntable]", "budget.iterations=12"),
+    "stress": ("study.cases=opacity 0",),
+    "skips": ("study.scenes=[turntable]", "study.skips=[depth]", "budget.iterations=12"),
+    "priors": ("study.scenes=[turntable]", "budget.iterations=12"),
     "budgets": (
-        "job.scenes=[turntable]",
-        "job.samples=2",
-        "job.runs=[{label: a, method: tdg, budget: short},{label: b, method: tdg, budget: lean}]",
-        "job.budgets.short.iterations=12",
-        "job.budgets.lean.iterations=12",
+        "study.scenes=[turntable]",
+        "study.samples=2",
+        "study.runs=[{label: a, method: tdg, budget: short},{label: b, method: tdg, budget: lean}]",
+        "study.budgets.short.iterations=12",
+        "study.budgets.lean.iterations=12",
     ),
     "thermal_camera": (
-        "~job.methods.tdg",
-        "~job.methods.tdg_released",
-        "~job.methods.msmg",
-        "~job.captures.vignette",
-        "~job.captures.noise",
-        "~job.captures.agc",
-        "~job.captures.tilted",
-        "job.scenes=[turntable]",
+        "~study.methods.tdg",
+        "~study.methods.tdg_released",
+        "~study.methods.msmg",
+        "~study.captures.vignette",
+        "~study.captures.noise",
+        "~study.captures.agc",
+        "~study.captures.tilted",
+        "study.scenes=[turntable]",
         "budget=demo",
         "budget.iterations=12",
     ),
-    "error_time": ("job.scenes=[turntable]", "job.samples=2", "budget.iterations=12"),
+    "error_time": ("study.scenes=[turntable]", "study.samples=2", "budget.iterations=12"),
 }
 
 

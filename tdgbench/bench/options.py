@@ -29,7 +29,7 @@ TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a n
 LONGEST_NAME = 120  # bytes
 MOST_THREADS = 1024
 OF_THE_CELL = ("name", "results", "scene", "seed", "method", "method.name", "init", "init.name")  # name its folder
-EXPERIMENT = "job"  # its class checks the options beside `_target_`
+EXPERIMENT = "study"  # its class checks the options beside `_target_`
 
 
 class OptionError(ValueError):
@@ -68,9 +68,9 @@ def check_names(cfg: DictConfig) -> None:
 
 
 def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> None:
-    """Check the options in `cfg.job` against the signature of a dataclass or function. Raises OptionError."""
+    """Check the options in `cfg.study` against the signature of a dataclass or function. Raises OptionError."""
     problems: list[Problem] = []
-    given = {k: v for k, v in _resolved(cfg.job, EXPERIMENT, problems).items() if k != "_target_"}
+    given = {k: v for k, v in _resolved(cfg.study, EXPERIMENT, problems).items() if k != "_target_"}
     problems = problems or signature_problems(options, given, EXPERIMENT)
     if problems:
         raise OptionError(problems)
@@ -199,7 +199,7 @@ class _Options(_Group):
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
     thermal_camera: _ThermalCamera
     contrast: _Contrast
-    job: dict[str, Any]
+    study: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]
     table: Literal["main", "ablation", "readings"]
     scene: Annotated[str, Field(min_length=1)] | None

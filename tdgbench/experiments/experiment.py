@@ -1,6 +1,6 @@
 """The contract of an experiment, and what all of them share.
 
-A new experiment is one class that `job._target_` of one file in `conf/experiment/` names.
+A new experiment is one class that `study._target_` of one file in `conf/experiment/` names.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from tdgbench.terminal import guard_streams
 
 
 class Experiment(ABC):
-    """An experiment, made without arguments. Its options are in `cfg.job`; it writes to <results>/<name>/.
+    """An experiment, made without arguments. Its options are in `cfg.study`; it writes to <results>/<name>/.
 
     `run` and `end` raise SystemExit(1) if something failed that does not stop the rest.
 
-    options: dataclass or function whose signature states the options in `cfg.job`; None: they are not checked.
-    sets: options that the experiment itself sets in each cell, and the option in `cfg.job` that says to what.
+    options: dataclass or function whose signature states the options in `cfg.study`; None: they are not checked.
+    sets: options that the experiment itself sets in each cell, and the option in `cfg.study` that says to what.
     """
 
     options: ClassVar[Callable[..., Any] | None] = None
@@ -48,9 +48,9 @@ class Experiment(ABC):
         problems = []
         for word in words:
             key, _, value = word.partition("=")
-            of_job = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
-            if of_job is not None and "@job." not in key:  # such as `+method@job.methods.mine=tdg`: the job's
-                problems.append(Problem(key, f"is set by the experiment; give {of_job} instead", value))
+            of_study = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
+            if of_study is not None and "@study." not in key:  # such as `+method@study.methods.mine=tdg`: the study's
+                problems.append(Problem(key, f"is set by the experiment; give {of_study} instead", value))
         if problems:
             raise OptionError(problems)
 
@@ -66,16 +66,16 @@ class Experiment(ABC):
 
 
 def experiment_of(cfg: DictConfig) -> Experiment:
-    """Return the experiment of a configuration. Raises TypeError if `job._target_` names anything else."""
-    if not isinstance(cfg.job._target_, str):
-        raise OptionError([Problem("job._target_", "must be the dotted name of a class", cfg.job._target_)])
+    """Return the experiment of a configuration. Raises TypeError if `study._target_` names anything else."""
+    if not isinstance(cfg.study._target_, str):
+        raise OptionError([Problem("study._target_", "must be the dotted name of a class", cfg.study._target_)])
     try:
-        kind = get_class(cfg.job._target_)
+        kind = get_class(cfg.study._target_)
     except Exception as error:  # Hydra's, and whatever the import of a plug-in raises
         reason = str(error).replace("\n", " ")
-        raise OptionError([Problem("job._target_", f"cannot be loaded: {reason}", cfg.job._target_)]) from error
+        raise OptionError([Problem("study._target_", f"cannot be loaded: {reason}", cfg.study._target_)]) from error
     if not issubclass(kind, Experiment):
-        raise TypeError(f"job._target_ is {cfg.job._target_}, which is no tdgbench.experiments.experiment.Experiment")
+        raise TypeError(f"study._target_ is {cfg.study._target_}, no tdgbench.experiments.experiment.Experiment")
     return kind()
 
 

@@ -24,7 +24,7 @@ from tdgbench.terminal import console, say
 
 @dataclass(frozen=True)
 class MatrixOptions:
-    """Options in `cfg.job` of every matrix: its axes `scene` and `seed`."""
+    """Options in `cfg.study` of every matrix: its axes `scene` and `seed`."""
 
     scenes: Annotated[list[str | None], Field(min_length=1)]  # None: the only one
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]

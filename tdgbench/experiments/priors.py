@@ -43,7 +43,7 @@ SHOWN = {  # on the terminal: title, format
 
 @dataclass(frozen=True)
 class PriorsOptions(MatrixOptions):
-    """Options in `cfg.job`. priors: by name, as in `conf/prior/`. without: the method that is TDg without depth."""
+    """Options in `cfg.study`. priors: by name, as in `conf/prior/`. without: the method that is TDg without depth."""
 
     priors: dict[str, Any]
     without: dict[str, Any]
@@ -54,9 +54,9 @@ class Priors(Experiment):
 
     options = PriorsOptions
     sets: ClassVar[Mapping[str, str]] = {
-        "scene": "job.scenes=[NAME,...]",
-        "seed": "job.seeds=[0,...]",
-        "prior": "job.priors",
+        "scene": "study.scenes=[NAME,...]",
+        "seed": "study.seeds=[0,...]",
+        "prior": "study.priors",
     }
 
     def run(self, cfg: DictConfig) -> None:
@@ -67,7 +67,7 @@ class Priors(Experiment):
         self.check(cfg)
         pool.set_threads(cfg.threads)
         tables: list[SceneTables] = []
-        for name in cfg.job.scenes:
+        for name in cfg.study.scenes:
             try:
                 tables.append(run_scene(cfg, name))
             except SceneError as error:
@@ -75,7 +75,7 @@ class Priors(Experiment):
         if tables:
             _write(Path(cfg.results) / cfg.name, tables)
         check_all_ran(cell for scene in tables for cell in scene.cells)
-        if len(tables) < len(cfg.job.scenes):
+        if len(tables) < len(cfg.study.scenes):
             raise SystemExit(1)
 
 
@@ -98,20 +98,20 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     Raises SceneError if the scene cannot be read.
     """
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
-    priors, cache = cfg.job.priors, Path(cfg.results) / "cache" / "priors"
+    priors, cache = cfg.study.priors, Path(cfg.results) / "cache" / "priors"
     errors = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
     available = {prior: priors[prior] for prior, error in errors.items() if not error.reason}
-    without = AxisValue(NONE, {"method": cfg.job.without}, f"prior={NONE}")
+    without = AxisValue(NONE, {"method": cfg.study.without}, f"prior={NONE}")
     axes = {
         "scene": values_of("scene", [scene.name]),
         "prior": [without, *groups_of("prior", available, variant="prior")],
-        "seed": values_of("seed", cfg.job.seeds),
+        "seed": values_of("seed", cfg.study.seeds),
     }
     cells, rows, views = run_cells(cfg, axes), [], []
     scores = {prior: _scores(cells, prior) for prior in (NONE, *errors)}
     for prior, error in {NONE: PriorErrors(), **errors}.items():
         place = {"scene": scene.name, "prior": prior}
-        failed = "" if error.reason or len(scores[prior]) == len(cfg.job.seeds) else "a training failed"
+        failed = "" if error.reason or len(scores[prior]) == len(cfg.study.seeds) else "a training failed"
         rows.append(
             {
                 **place,

@@ -36,7 +36,7 @@ SHOWN = {  # on the terminal: title, format
 
 @dataclass(frozen=True)
 class SkipAblationOptions(MatrixOptions):
-    """Options in `cfg.job`: what to run; skips outside of `skips` are off in all cells."""
+    """Options in `cfg.study`: what to run; skips outside of `skips` are off in all cells."""
 
     skips: list[str]
 
@@ -45,7 +45,7 @@ class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
-    sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]"}
+    sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]"}
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if the cells' prior is not available."""
@@ -57,7 +57,7 @@ class SkipAblation(Experiment):
         cells = run_cells(cfg, axes(cfg))
         rows = with_changes(table_of(cells, numbers))
         if not rows.empty:
-            folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.job.skips))
+            folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.study.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))
             write_text(folder / "skips.csv", as_csv(table))
             show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
@@ -70,11 +70,12 @@ def axes(cfg: DictConfig) -> Axes:
     usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
     usual |= {name: cfg.budget.get(name) is not None for name in RULES}
     switched = []
-    for label, skips in variants(list(cfg.job.skips), usual).items():
+    for label, skips in variants(list(cfg.study.skips), usual).items():
         changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
         changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
         switched.append(AxisValue(label, changes, label))
-    return {"scene": values_of("scene", cfg.job.scenes), "seed": values_of("seed", cfg.job.seeds), "variant": switched}
+    scenes, seeds = values_of("scene", cfg.study.scenes), values_of("seed", cfg.study.seeds)
+    return {"scene": scenes, "seed": seeds, "variant": switched}
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:

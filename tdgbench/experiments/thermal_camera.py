@@ -58,7 +58,7 @@ SHOWN = {  # on the terminal: title, format
 
 @dataclass(frozen=True)
 class CaptureStudyOptions(MatrixOptions):
-    """Options in `cfg.job`: what is combined.
+    """Options in `cfg.study`: what is combined.
 
     captures: errors by name, as `dataset.loader.errors.thermal_camera`, and noise_degC. thermal_cameras: as in
     `conf/thermal_camera/`.
@@ -74,13 +74,13 @@ class ThermalCameraExperiment(Experiment):
 
     options = CaptureStudyOptions
     sets: ClassVar[Mapping[str, str]] = {
-        "scene": "job.scenes=[NAME,...]", "seed": "job.seeds=[0,...]", "method": "job.methods",
-        "thermal_camera": "job.thermal_cameras",
+        "scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]", "method": "study.methods",
+        "thermal_camera": "study.thermal_cameras",
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
-        for method in cfg.job.methods.values():
+        for method in cfg.study.methods.values():
             cell = cfg.copy()
             cell.method = method
             prepare_prior(cell)
@@ -104,14 +104,15 @@ class ThermalCameraExperiment(Experiment):
 
 def axes(cfg: DictConfig) -> Axes:
     """Return the axes: scenes, captures with errors of the camera, methods, choices of `thermal_camera`, seeds."""
-    job = cfg.job
-    captures = [AxisValue(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in job.captures.items()]
+    study = cfg.study
+    loaders = {str(name): _loader(cfg, errors) for name, errors in study.captures.items()}
+    captures = [AxisValue(n, {"dataset.loader": loader}, f"capture={n}") for n, loader in loaders.items()]
     return {
-        "scene": values_of("scene", job.scenes),
+        "scene": values_of("scene", study.scenes),
         "capture": captures,
-        "method": groups_of("method", job.methods),
-        "thermal_camera": groups_of("thermal_camera", job.thermal_cameras, variant="thermal_camera"),
-        "seed": values_of("seed", job.seeds),
+        "method": groups_of("method", study.methods),
+        "thermal_camera": groups_of("thermal_camera", study.thermal_cameras, variant="thermal_camera"),
+        "seed": values_of("seed", study.seeds),
     }
 
 
@@ -129,8 +130,8 @@ def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
 
 def baseline(cfg: DictConfig) -> tuple[str | None, str | None]:
     """Return the names of the capture without errors and of the camera that does nothing; None where there is none."""
-    clean = (str(name) for name, errors in cfg.job.captures.items() if not any(errors.values()))
-    ideal = (str(name) for name, camera in cfg.job.thermal_cameras.items() if not camera.estimate)
+    clean = (str(name) for name, errors in cfg.study.captures.items() if not any(errors.values()))
+    ideal = (str(name) for name, camera in cfg.study.thermal_cameras.items() if not camera.estimate)
     return next(clean, None), next(ideal, None)
 
 

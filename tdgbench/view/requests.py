@@ -63,25 +63,25 @@ class Requests(Generic[T]):
             self._is_closed = True
             self._changed.notify_all()
 
-    def is_newest(self, job: RenderJob[T]) -> bool:
+    def is_newest(self, request: RenderJob[T]) -> bool:
         """Return whether the client is there and has requested nothing since."""
         with self._changed:
-            pending = self._pending.get(job.client)
-            return pending is not None and pending.number == job.number
+            pending = self._pending.get(request.client)
+            return pending is not None and pending.number == request.number
 
     def next(self) -> RenderJob[T] | None:
-        """Wait for the next job that is due; None once closed."""
+        """Wait for the next request that is due; None once closed."""
         with self._changed:
             while not self._is_closed:
-                job = self.take()
-                if job is not None:
-                    return job
+                request = self.take()
+                if request is not None:
+                    return request
                 times = [request.fine_at for request in self._pending.values() if request.fine_at is not None]
                 self._changed.wait(max(0.0, min(times) - self._now()) if times else None)
             return None
 
     def take(self) -> RenderJob[T] | None:
-        """Return the next job that is due; None if there is none now."""
+        """Return the next request that is due; None if there is none now."""
         with self._changed:
             for client, pending in self._pending.items():
                 is_fine = not pending.is_coarse_due

@@ -63,21 +63,21 @@ class Viewer:
 
     def _work(self) -> None:
         try:
-            for job in iter(self._requests.next, None):
-                self._render(job)
+            for request in iter(self._requests.next, None):
+                self._render(request)
         except Exception as error:
             self._error = error
             self._ended.set()
 
-    def _render(self, job: RenderJob[Wanted]) -> None:
-        wanted, start = job.wanted, time.perf_counter()
+    def _render(self, request: RenderJob[Wanted]) -> None:
+        wanted, start = request.wanted, time.perf_counter()
         size = (wanted.width, wanted.height)
-        size = size if job.is_fine else self._pace.coarse(*size)
+        size = size if request.is_fine else self._pace.coarse(*size)
         frame = self._renderer.render(wanted.look, camera_of(wanted.pose, *size))
-        if job.is_fine and not self._requests.is_newest(job):
+        if request.is_fine and not self._requests.is_newest(request):
             return
-        wanted.session.show(frame, job.is_fine)
-        if not job.is_fine:
+        wanted.session.show(frame, request.is_fine)
+        if not request.is_fine:
             self._pace.took(time.perf_counter() - start)
 
 

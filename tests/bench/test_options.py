@@ -115,10 +115,10 @@ def test_the_options_of_every_experiment_are_allowed(name):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("job.samples=1", "job.samples=1: must be at least 2"),
-        ("job.scenes=orbit", "job.scenes=orbit: must be a valid list"),
-        ("job.runs=[{label: a, method: tdg, share: inf}]", "job.runs[0].share=inf: must be a finite number"),
-        ("+job.speed=1", "job.speed=1: is no option; there are methods, scenes"),
+        ("study.samples=1", "study.samples=1: must be at least 2"),
+        ("study.scenes=orbit", "study.scenes=orbit: must be a valid list"),
+        ("study.runs=[{label: a, method: tdg, share: inf}]", "study.runs[0].share=inf: must be a finite number"),
+        ("+study.speed=1", "study.speed=1: is no option; there are methods, scenes"),
     ],
 )
 def test_an_option_of_an_experiment_that_is_not_allowed(override, message):

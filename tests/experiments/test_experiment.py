@@ -20,14 +20,14 @@ CODE = """
     class Squares(Experiment):
         def start(self, cfg):
             Path(cfg.results, cfg.name).mkdir(parents=True)
-            self._log(cfg, f"start {cfg.job.numbers}")
+            self._log(cfg, f"start {cfg.study.numbers}")
 
         def run(self, cfg):
-            self._log(cfg, f"run {[n * n for n in cfg.job.numbers]} seed {cfg.seed}")
+            self._log(cfg, f"run {[n * n for n in cfg.study.numbers]} seed {cfg.seed}")
 
         def end(self, cfg, jobs):
             self._log(cfg, f"end {sum(path.is_dir() and path.name.isdigit() for path in jobs.iterdir())}")
-            if cfg.job.fails:
+            if cfg.study.fails:
                 raise RuntimeError("no conclusion")
 
         def _log(self, cfg, line):
@@ -37,7 +37,7 @@ CODE = """
 YAML = """
     # @package _global_
     name: squares
-    job:
+    study:
       _target_: squares.Squares
       numbers: [1, 2]
       fails: false
@@ -60,13 +60,13 @@ def squares(tmp_path, monkeypatch):
 
 
 def test_a_single_run(squares):
-    run = squares("job.numbers=[3, 4]")
+    run = squares("study.numbers=[3, 4]")
     assert run.returncode == 0, run.stderr[-3000:]
     assert squares.log.read_text().splitlines() == ["start [3, 4]", "run [9, 16] seed 0", "end 0"]
 
 
 def test_a_sweep_and_a_failing_end(squares):
-    run = squares("seed=5,6", "job.fails=true", flags=("-m",))
+    run = squares("seed=5,6", "study.fails=true", flags=("-m",))
     assert run.returncode == 1 and "error: RuntimeError: no conclusion" in run.stderr
     assert squares.log.read_text().splitlines() == ["start [1, 2]", "run [1, 4] seed 5", "run [1, 4] seed 6", "end 2"]
 
@@ -78,7 +78,7 @@ def test_every_experiment_file_names_an_experiment(name):
 
 def test_a_target_that_is_no_experiment_is_named():
     with pytest.raises(TypeError, match=r"job\._target_ is pathlib\.Path, which is no"):
-        experiment_of(OmegaConf.create({"job": {"_target_": "pathlib.Path"}}))
+        experiment_of(OmegaConf.create({"study": {"_target_": "pathlib.Path"}}))
 
 
 def test_the_file_that_could_not_be_written_is_named(tmp_path):
@@ -96,7 +96,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
-    ("job._target_=nosuch.Class", "job._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
+    ("study._target_=nosuch.Class", "study._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
     run = command_here(tmp_path, word)
@@ -111,12 +111,12 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
 @pytest.mark.parametrize(
     ("experiment", "word", "instead"),
     [
-        ("thermal_camera", "seed=3", "job.seeds=[0,...]"),
-        ("thermal_camera", "thermal_camera=estimated", "job.thermal_cameras"),
-        ("thermal_camera", "method.method.lambda_ssim=0.1", "job.methods"),
-        ("skips", "scene=night", "job.scenes="),
-        ("priors", "prior=synthetic", "job.priors"), ("budgets", "method=tdg", "job.runs"),
-        ("budgets", "budget.iterations=500", "job.budgets.NAME.KEY=VALUE"),
+        ("thermal_camera", "seed=3", "study.seeds=[0,...]"),
+        ("thermal_camera", "thermal_camera=estimated", "study.thermal_cameras"),
+        ("thermal_camera", "method.method.lambda_ssim=0.1", "study.methods"),
+        ("skips", "scene=night", "study.scenes="),
+        ("priors", "prior=synthetic", "study.priors"), ("budgets", "method=tdg", "study.runs"),
+        ("budgets", "budget.iterations=500", "study.budgets.NAME.KEY=VALUE"),
     ],
 )  # fmt: skip
 def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experiment, word, instead):
@@ -127,5 +127,5 @@ def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experimen
 
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
-        ["job.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@job.thermal_cameras.mine=ideal"]
+        ["study.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@study.thermal_cameras.mine=ideal"]
     )

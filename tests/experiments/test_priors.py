@@ -9,7 +9,7 @@ from tdgbench.experiments.priors import Priors
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL, config
 
-FEW = ("budget.iterations=12", "job.scenes=[turntable]", "~job.priors.depth_anything", "~job.priors.marigold")
+FEW = ("budget.iterations=12", "study.scenes=[turntable]", "~study.priors.depth_anything", "~study.priors.marigold")
 
 
 def overrides(tmp_path, data_root, *more):
@@ -47,7 +47,7 @@ def test_errors_and_scores_of_every_prior(tmp_path, data_root, capsys):
 
 def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, data_root):
     """The row `none` trains 3DGS with eq. 6: the same model, bit for bit, as TDg with λ_depth = 0."""
-    few = ("~job.priors.onnx", "~job.priors.sfm_points", "method.method.lambda_depth=0")
+    few = ("~study.priors.onnx", "~study.priors.sfm_points", "method.method.lambda_depth=0")
     Priors().run(config(*overrides(tmp_path, data_root, *few)))
     models = [
         hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted((tmp_path / "priors" / "cells").rglob("*.ply"))
@@ -57,7 +57,7 @@ def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, dat
 
 @pytest.mark.slow
 def test_a_scene_that_is_not_there_fails_alone(tmp_path, data_root):
-    few = ("job.scenes=[nowhere,turntable]", "~job.priors.sfm_points")
+    few = ("study.scenes=[nowhere,turntable]", "~study.priors.sfm_points")
     run = command_here(tmp_path, *overrides(tmp_path / "results", data_root, *few)[:-1], few[1])
     assert run.returncode == 1 and "failed: no synthetic scene nowhere" in run.stdout, run.stderr[-2000:]
     assert len(pd.read_csv(tmp_path / "results" / "priors" / "priors.csv")) == 3

@@ -22,7 +22,7 @@ def test_variants():
 def test_cells_of_every_variant(tmp_path, data_root, capsys):
     cfg = config(
         "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
-        "job.scenes=[turntable]", "job.skips=[gray]",
+        "study.scenes=[turntable]", "study.skips=[gray]",
     )  # fmt: skip
     cells = run_cells(cfg, axes(cfg))
     assert [cell.outcome.status for cell in cells] == ["ok"] * 4
@@ -100,12 +100,12 @@ def test_a_loss_within_the_noise_of_the_seeds_is_none():
 def overrides(tmp_path, data_root):
     return (
         "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
-        "job.skips=[depth]",
+        "study.skips=[depth]",
     )  # fmt: skip
 
 
 def test_tables(tmp_path, data_root, capsys):
-    SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable]"))
+    SkipAblation().run(config(*overrides(tmp_path, data_root), "study.scenes=[turntable]"))
     table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
     assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "turntable"
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
@@ -114,12 +114,12 @@ def test_tables(tmp_path, data_root, capsys):
 
 def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, capsys):
     with pytest.raises(SystemExit):
-        SkipAblation().run(config(*overrides(tmp_path, data_root), "job.scenes=[turntable, nowhere]"))
+        SkipAblation().run(config(*overrides(tmp_path, data_root), "study.scenes=[turntable, nowhere]"))
     assert "nowhere" in capsys.readouterr().out
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
 
 
 def test_cells_of_another_method_in_the_folder_have_no_part(tmp_path, data_root):
     for method in ("3dgs", "tdg"):
-        SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "job.scenes=[turntable]"))
+        SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "study.scenes=[turntable]"))
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4

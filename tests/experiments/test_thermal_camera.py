@@ -12,10 +12,11 @@ from tests.helpers.scenes import small_dataset
 
 SMALL = (
     "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=1500",
-    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false", "job.scenes=[turntable]",
+    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false", "study.scenes=[turntable]",
 )  # fmt: skip
 FEW = (
-    "~job.methods.tdg", "~job.methods.tdg_released", "~job.methods.msmg", "~job.captures.noise", "~job.captures.tilted",
+    "~study.methods.tdg", "~study.methods.tdg_released", "~study.methods.msmg", "~study.captures.noise",
+    "~study.captures.tilted",
 )  # fmt: skip
 
 
@@ -64,7 +65,7 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
     root = finished.parents[1]
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
-        "job.captures.drift.walk_degC=2", "overwrite=never",
+        "study.captures.drift.walk_degC=2", "overwrite=never",
     )  # fmt: skip
     ThermalCameraExperiment().run(cfg)
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "thermal_camera"])
@@ -73,9 +74,14 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
 
 
 def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
-    less = ["~job.captures.drift", "~job.captures.vignette", "~job.captures.agc", "~job.thermal_cameras.estimated"]
+    less = [
+        "~study.captures.drift",
+        "~study.captures.vignette",
+        "~study.captures.agc",
+        "~study.thermal_cameras.estimated",
+    ]
     cfg = config(
-        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "job.scenes=[field]",
+        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "study.scenes=[field]",
         "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
     )  # fmt: skip
     assert cfg.dataset.loader.errors.gradient_degC == 6
@@ -87,10 +93,10 @@ def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
 
 def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, data_root, capsys):
     small_dataset(data_root).load("orbit")
-    only = ["~job.thermal_cameras.estimated", "~job.captures.agc"]
+    only = ["~study.thermal_cameras.estimated", "~study.captures.agc"]
     cfg = config(
         "+experiment=thermal_camera", *FEW, *only, "budget=demo", "budget.iterations=4", "dataset=folder",
-        f"data.root={small_dataset(data_root).folder('orbit')}", "job.scenes=[null]", f"results={tmp_path}",
+        f"data.root={small_dataset(data_root).folder('orbit')}", "study.scenes=[null]", f"results={tmp_path}",
     )  # fmt: skip
     with pytest.raises(SystemExit):
         ThermalCameraExperiment().run(cfg)
@@ -111,8 +117,8 @@ def test_records_of_other_runs_have_no_part(finished):
     root = finished.parents[1]
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
-        "name=thermal_camera", "job.seeds=[1]", "job.captures.drift.walk_degC=1", "~job.captures.agc",
-        "~job.captures.vignette",
+        "name=thermal_camera", "study.seeds=[1]", "study.captures.drift.walk_degC=1", "~study.captures.agc",
+        "~study.captures.vignette",
     )  # fmt: skip
     before = {path.name: path.read_bytes() for path in finished.iterdir() if path.is_file()}
     ThermalCameraExperiment().run(cfg)

@@ -30,12 +30,12 @@ def run(arguments: argparse.Namespace) -> int:
     """
     source = SOURCES[arguments.dataset]
     folder = arguments.root / source.folder
-    job = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.zenodo)
+    request = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.zenodo)
     say(f"{source.folder} ({source.paper}): {source.page}")
     try:
         if not arguments.list:
-            return 0 if fetch(job) else 1
-        show_listing(job)
+            return 0 if fetch(request) else 1
+        show_listing(request)
     except GetError as error:
         raise GetError(
             f"{error}; or open {source.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is "
@@ -44,14 +44,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def show_listing(job: Download) -> None:
+def show_listing(request: Download) -> None:
     """Show each download of a data set: its size, and whether it is there."""
-    packages, others = job.listing()
-    there = scene_folders(job.source, job.folder)
+    packages, others = request.listing()
+    there = scene_folders(request.source, request.folder)
     for package in packages:
         files = "" if len(package.files) == 1 else f", {len(package.files)} files"
         scene = f", scene {package.scene}" if package.scene else ""
-        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {job.state(package, there)}"))
+        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {request.state(package, there)}"))
     if others:
         say(one_line(f"not fetched: {', '.join(map(str, others))}"))
     sizes = [package.size for package in packages]

@@ -90,87 +90,87 @@ def scene_folders(source: PublishedDataset, folder: Path) -> dict[str, Path]:
     return scenes
 
 
-def fetch(job: Download) -> bool:
+def fetch(request: Download) -> bool:
     """Fetch a data set and say what was done; return whether all that is published is there at the end.
 
     Raises GetError and OSError for what stops the whole download; a file that cannot be used does not. What was
     downloaded is kept then, and the same call goes on from it.
     """
-    job.folder.mkdir(parents=True, exist_ok=True)
-    with file_lock(job.downloads / ".lock") as acquired:
+    request.folder.mkdir(parents=True, exist_ok=True)
+    with file_lock(request.downloads / ".lock") as acquired:
         if not acquired:
-            raise GetError(f"another process is fetching into {job.folder}; wait for its end")
-        packages, others = job.listing()
-        there = scene_folders(job.source, job.folder)
+            raise GetError(f"another process is fetching into {request.folder}; wait for its end")
+        packages, others = request.listing()
+        there = scene_folders(request.source, request.folder)
         if others:
             names = ", ".join(map(str, others))
-            say(one_line(f"not fetched: {names} ({job.source.page}; scenes belong into {job.folder})"))
+            say(one_line(f"not fetched: {names} ({request.source.page}; scenes belong into {request.folder})"))
         fetched, already, problems = 0, 0, 0
         for package in packages:
-            state = job.state(package, there)
+            state = request.state(package, there)
             if state == THERE:
                 already += len(made_of(package, there))
             elif state == LEFT and package.scene:
                 _say_left(there[package.scene])
             else:
                 try:
-                    fetched += _fetch_package(job, package)
+                    fetched += _fetch_package(request, package)
                 except BadFileError as error:
                     say(one_line(str(error)), "problem:", stderr=True)
                     problems += 1
     end = _count(problems, "problem") if problems else f"{_count(already, 'scene')} already there"
-    say(one_line(f"{job.folder}: {_count(fetched, 'scene')} fetched, {end}"))
+    say(one_line(f"{request.folder}: {_count(fetched, 'scene')} fetched, {end}"))
     return not problems
 
 
-def _fetch_package(job: Download, package: Package) -> int:
+def _fetch_package(request: Download, package: Package) -> int:
     """Download a package and put its scenes into their places; return their number.
 
     Scenes of other origin are left as they are, and so are the downloads then. Raises BadFileError if an archive is
     refused or damaged: nothing of it is in place then. Raises OSError.
     """
-    if job.force:
-        _remove(job, package)
+    if request.force:
+        _remove(request, package)
     with step(package.name, package.size if package.is_archive else len(package.files), package.is_archive) as report:
         for number, file in enumerate(package.files, 1):
-            download(file, job.downloads / file.path, report if package.is_archive else lambda _: None)
+            download(file, request.downloads / file.path, report if package.is_archive else lambda _: None)
             if not package.is_archive:
                 report(number)
-    unpacked = job.downloads / ".unpacked"
+    unpacked = request.downloads / ".unpacked"
     shutil.rmtree(unpacked, ignore_errors=True)
     try:
-        placed, left = _put_in_place(job, package, unpacked)
+        placed, left = _put_in_place(request, package, unpacked)
     finally:
         shutil.rmtree(unpacked, ignore_errors=True)
     for folder in left:
         _say_left(folder)
     if not left:
-        _remove(job, package)
+        _remove(request, package)
     return placed
 
 
-def _put_in_place(job: Download, package: Package, unpacked: Path) -> tuple[int, list[Path]]:
+def _put_in_place(request: Download, package: Package, unpacked: Path) -> tuple[int, list[Path]]:
     """Unpack a package; put the scenes that are not there yet, or all with `force`, into their places.
 
     Returns their number, and the folders of scenes of other origin, which are left as they are.
     """
-    there = scene_folders(job.source, job.folder)
+    there = scene_folders(request.source, request.folder)
     paths = [file.path for file in package.files]
     if package.is_archive:
-        paths = unpack(job.downloads / paths[0], unpacked)
+        paths = unpack(request.downloads / paths[0], unpacked)
     else:
         for path in paths:
             (unpacked / path).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(job.downloads / path, unpacked / path)  # its permissions follow the umask, gdown's do not
-    scenes = by_scene(job.source, paths, stem(PurePosixPath(package.name).name) or package.name, package.name)
+            shutil.copyfile(request.downloads / path, unpacked / path)  # permissions by umask; gdown's are not
+    scenes = by_scene(request.source, paths, stem(PurePosixPath(package.name).name) or package.name, package.name)
     if not scenes:
         raise BadFileError(f"{package.name} holds no scene: no folder with sparse/, rgb/, thermal/ or transforms.json")
     left, placed, made = [], 0, made_of(package, there)
     for name, root in scenes.items():
-        if name in there and not job.force:
+        if name in there and not request.force:
             left += [] if name in made else [there[name]]
             continue
-        folder = there.get(name, job.folder / name)
+        folder = there.get(name, request.folder / name)
         with whole_folder(folder) as part:
             for content in (unpacked / root).iterdir():
                 content.replace(part / content.name)
@@ -182,9 +182,9 @@ def _put_in_place(job: Download, package: Package, unpacked: Path) -> tuple[int,
     return placed, left
 
 
-def _remove(job: Download, package: Package) -> None:
+def _remove(request: Download, package: Package) -> None:
     """Remove what was downloaded of a package, with what gdown keeps of unfinished downloads."""
-    for target in (job.downloads / file.path for file in package.files):
+    for target in (request.downloads / file.path for file in package.files):
         for path in (target, *target.parent.glob(f"{glob.escape(target.name)}????????.part")):
             path.unlink(missing_ok=True)
 

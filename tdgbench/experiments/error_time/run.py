@@ -34,7 +34,7 @@ from tdgbench.training.skips import Skips
 class Run(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=True):
     """A training of the chain: a method, overrides of its options, and its share of the budget's iterations.
 
-    budget: its name in `job.budgets`; None: that of the configuration.
+    budget: its name in `study.budgets`; None: that of the configuration.
     """
 
     label: str
@@ -46,7 +46,7 @@ class Run(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=Tr
 
 @dataclass(frozen=True)
 class ErrorTimeOptions:
-    """Options in `cfg.job`; `conf/experiment/error_time.yaml` says what they are."""
+    """Options in `cfg.study`; `conf/experiment/error_time.yaml` says what they are."""
 
     methods: dict[str, Any]
     scenes: list[str | None]
@@ -60,13 +60,13 @@ class ErrorTime(Experiment):
     """Training time against the error of the test views."""
 
     options = ErrorTimeOptions
-    sets: ClassVar[Mapping[str, str]] = {"scene": "job.scenes=[NAME,...]", "method": "job.runs"}
+    sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "method": "study.runs"}
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if a training needs a prior that is not available."""
         for run in runs_of(cfg):
             cell = cfg.copy()
-            cell.method = cfg.job.methods[run.method]
+            cell.method = cfg.study.methods[run.method]
             prepare_prior(cell)
 
     def run(self, cfg: DictConfig) -> None:
@@ -79,7 +79,7 @@ class ErrorTime(Experiment):
         curves, failed = sample_all(cfg)
         _write(curves, folder / "curves.csv")
         if not curves.empty:
-            _compare(curves, [run.label for run in runs_of(cfg)], folder, is_chain=bool(cfg.job.get("chain", True)))
+            _compare(curves, [run.label for run in runs_of(cfg)], folder, is_chain=bool(cfg.study.get("chain", True)))
         say(f"tables and pictures: {folder}")
         if failed:
             raise SystemExit(1)
@@ -88,21 +88,21 @@ class ErrorTime(Experiment):
 class Budgets(ErrorTime):
     """Training time against error with each budget: every run names its own."""
 
-    sets: ClassVar[Mapping[str, str]] = {**ErrorTime.sets, "budget": "job.budgets.NAME.KEY=VALUE or job.runs"}
+    sets: ClassVar[Mapping[str, str]] = {**ErrorTime.sets, "budget": "study.budgets.NAME.KEY=VALUE or study.runs"}
 
 
 def runs_of(cfg: DictConfig) -> list[Run]:
-    """Return the chain in `cfg.job.runs`. Raises ValueError for a method or budget that is not in `cfg.job`."""
-    budgets = cfg.job.get("budgets", {})
+    """Return the chain in `cfg.study.runs`. Raises ValueError for a method or budget that is not in `cfg.study`."""
+    budgets = cfg.study.get("budgets", {})
     runs: list[Run] = []
-    for options in cfg.job.runs:
+    for options in cfg.study.runs:
         run = Run.model_validate(OmegaConf.to_container(options, resolve=True))
-        if run.method not in cfg.job.methods:
-            raise ValueError(f"run {run.label!r}: no method {run.method!r} among {', '.join(cfg.job.methods)}")
+        if run.method not in cfg.study.methods:
+            raise ValueError(f"run {run.label!r}: no method {run.method!r} among {', '.join(cfg.study.methods)}")
         if run.budget is not None and run.budget not in budgets:
             raise ValueError(f"run {run.label!r}: no budget {run.budget!r} among {', '.join(budgets)}")
         if run.label in [other.label for other in runs]:
-            raise ValueError(f"two runs have the label {run.label!r} in job.runs")
+            raise ValueError(f"two runs have the label {run.label!r} in study.runs")
         runs.append(run)
     return runs
 
@@ -110,10 +110,10 @@ def runs_of(cfg: DictConfig) -> list[Run]:
 def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
     """Return the curves of all scenes and runs, and the number of failed runs; these do not stop the others."""
     curves, failed = [], 0
-    for scene in cfg.job.scenes:
+    for scene in cfg.study.scenes:
         for run in runs_of(cfg):
             try:
-                curve = sample_curve(cfg, scene, run, int(cfg.job.samples))
+                curve = sample_curve(cfg, scene, run, int(cfg.study.samples))
             except Exception as error:
                 failed += 1
                 say(f"{scene}, {run.label}: {type(error).__name__}: {error}", "failed:")
@@ -134,13 +134,13 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     model as it would be saved. The clock stops while views are scored.
     """
     cfg = cfg.copy()
-    cfg.scene, cfg.method = scene_name, cfg.job.methods[run.method]
+    cfg.scene, cfg.method = scene_name, cfg.study.methods[run.method]
     if run.budget is not None:
-        cfg.budget = cfg.job.budgets[run.budget]
+        cfg.budget = cfg.study.budgets[run.budget]
     skips: Skips = instantiate(cfg.skip)
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
-    unready: Method = instantiate(OmegaConf.merge(cfg.job.methods[run.method].method, run.options))
+    unready: Method = instantiate(OmegaConf.merge(cfg.study.methods[run.method].method, run.options))
     trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips)
     scorer: Scorer = instantiate(cfg.metrics)
     sampled = _sampled_iterations(trainer.whole_context.budget, samples)

@@ -22,7 +22,7 @@ from tdgbench.terminal import console, say
 
 @dataclass(frozen=True)
 class StressOptions:
-    """Options in `cfg.job`. cases: run only cases whose family or name contains this."""
+    """Options in `cfg.study`. cases: run only cases whose family or name contains this."""
 
     cases: str | None
 
@@ -33,7 +33,7 @@ class Stress(Experiment):
     options = StressOptions
 
     def run(self, cfg: DictConfig) -> None:
-        """Run the cases that `cfg.job.cases` chooses. Raises SystemExit(1) if any case is a surprise."""
+        """Run the cases that `cfg.study.cases` chooses. Raises SystemExit(1) if any case is a surprise."""
         self.check(cfg)
         out = console()
         pool.set_threads(cfg.threads)
@@ -46,7 +46,7 @@ class Stress(Experiment):
             if not result.passed:
                 say(f"    expected {result.expected}")
 
-        table = run_suite(cfg, cfg.job.cases, report)
+        table = run_suite(cfg, cfg.study.cases, report)
         folder = Path(cfg.results) / cfg.name
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "stress.csv", table.to_csv(index=False, lineterminator="\n"))

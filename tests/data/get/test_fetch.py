@@ -35,7 +35,7 @@ def no_waits(monkeypatch):
     monkeypatch.setattr("random.uniform", lambda low, high: 0.0)
 
 
-def job(tmp_path: Path, server, **options) -> Download:
+def request(tmp_path: Path, server, **options) -> Download:
     source = SOURCES["thermalmix"]
     return Download(source, tmp_path / source.folder, zenodo=server.address, **options)
 
@@ -45,10 +45,10 @@ def ranges(server, name: str = "lion.zip") -> list[str]:
     return [asked for requested, asked in server.requests if requested == name]
 
 
-def make_part(job: Download, content: bytes) -> Path:
+def make_part(request: Download, content: bytes) -> Path:
     """A partial download as gdown keeps it."""
-    job.downloads.mkdir(parents=True)
-    part = job.downloads / "lion.zipabcd_123.part"
+    request.downloads.mkdir(parents=True)
+    part = request.downloads / "lion.zipabcd_123.part"
     part.write_bytes(content)
     return part
 
@@ -77,14 +77,14 @@ def is_whole(root: Path) -> bool:
     )
 
 
-def downloads(job: Download) -> dict[str, int]:
+def downloads(request: Download) -> dict[str, int]:
     """Sizes of what is kept of downloads; the name of a partial file has a random part."""
-    kept = [path for path in job.downloads.rglob("*") if path.is_file() and path.name != ".lock"]
+    kept = [path for path in request.downloads.rglob("*") if path.is_file() and path.name != ".lock"]
     return {re.sub("(?<=zip).{8}[.]part", ".part", path.name): path.stat().st_size for path in kept}
 
 
 def test_a_whole_download_and_a_second_run(tmp_path, server, capsys):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     assert fetch(one) and is_whole(one.folder)
     out = capsys.readouterr().out
     assert "ThermalMix/Lion: 25 files of lion.zip" in out and "not fetched: README.md (https://zenodo.org" in out
@@ -97,12 +97,12 @@ def test_a_whole_download_and_a_second_run(tmp_path, server, capsys):
 def test_a_cut_connection_goes_on_where_it_was(tmp_path, server):
     """Announced is the whole length; the body ends early. Whole pieces of what came are kept."""
     server.faults["lion.zip"] = [Fault(cut=600_000)]
-    assert fetch(job(tmp_path, server)) and is_whole(tmp_path / "ThermalMix")
+    assert fetch(request(tmp_path, server)) and is_whole(tmp_path / "ThermalMix")
     assert ranges(server) == ["", f"bytes={KEPT}-"]
 
 
 def test_the_next_run_goes_on_where_this_one_gave_up(tmp_path, server):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     server.faults["lion.zip"] = [Fault(cut=600_000), *[Fault(cut=0)] * 5]
     with pytest.raises(GetError, match=r"lion.zip cannot be fetched: .*; what is there is kept, and the same command"):
         fetch(one)
@@ -112,13 +112,13 @@ def test_the_next_run_goes_on_where_this_one_gave_up(tmp_path, server):
 
 
 def test_what_a_killed_process_left_is_continued(tmp_path, server):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     make_part(one, FILES["lion.zip"][:KEPT])
     assert fetch(one) and is_whole(one.folder) and ranges(server) == ["", f"bytes={KEPT}-"]
 
 
 def test_a_damaged_partial_file_is_found(tmp_path, server, capsys):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     make_part(one, bytes(100_000))
     assert not fetch(one) and "lion.zip is damaged" in capsys.readouterr().err
     assert fetch(one) and is_whole(one.folder)
@@ -126,7 +126,7 @@ def test_a_damaged_partial_file_is_found(tmp_path, server, capsys):
 
 def test_a_wrong_sum(tmp_path, server, capsys):
     """The file is discarded, both sums are named, and the others are fetched."""
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     right = server.sums["lion.zip"]
     server.sums["lion.zip"] = "0" * 32
     assert not fetch(one)
@@ -142,7 +142,7 @@ def test_a_wrong_sum(tmp_path, server, capsys):
     "fault", [Fault(extra=b"more"), Fault(extra=b"more", length=False), Fault(cut=9, length=False)]
 )
 def test_a_file_of_another_length_than_published(tmp_path, server, capsys, fault):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     server.faults["lion.zip"] = [fault]
     assert not fetch(one) and "lion.zip is damaged" in capsys.readouterr().err and downloads(one) == {}
 
@@ -150,7 +150,7 @@ def test_a_file_of_another_length_than_published(tmp_path, server, capsys, fault
 @pytest.mark.parametrize("fault", [Fault(ranges=False), Fault(first=1), Fault(status=503)])
 def test_answers_that_do_not_continue_a_file_change_nothing(tmp_path, server, fault):
     """Such as the page of a network that wants a password."""
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     make_part(one, FILES["lion.zip"][:KEPT])
     server.faults["lion.zip"] = [Fault(), fault]
     with pytest.raises(GetError, match=r"did not honor the requested byte range.*--force begins anew"):
@@ -163,11 +163,11 @@ def test_answers_that_do_not_continue_a_file_change_nothing(tmp_path, server, fa
 def test_answers_that_end_the_download(tmp_path, server, status):
     server.faults["lion.zip"] = [Fault(status=status)]
     with pytest.raises(GetError, match=f"lion.zip cannot be fetched: {status} "):
-        fetch(job(tmp_path, server))
+        fetch(request(tmp_path, server))
 
 
 def test_force_begins_anew(tmp_path, server):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     make_part(one, bytes(100_000))
     assert fetch(replace(one, force=True)) and is_whole(one.folder) and ranges(server) == [""]
 
@@ -182,7 +182,7 @@ def fill(*arguments):
 
 def test_a_disk_that_fills_up_while_unpacking(tmp_path, server, monkeypatch):
     """No half scene is left, and the archive is not fetched again."""
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     with monkeypatch.context() as patch:
         patch.setattr(fetching.shutil, "copyfileobj", fill)
         with pytest.raises(OSError, match="No space left"):
@@ -193,7 +193,7 @@ def test_a_disk_that_fills_up_while_unpacking(tmp_path, server, monkeypatch):
 
 
 def test_an_interruption_keeps_what_is_there(tmp_path, server, monkeypatch):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
 
     with monkeypatch.context() as patch:
         patch.setattr(fetching.shutil, "copyfileobj", interrupt)
@@ -209,7 +209,7 @@ def test_one_archive_with_all_scenes(tmp_path):
     files = {"data/lion/" + name: data for name, data in inside(LION, "lion").items()}
     files |= {"data/hands/" + name: data for name, data in inside(FACE, "ThermalMix/face").items()}
     with zenodo({"ThermalMix.zip": zipped(files)}) as server:
-        one = job(tmp_path, server)
+        one = request(tmp_path, server)
         assert fetch(one) and sorted(path.name for path in one.folder.iterdir()) == [".get", "Hand", "Lion"]
         assert content(one.folder / "Lion") == inside(LION, "lion")
         assert fetch(one) and len(server.requests) == 1
@@ -220,18 +220,18 @@ def test_one_archive_with_all_scenes(tmp_path):
         with pytest.raises(
             GetError, match=r"no file of ThermalMix is of the scene Lion alone; published are ThermalMix.zip"
         ):
-            fetch(job(tmp_path, server, scenes=("lion",)))
+            fetch(request(tmp_path, server, scenes=("lion",)))
 
 
 def test_some_scenes(tmp_path, server):
-    one = job(tmp_path, server, scenes=("FACE",))
+    one = request(tmp_path, server, scenes=("FACE",))
     assert fetch(one) and {name for name, _ in server.requests} == {"face.tar.gz"}
     with pytest.raises(GetError, match="no file of ThermalMix is of the scene Pan alone"):
-        fetch(job(tmp_path, server, scenes=("pan",)))
+        fetch(request(tmp_path, server, scenes=("pan",)))
 
 
 def test_a_scene_of_other_origin_is_left_as_it_is(tmp_path, server, capsys):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     own = one.folder / "LION"
     own.mkdir(parents=True)
     (own / "mine.txt").write_text("mine")
@@ -245,7 +245,7 @@ def test_a_scene_of_other_origin_is_left_as_it_is(tmp_path, server, capsys):
 def test_a_scene_of_other_origin_in_an_archive_of_all(tmp_path, capsys):
     """Which scenes it holds, only the archive tells: it is fetched once, and kept."""
     with zenodo({"ThermalMix.zip": zipped(LION | FACE)}) as server:
-        one = job(tmp_path, server)
+        one = request(tmp_path, server)
         (one.folder / "Lion").mkdir(parents=True)
         assert fetch(one) and not any((one.folder / "Lion").iterdir()) and content(one.folder / "Face")
         assert "Lion is left as it is" in capsys.readouterr().out
@@ -253,7 +253,7 @@ def test_a_scene_of_other_origin_in_an_archive_of_all(tmp_path, capsys):
 
 
 def test_another_version_is_not_mixed_in(tmp_path, server, capsys):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     assert fetch(one)
     server.files["lion.zip"] = zipped(scene_files("lion", seed=9))
     server.sums = type(server)(server.files).sums
@@ -262,7 +262,7 @@ def test_another_version_is_not_mixed_in(tmp_path, server, capsys):
 
 
 def test_two_folders_of_one_scene(tmp_path, server):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     for name in ("Lion", "lion_"):
         (one.folder / name).mkdir(parents=True)
     with pytest.raises(GetError, match="are both the scene Lion; keep one"):
@@ -270,7 +270,7 @@ def test_two_folders_of_one_scene(tmp_path, server):
 
 
 def test_two_processes(tmp_path, server):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     with file_lock(one.downloads / ".lock"), pytest.raises(GetError, match="another process is fetching into"):
         fetch(one)
 
@@ -278,7 +278,7 @@ def test_two_processes(tmp_path, server):
 def test_what_cannot_be_unpacked_is_named_with_the_address_and_the_folder(tmp_path, server, capsys):
     server.files["pan.7z"] = b"7z"
     server.sums["pan.7z"] = "0" * 32
-    assert fetch(job(tmp_path, server)) and is_whole(tmp_path / "ThermalMix")
+    assert fetch(request(tmp_path, server)) and is_whole(tmp_path / "ThermalMix")
     out = capsys.readouterr().out
     assert "pan.7z (https://zenodo.org/records/11065834; scenes belong into " in out
 
@@ -290,7 +290,7 @@ def test_an_archive_that_is_refused(tmp_path, server, capsys, name):
     server.files = {name: pack(LION | {"lion/../../../evil.txt": b"x"}), "face.tar.gz": FILES["face.tar.gz"]}
     server.sums = type(server)(server.files).sums
     for _ in range(2):
-        assert not fetch(job(tmp_path, server))
+        assert not fetch(request(tmp_path, server))
         assert "leads out of its folder; nothing of it is in place" in capsys.readouterr().err
     assert len(server.requests) == 2 and not list(tmp_path.rglob("evil.txt"))
     assert sorted(path.name for path in (tmp_path / "ThermalMix").iterdir()) == [".get", "Face"]
@@ -298,7 +298,7 @@ def test_an_archive_that_is_refused(tmp_path, server, capsys, name):
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"downloads": [], "scenes": []}'])
 def test_a_scene_with_a_damaged_record_is_left_as_it_is(tmp_path, server, capsys, text):
-    one = job(tmp_path, server)
+    one = request(tmp_path, server)
     assert fetch(one)
     (one.folder / "Lion" / RECORD).write_text(text, encoding="utf-8")
     assert fetch(one) and "Lion is left as it is" in capsys.readouterr().out

@@ -52,8 +52,8 @@ def test_faster_at_equal_iterations_quality_and_time():
 
 def experiment(data_root, *overrides):
     return config(
-        "+experiment=error_time", *SMALL, f"data.root={data_root}", "budget.iterations=20", "job.samples=3",
-        "job.scenes=[turntable]", *overrides,
+        "+experiment=error_time", *SMALL, f"data.root={data_root}", "budget.iterations=20", "study.samples=3",
+        "study.scenes=[turntable]", *overrides,
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def test_views_are_scored_as_the_camera_shows_them(data_root, monkeypatch):
 
 def test_each_link_changes_one_thing(data_root):
     cfg = experiment(data_root)
-    chain = [{**cfg.job.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
+    chain = [{**cfg.study.methods[run.method].method, **run.options, "share": run.share} for run in runs_of(cfg)]
     for one in chain:
         one.pop("_target_")
         one.update({"weight": 1.0, "lambda_depth": 0.0, "decay_end": 0.0} | one)
@@ -103,7 +103,7 @@ def test_each_link_changes_one_thing(data_root):
 
 def test_points_of_a_curve_are_models_that_could_be_saved(data_root):
     often = ("budget.density.start=4", "budget.density.every=4", "budget.density.opacity_reset_every=1000")
-    cfg = experiment(data_root, *often, "budget.iterations=40", "job.samples=20")
+    cfg = experiment(data_root, *often, "budget.iterations=40", "study.samples=20")
     found = sample_curve(cfg, "turntable", runs_of(cfg)[-2], 20)
     assert set(found["iteration"]) == {20, 24, 28, 32, 36, 40}
 
@@ -124,7 +124,7 @@ def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch, capsys):
 
 def test_a_run_has_the_budget_that_it_names(data_root):
     cfg = config("+experiment=budgets", f"data.root={data_root}", *SMALL)
-    cfg.job.budgets.lean.iterations, cfg.job.budgets.paper.iterations = 4, 3
+    cfg.study.budgets.lean.iterations, cfg.study.budgets.paper.iterations = 4, 3
     lengths = {
         run.label: sample_curve(cfg, "turntable", run, 2)["iteration"].max()
         for run in runs_of(cfg)
@@ -132,14 +132,14 @@ def test_a_run_has_the_budget_that_it_names(data_root):
     }
     assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
     with pytest.raises(ValueError, match="run 'x': no budget 'long' among paper, short, lean"):
-        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg, budget: long}]"))
+        runs_of(config("+experiment=budgets", "study.runs=[{label: x, method: tdg, budget: long}]"))
     with pytest.raises(ValueError, match="two runs have the label 'x'"):
-        runs_of(config("+experiment=budgets", "job.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
+        runs_of(config("+experiment=budgets", "study.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
 
 
 def test_an_unknown_method_is_named(data_root):
     with pytest.raises(ValueError, match="no method '3dgs' among msmg, msmg_thermal, tdg"):
-        runs_of(experiment(data_root, "job.runs=[{label: x, method: 3dgs}]"))
+        runs_of(experiment(data_root, "study.runs=[{label: x, method: 3dgs}]"))
 
 
 def test_tables_and_pictures(tmp_path, data_root, capsys):

@@ -45,7 +45,7 @@ def surprise(_backend):
 
 
 def test_table_and_status(tmp_path, data_root, capsys, monkeypatch):
-    cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", "job.cases=appearance")
+    cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", "study.cases=appearance")
     Stress().run(cfg)
     table = pd.read_csv(tmp_path / "stress" / "stress.csv")
     assert len(table) >= 5 and table["passed"].all()

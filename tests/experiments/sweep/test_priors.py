@@ -71,6 +71,6 @@ def test_a_failure_for_want_of_a_prior_is_tried_again(tmp_path, data_root, small
 
 def test_experiments_whose_cells_all_need_the_prior_end_at_once(tmp_path, arco_folder, no_packages):
     for words in (("+experiment=skips",), ("+experiment=error_time",)):
-        run = command_here(tmp_path, *words, "dataset=folder", f"data.root={arco_folder}", "job.scenes=[null]")
+        run = command_here(tmp_path, *words, "dataset=folder", f"data.root={arco_folder}", "study.scenes=[null]")
         assert run.returncode == 1 and run.stderr.startswith("error: prior=marigold is not available"), run.stderr
         assert run.stdout == ""
