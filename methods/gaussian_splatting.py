@@ -21,11 +21,19 @@ class GaussianSplatting(Method):
     The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
-
     def __init__(
-        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smoothness_reading: SmoothnessReading, weight: NonNegativeFloat
+        self,
+        lambda_ssim: Share,
+        lambda_smooth: NonNegativeFloat,
+        smoothness_reading: SmoothnessReading,
+        weight: NonNegativeFloat,
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = lambda_ssim, lambda_smooth, smoothness_reading, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
+            lambda_ssim,
+            lambda_smooth,
+            smoothness_reading,
+            weight,
+        )
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()

@@ -174,7 +174,12 @@ class MMOne(Method):
         kept_opacity: Opacity,
     ) -> None:
         """decompose, decompose_threshold and opacities: see `MultimodalRules`."""
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = lambda_ssim, lambda_smooth, smoothness_reading, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
+            lambda_ssim,
+            lambda_smooth,
+            smoothness_reading,
+            weight,
+        )
         self.rules = partial(
             MultimodalRules,
             decompose=decompose,
@@ -201,7 +206,9 @@ class MMOne(Method):
         rgb, render = self._rendered(view.camera, "rgb").image, self._rendered(view.camera, "thermal")
         target, valid = THERMAL.tensors_of(view, rgb.device)
         loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
-        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
+        loss_thermal = thermal_loss(
+            render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
+        )
         terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
 

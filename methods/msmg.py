@@ -47,7 +47,9 @@ class MSMG(Method):
         loss_rgb = photometric(image, RGB.tensors_of(rgb_view, image.device)[0], self.lambda_ssim)
         render = self.thermal.render(thermal_view.camera)
         target, valid = THERMAL.tensors_of(thermal_view, render.image.device)
-        loss_thermal = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
+        loss_thermal = thermal_loss(
+            render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
+        )
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
         return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)

@@ -31,9 +31,18 @@ class OMMG(Method):
     renders_plain_gaussians = False
 
     def __init__(
-        self, lambda_ssim: Share, lambda_smooth: NonNegativeFloat, smoothness_reading: SmoothnessReading, weight: NonNegativeFloat
+        self,
+        lambda_ssim: Share,
+        lambda_smooth: NonNegativeFloat,
+        smoothness_reading: SmoothnessReading,
+        weight: NonNegativeFloat,
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = lambda_ssim, lambda_smooth, smoothness_reading, weight
+        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
+            lambda_ssim,
+            lambda_smooth,
+            smoothness_reading,
+            weight,
+        )
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree

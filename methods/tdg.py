@@ -9,7 +9,8 @@ Biswanath et al., "Supercharging Thermal Gaussian Splatting with Depth Estimatio
 - eq. 7, progressive weight: `decay_weight`
 - eq. 8, total loss: `TDg.step`
 
-The released code (HannahHaensen/TDg, commit b881cee) differs; the options `depth_reading` and `smoothness_reading` choose the reading.
+The released code (HannahHaensen/TDg, commit b881cee) differs; the options `depth_reading` and `smoothness_reading`
+choose.
 """
 
 from __future__ import annotations
@@ -50,11 +51,13 @@ class TDg(Method):
         decay: Literal["linear", "switch"],
         decay_end: NonNegativeFloat,
     ) -> None:
-        """smoothness_reading: see `smoothness`. depth_reading: `written` (eq. 3, with its gradient) or `released` (without gradient).
+        """smoothness_reading: see `smoothness`. depth_reading: `written` (eq. 3, with its gradient) or `released`
+        (without gradient).
         decay: `linear` (eq. 7) or `switch`. decay_end: t_end as a share of all iterations.
         """
         self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
-        self.lambda_depth, self.depth_reading, self.decay, self.decay_end = lambda_depth, depth_reading, decay, decay_end
+        self.lambda_depth, self.depth_reading = lambda_depth, depth_reading
+        self.decay, self.decay_end = decay, decay_end
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()

@@ -157,7 +157,7 @@ class _Method(_PlugIn):
     order: int | None = None
     compared_with: str | None = None
     paper_iterations: PositiveInt | None = None
-    paper_position_steps: PositiveInt | None = None
+    paper_means_steps: PositiveInt | None = None
     paper_density_stop: PositiveInt | None = None
     gradient: GradientKind | None = None
     grad_threshold: NonNegativeFloat | None = None

@@ -49,7 +49,7 @@ class Experiment(ABC):
         for word in words:
             key, _, value = word.partition("=")
             of_study = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
-            if of_study is not None and "@study." not in key:  # such as `+method@study.methods.mine=tdg`: the job's
+            if of_study is not None and "@study." not in key:  # such as `+method@study.methods.mine=tdg`: the study's
                 problems.append(Problem(key, f"is set by the experiment; give {of_study} instead", value))
         if problems:
             raise OptionError(problems)
@@ -75,7 +75,7 @@ def experiment_of(cfg: DictConfig) -> Experiment:
         reason = str(error).replace("\n", " ")
         raise OptionError([Problem("study._target_", f"cannot be loaded: {reason}", cfg.study._target_)]) from error
     if not issubclass(kind, Experiment):
-        raise TypeError(f"study._target_ is {cfg.study._target_}, which is no tdgbench.experiments.experiment.Experiment")
+        raise TypeError(f"study._target_ is {cfg.study._target_}, no tdgbench.experiments.experiment.Experiment")
     return kind()
 
 

@@ -74,7 +74,8 @@ def axes(cfg: DictConfig) -> Axes:
         changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
         changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
         switched.append(AxisValue(label, changes, label))
-    return {"scene": values_of("scene", cfg.study.scenes), "seed": values_of("seed", cfg.study.seeds), "variant": switched}
+    scenes, seeds = values_of("scene", cfg.study.scenes), values_of("seed", cfg.study.seeds)
+    return {"scene": scenes, "seed": seeds, "variant": switched}
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:

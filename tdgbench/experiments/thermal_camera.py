@@ -105,7 +105,8 @@ class ThermalCameraExperiment(Experiment):
 def axes(cfg: DictConfig) -> Axes:
     """Return the axes: scenes, captures with errors of the camera, methods, choices of `thermal_camera`, seeds."""
     study = cfg.study
-    captures = [AxisValue(str(n), {"dataset.loader": _loader(cfg, e)}, f"capture={n}") for n, e in study.captures.items()]
+    loaders = {str(name): _loader(cfg, errors) for name, errors in study.captures.items()}
+    captures = [AxisValue(n, {"dataset.loader": loader}, f"capture={n}") for n, loader in loaders.items()]
     return {
         "scene": values_of("scene", study.scenes),
         "capture": captures,

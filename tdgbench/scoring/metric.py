@@ -52,7 +52,7 @@ class ImageMetric(Metric):
     def of_training_views(self) -> Measure:
         """Return the description of the mean over the training views."""
         described = {field.name: getattr(self, field.name) for field in fields(Measure)}
-        return Measure(**described | {"name": f"train_{self.name}", "part": "training views", "published": False})
+        return Measure(**described | {"name": f"train_{self.name}", "images": "training views", "published": False})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,8 +26,8 @@ class RenderedImages:
 
     image: (H, W, C) float32 with the response of the thermal camera, not clipped. depth: (H, W) expected z in scene
     units, 0 where nothing was rendered; None: the renders are images alone. others: (H, W, C) float32 of the method's
-    models of other modalities, by modality. temperatures: (H, W, C) float32 without that response; None: equal to
-    `image`.
+    models of other modalities, by modality. without_response: (H, W, C) float32, the render before that response; None:
+    equal to `image`.
     """
 
     image: np.ndarray

@@ -61,7 +61,7 @@ def read_cell(folder: Path) -> StoredCell:
 
 
 def read_log(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of log.csv: iteration, seconds, loss, smoothed_psnr, gaussians. Raises ValueError for other files."""
+    """Read the rows of log.csv: iteration, seconds, loss, smoothed_psnr, gaussians. Raises ValueError for others."""
     names = ["iteration", "seconds", "loss", "smoothed_psnr", "gaussians"]
     rows = read_table(folder / "log.csv")
     if not rows or rows[0][: len(names)] != names:

@@ -41,7 +41,8 @@ def main(arguments: list[str]) -> int:
         for problem in findings.problems:
             say(one_line(problem), "problem:")
         unfinished = "" if findings.finished else ", none of them finished"
-        say(one_line(f"{experiment}: {findings.cells} cells{unfinished}, {len(findings.problems)} problems"))
+        n, m = findings.cells, len(findings.problems)
+        say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
         status |= bool(findings.problems) or not findings.finished
     return status
 

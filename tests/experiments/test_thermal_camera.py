@@ -15,7 +15,8 @@ SMALL = (
     "budget=demo", "budget.iterations=40", "metrics.lpips.download=false", "study.scenes=[turntable]",
 )  # fmt: skip
 FEW = (
-    "~study.methods.tdg", "~study.methods.tdg_released", "~study.methods.msmg", "~study.captures.noise", "~study.captures.tilted",
+    "~study.methods.tdg", "~study.methods.tdg_released", "~study.methods.msmg", "~study.captures.noise",
+    "~study.captures.tilted",
 )  # fmt: skip
 
 
@@ -73,7 +74,12 @@ def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
 
 
 def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
-    less = ["~study.captures.drift", "~study.captures.vignette", "~study.captures.agc", "~study.thermal_cameras.estimated"]
+    less = [
+        "~study.captures.drift",
+        "~study.captures.vignette",
+        "~study.captures.agc",
+        "~study.thermal_cameras.estimated",
+    ]
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "study.scenes=[field]",
         "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",

@@ -188,7 +188,7 @@ def test_metric(page, data_root):
     main = pd.read_csv(metric.folder / "results/single/tables/main.csv")
     assert main[main["metric"] == "edge_psnr"]["value"].notna().all()
     assert "edge PSNR, dB ↑" in (metric.folder / "results/single/report.html").read_text(encoding="utf-8")
-    assert "1 cells, 0 problems" in run("verify", "results/single").replace("\n", " ")
+    assert "1 cell, 0 problems" in run("verify", "results/single").replace("\n", " ")
 
 
 def test_table_column(page, small_results):

@@ -99,7 +99,9 @@ def test_the_released_depth_loss_moves_nothing(request, scene_of):
     scene = request.getfixturevalue(scene_of)
     released, log = trained(scene, "tdg_released", 60)
     rendered, logged = trained(scene, "tdg_released", 60, skips=Skips(depth=False))
-    plain, _ = trained(scene, "3dgs", 60, **{"method.method.lambda_smooth": 0.6, "method.method.smoothness_reading": "released"})
+    plain, _ = trained(
+        scene, "3dgs", 60, **{"method.method.lambda_smooth": 0.6, "method.method.smoothness_reading": "released"}
+    )
     assert digest(released) == digest(plain) == digest(rendered)
     written, _ = trained(scene, "tdg", 60)
     assert digest(written) != digest(plain)

@@ -79,7 +79,6 @@ def pulled_render(state, optimizer, camera, options, collect, backend):
 class Pulled(Method):
     """A method whose only loss is that its Gaussians are pulled."""
 
-
     def __init__(self, start: np.ndarray) -> None:
         rows = torch.from_numpy(start)
         self.start = Gaussians(rows[:, :3], rows[:, 3:6], rows[:, 6:10], rows[:, 10], rows[:, 11:].unflatten(1, (4, 3)))

@@ -27,7 +27,6 @@ OFTEN = (
 class CoarseToFine(Method):
     """3DGS for a third of the iterations, then from its Gaussians on, with a network that scales its images."""
 
-
     def stages(self) -> list[Stage]:
         return [
             Stage("coarse", self.set_up_coarse, self.coarse_step, 1 / 3),

@@ -157,7 +157,7 @@ def test_failed_cells_alone_are_no_success(small_results, tmp_path, capsys):
     cells = Path("cells") / "tdg" / "synthetic" / "night"
     shutil.copytree(small_results / cells, tmp_path / cells)
     assert verify(tmp_path) == (1, 0, [])
-    assert main([str(tmp_path)]) == 1 and "1 cells, none of them finished, 0 problems" in capsys.readouterr().out
+    assert main([str(tmp_path)]) == 1 and "1 cell, none of them finished, 0 problems" in capsys.readouterr().out
 
 
 def test_a_lost_record_and_a_moved_cell(spoiled):

@@ -161,7 +161,7 @@ def _put_in_place(request: Download, package: Package, unpacked: Path) -> tuple[
     else:
         for path in paths:
             (unpacked / path).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(request.downloads / path, unpacked / path)  # its permissions follow the umask, gdown's do not
+            shutil.copyfile(request.downloads / path, unpacked / path)  # permissions by umask; gdown's are not
     scenes = by_scene(request.source, paths, stem(PurePosixPath(package.name).name) or package.name, package.name)
     if not scenes:
         raise BadFileError(f"{package.name} holds no scene: no folder with sparse/, rgb/, thermal/ or transforms.json")

@@ -116,7 +116,7 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
 
 
 def first_at(log: pd.DataFrame, level: float, column: str) -> float:
-    """Return the column's value where smoothed_psnr first has the level, linear between lines. Raises ValueError if never.
+    """Return the column's value where smoothed_psnr first has the level, linear between lines; ValueError: nowhere.
 
     >>> log = pd.DataFrame({"smoothed_psnr": [10.0, 20.0], "iteration": [0, 100]})
     >>> first_at(log, 15.0, "iteration")

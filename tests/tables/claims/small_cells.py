@@ -42,5 +42,7 @@ def write_log(folder: Path, gain: float, iterations: int) -> None:
     at_switch = (iteration >= iterations / 2) & (iteration < 0.55 * iterations)
     psnr = 10 + 20 * (1 - np.exp(-iteration / iterations * 10 * 2**gain)) - at_switch * (1 - gain)
     loss = 0.01 * (1 + at_switch * 0.5**gain)
-    log = pd.DataFrame({"iteration": iteration, "seconds": iteration / 100, "smoothed_psnr": psnr, "loss_thermal": loss})
+    log = pd.DataFrame(
+        {"iteration": iteration, "seconds": iteration / 100, "smoothed_psnr": psnr, "loss_thermal": loss}
+    )
     log.to_csv(folder / "log.csv", index=False)
