@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn import functional as F
 
+from methods.canny import canny
 from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.reference import seen_colors, visible_radii
@@ -29,7 +29,7 @@ from tdgbench.training.part import Network
 
 Direction = Literal["released", "optical_axis"]
 LOW, HIGH = 100, 200  # Canny's thresholds: utils/loss_utils.py, lines 107 and 108
-TAN_22_5 = 13573  # × 2^15, rounded; OpenCV
+
 TIED = 1e-5  # of the axes' variances: closer ones have no gradient of their directions left in float32
 
 
@@ -87,36 +87,8 @@ def spectrum(image: Tensor) -> Tensor:
 
 def edge_map(image: Tensor) -> Tensor:
     """Return Canny's edges (H, W) of an image, 1 or 0. Its 8-bit values wrap around above 1, as in the original."""
-    levels = (255 * image.detach()).to(torch.int32).bitwise_and(255).cpu().numpy()
-    return torch.from_numpy(canny(levels)).to(image)
-
-
-def canny(levels: np.ndarray) -> np.ndarray:
-    """Return the edges (H, W) bool of an image (H, W) of whole numbers from 0 to 255: OpenCV's Canny(100, 200)."""
-    padded = np.pad(levels.astype(np.int32), 1, mode="edge")
-    across = padded[:-2] + 2 * padded[1:-1] + padded[2:]
-    down = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    dx, dy = across[:, 2:] - across[:, :-2], down[2:] - down[:-2]
-    strength = np.abs(dx) + np.abs(dy)
-    around, (height, width) = np.pad(strength, 1), strength.shape
-
-    def beside(y: int, x: int) -> np.ndarray:
-        return around[1 + y : 1 + y + height, 1 + x : 1 + x + width]
-
-    rise, flat = np.abs(dy) << 15, np.abs(dx) * TAN_22_5
-    steep = flat + (np.abs(dx) << 16)
-    diagonal = np.where(
-        (dx ^ dy) < 0,
-        (strength > beside(-1, 1)) & (strength > beside(1, -1)),
-        (strength > beside(-1, -1)) & (strength > beside(1, 1)),
-    )
-    upright = (strength > beside(-1, 0)) & (strength >= beside(1, 0))
-    level = (strength > beside(0, -1)) & (strength >= beside(0, 1))
-    thin = (strength > LOW) & np.where(rise < flat, level, np.where(rise > steep, upright, diagonal))
-    groups, count = ndimage.label(thin, np.ones((3, 3)))
-    strong = np.zeros(count + 1, bool)
-    strong[groups[thin & (strength > HIGH)]] = True
-    return np.asarray(strong[groups])
+    levels = (255 * image.detach()).to(torch.int32).bitwise_and(255).cpu().numpy().astype(np.uint8)
+    return torch.from_numpy(canny(levels, LOW, HIGH)).to(image)
 
 
 class VetaGS(Method):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from methods.canny import canny
 from methods.veta_gs import (
     Deformation,
     MonoSSIM,
     VetaGS,
-    canny,
     center_of,
     deformed,
     direction_of,
@@ -101,7 +101,7 @@ def test_edges_are_those_of_opencv(data):
     sizes = [name for name in data if name.startswith("canny_edges_")]
     assert len(sizes) == 20 and sum(data[name].any() for name in sizes) > 10
     for name in sizes:
-        assert np.array_equal(canny(data[name.replace("edges_", "")]), data[name] > 0), name
+        assert np.array_equal(canny(data[name.replace("edges_", "")].astype(np.uint8), 100, 200), data[name] > 0), name
 
 
 def loop_state(data):
