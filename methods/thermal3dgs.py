@@ -14,7 +14,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling
+from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.harmonics import colors_from_sh
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
@@ -135,6 +135,12 @@ class Thermal3DGS(Method):
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         return self._rendered(frame, depth=True)
+
+    def step_seconds(self) -> float:
+        if self.transmission is None:
+            return 0.0
+        module = self.transmission.module
+        return seconds_of(lambda means: module(means, 0.0), module.parameters(), self.model.gaussians.means)
 
     def _rendered(self, frame: Frame, depth: bool = False) -> Render:
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:

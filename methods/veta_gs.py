@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.canny import canny
-from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling
+from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.reference import seen_colors, visible_radii
 from tdgbench.splats.pose import multiply_quaternions
@@ -156,6 +156,14 @@ class VetaGS(Method):
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         return self._rendered(frame, depth=True)
+
+    def step_seconds(self) -> float:
+        zeros = self.model.gaussians.means.new_zeros(3)
+        return seconds_of(
+            lambda means: torch.cat(self.deformation(means, 0.0, zeros, zeros), dim=1),
+            self.deformation.parameters(),
+            self.model.gaussians.means,
+        )
 
     def _rendered(self, frame: Frame, noise: float = 0.0, of_visible: bool = False, depth: bool = False) -> Render:
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:

@@ -31,6 +31,7 @@ from tdgbench.scenes import Dataset, Scene
 from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.ply import save_ply
+from tdgbench.text import duration
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
@@ -41,6 +42,8 @@ from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.trial import RigTrial
+
+SLOW = 1800  # seconds of networks in a training, of which the terminal warns
 
 
 class IdentifiedCell(NamedTuple):
@@ -147,6 +150,7 @@ class CellRun(SetupObserver):
         priors = self._cache("priors", "depth priors were")
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
         self._describe_images(ready.scored)
+        self._warn_if_slow(ready.trainer)
         with self.phase("train"):
             checkpoint = self._open_checkpoint()
             log = checkpoint.resume(ready.trainer)
@@ -158,6 +162,16 @@ class CellRun(SetupObserver):
         trained = TrainedCell(*ready, log, checkpoint, scorer)
         self._describe_training(trained, cell.skips)
         return trained
+
+    def _warn_if_slow(self, trainer: Trainer) -> None:
+        """Say before a long training on the CPU how long its networks alone will take."""
+        seconds = trainer.method.step_seconds()
+        whole = seconds * trainer.whole_context.budget.iterations
+        if whole > SLOW and training_device(self.record.backend).type == "cpu":
+            self.progress.warn(
+                f"its networks alone will take at least {duration(whole)} on this CPU ({seconds:.2g} s a step, more as "
+                "Gaussians grow); budget.iterations=NUMBER is shorter, backend=cuda faster"
+            )
 
     def write(self, trained: TrainedCell) -> None:
         """Render and score the views; write the cell's folder whole or not at all."""

@@ -48,6 +48,10 @@ class CellProgress:
         if self._bar is None:
             self._print(f"starts, {self._iterations} iterations on {views} training views")
 
+    def warn(self, text: str) -> None:
+        """Say what a reader should know before the training begins."""
+        self._print(text)
+
     def phase(self, name: str) -> None:
         """Begin a phase."""
         self._stage, self._mark = name, None

@@ -74,6 +74,10 @@ class Method:
         """
         raise NotImplementedError
 
+    def step_seconds(self) -> float:
+        """Return the time of the networks of a step, measured after the set-up; rendering comes on top."""
+        return 0.0
+
     def made_elsewhere(self, scene: Scene) -> dict[str, Any]:
         """Return what the record of a method that does not train says of the files that it renders.
 

@@ -1,15 +1,20 @@
 """Thermal3D-GS: whom its network is asked about, its loss, and what its record says of the conduction module."""
 
 import math
+from io import StringIO
 
 import pytest
 import torch
+from rich.console import Console
 
 from methods.thermal3dgs import corner_loss, in_sight, transmitted
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.losses import l1_and_dssim
+from tests.helpers.configs import QUICK, config
 from tests.helpers.gaussians import model
 from tests.helpers.training import ready_to_train, train
 
@@ -77,3 +82,14 @@ def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
 def test_the_parameters_are_as_many_as_the_authors(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "thermal3dgs", 1)
     assert trainer.reports()["transmission"]["parameters"] == 504_579
+
+
+@pytest.mark.parametrize("method", ["thermal3dgs", "veta_gs", "3dgs"])
+def test_a_long_training_on_the_cpu_is_announced(data_root, tmp_path, monkeypatch, method):
+    """By the measured time of the networks; a method without any says nothing."""
+    monkeypatch.setattr("tdgbench.bench.cell_phases.SLOW", 0.0)
+    cfg = config(f"method={method}", "scene=turntable", *QUICK, "budget.iterations=2", f"results={tmp_path}")
+    cfg.data.root = str(data_root)
+    said = StringIO()
+    assert run_cell(cfg, "", CellProgress(Console(file=said, width=300), 2)).status == "ok"
+    assert ("its networks alone will take at least" in said.getvalue()) == (method != "3dgs")
