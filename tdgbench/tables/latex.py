@@ -9,7 +9,7 @@ import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import first_points, split_notes
+from tdgbench.tables.long_table import initial_points, split_notes
 from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, OVERALL, PUBLISHED, digits, measure
 from tdgbench.text import one_line
 
@@ -121,7 +121,9 @@ def ablation_table(rows: pd.DataFrame) -> str:
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
             pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
             lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
-    return tabular("lcc" + "c" * len(ABLATION_PAIRS), [rf" & Random & COLMAP & {parts} \\"], lines, first_points(rows))
+    return tabular(
+        "lcc" + "c" * len(ABLATION_PAIRS), [rf" & Random & COLMAP & {parts} \\"], lines, initial_points(rows)
+    )
 
 
 def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ T = TypeVar("T")
 SAYS_ENOUGH = (ValueError, OSError, NotApplicableError)  # their message needs no type
 
 
-class Findings:
+class Problems:
     """The problems of one cell, in the order in which they were found."""
 
     def __init__(self) -> None:
