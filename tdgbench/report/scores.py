@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
-from tdgbench.tables.long_table import first_points, split_notes
+from tdgbench.tables.long_table import initial_points, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
@@ -128,7 +128,8 @@ def _ablation(tables: Tables) -> dict[str, Any]:
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in ABLATION]
         rows.append({"head": [methods.label(str(method)), init], "cells": cells})
     titles = [measure(m).title for m in ABLATION]
-    return {"heads": ["method", "first points"], "metrics": titles, "rows": rows, "notes": first_points(tables.main)}
+    notes = initial_points(tables.main)
+    return {"heads": ["method", "initial points"], "metrics": titles, "rows": rows, "notes": notes}
 
 
 def _published(tables: Tables, keys: list[str]) -> dict[tuple[Any, ...], Any]:
@@ -164,7 +165,7 @@ def difference_note(published: Any, scene: str) -> tuple[str, str]:
     metric = published.metric
     details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
     if published.verdict == UNDECIDED:
-        details[0] += f", {published.why}; seeds needed: {published.seeds_needed}"
+        details[0] += f", {published.undecided_because}; seeds needed: {published.seeds_needed}"
     if not np.isnan(published.ci90_low):
         interval = f"{published.ci90_low:.4g} to {published.ci90_high:.4g}"
         details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")

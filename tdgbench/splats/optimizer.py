@@ -69,18 +69,18 @@ class Adam:
         state: TrainingState,
         rates: LearningRates,
         extent: float,
-        field_rates: Mapping[str, float | str] | None = None,
+        learning_rates: Mapping[str, float | str] | None = None,
     ) -> None:
-        """extent: of the scene, world units. field_rates: learning rates by field, which replace those of `rates`: a
+        """extent: of the scene, world units. learning_rates: learning rates by field, which replace those of `rates`: a
         number (0 freezes the field), or the name of the parameter whose rate it has.
 
         Raises ValueError for a field of `extra_fields` without a rate, and for the rate of an unknown field.
         """
-        self.state, self.rates, self.extent, self.field_rates = state, rates, extent, dict(field_rates or {})
+        self.state, self.rates, self.extent, self.learning_rates = state, rates, extent, dict(learning_rates or {})
         self.slowdown = 1.0  # factor of all learning rates, at most 1
         names = [name for name, _ in state.split(state.values[:0]).items()]
-        if not {*names[len(Gaussians.names()) :]} <= {*self.field_rates} <= {*names}:
-            raise ValueError(f"there are rates for {[*self.field_rates]}; the fields are {', '.join(names)}")
+        if not {*names[len(Gaussians.names()) :]} <= {*self.learning_rates} <= {*names}:
+            raise ValueError(f"there are rates for {[*self.learning_rates]}; the fields are {', '.join(names)}")
         self.steps = dict.fromkeys(names, 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
@@ -202,7 +202,7 @@ class Adam:
 
     def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
         """Return the learning rate of a field, or those of its columns."""
-        rate = self.field_rates.get(name, name)
+        rate = self.learning_rates.get(name, name)
         if not isinstance(rate, str):
             return rate
         if rate == "sh":

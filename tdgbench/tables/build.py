@@ -139,14 +139,14 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
         for r in merged.itertuples()
     ]
     verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
-    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "why"]]
+    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]
     return with_other_papers(pd.concat([merged, verdicts], axis=1))
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
     """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
 
-    The best init is bold. points: origin of the first points. Scores of training views show overfitting; scores of the
+    The best init is bold. points: origin of the initial ones. Scores of training views show overfitting; scores of the
     RGB model show what random points do to it.
     """
     parts = []

@@ -63,7 +63,7 @@ def published(differences: pd.DataFrame) -> str:
     parts = [f"{counts[REPRODUCED]} of {len(known)} published scores reproduced"]
     parts += [f"{counts[word]} {word}" for word in WORDS if word != REPRODUCED and counts[word]]
     undecided = known[known["verdict"] == UNDECIDED]
-    decidable = undecided[undecided["why"] != ONE_SEED]
+    decidable = undecided[undecided["undecided_because"] != ONE_SEED]
     advice = [seeds_in_words(decidable)] if len(decidable) else []
     advice += [f"run `{SEEDS}`"] if len(decidable) < len(undecided) else []
     missing = f" ({len(judged) - len(known)} more have none of ours beside them)" if len(known) < len(judged) else ""
@@ -127,7 +127,7 @@ def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
 
 
 def _ablation(main: pd.DataFrame) -> Iterable[str]:
-    """Yield the first points with which each method scores best. main: an ablation."""
+    """Yield the initial points with which each method scores best. main: an ablation."""
     for method, group in main.groupby("method", sort=False):
         parts = []
         for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):

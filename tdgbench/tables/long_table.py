@@ -148,8 +148,8 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
-def first_points(ablation: pd.DataFrame) -> list[str]:
-    """Return the origin of each init's first points in an ablation, in words, where it is known."""
+def initial_points(ablation: pd.DataFrame) -> list[str]:
+    """Return the origin of each init's initial points in an ablation, in words, where it is known."""
     hows = ablation.groupby("init", sort=False)["points"].first()
     return [f"{init}: {how}" for init, how in hows.items() if how]
 

@@ -1,6 +1,6 @@
 """As written and as released at equal iterations: scores by method and length, and the change of each difference.
 
-Effects are paired: cells that differ in one thing share data set, scene, first points and seed. Their interval is
+Effects are paired: cells that differ in one thing share data set, scene, initial points and seed. Their interval is
 Student's over seeds, of the mean over scenes; each scene has its row as well.
 """
 
@@ -74,7 +74,7 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
             continue
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         head = [record.method, planned_iterations(record), *place]
-        names = (*SCORES, *(quantity.name for quantity in OF_RECORDS))
+        names = (*SCORES, *(described.name for described in OF_RECORDS))
         values = {metric: metric_value(record, metric)[0] for metric in names}
         rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
@@ -116,7 +116,7 @@ def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_setup(rows: pd.DataFrame, column: str) -> pd.DataFrame:
-    """Return the rows with first points and split added to a column's text, where the table has several of them."""
+    """Return the rows with initial points and split added to a column's text, where the table has several of them."""
     varied = [name for name in ("init", "split") if rows[name].nunique() > 1]
     if not varied:
         return rows

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.long_table import first_points, mask_notes, split_notes
+from tdgbench.tables.long_table import initial_points, mask_notes, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, GAUSSIANS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
 from tdgbench.tables.readings import changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
@@ -119,13 +119,13 @@ def _show_main(tables: Tables, console: Console) -> None:
 def _show_ablation(tables: Tables, console: Console) -> None:
     described = [measure(metric) for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
-    table = Table("method", "first points", *heads)
+    table = Table("method", "initial points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
         texts = ["n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION]
         table.add_row(_name(method), _name(init), *texts)
     console.print(table)
-    for origin in first_points(tables.main):
+    for origin in initial_points(tables.main):
         _say(console, origin)
 
 

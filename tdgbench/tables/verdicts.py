@@ -40,7 +40,7 @@ class ScoreVerdict(NamedTuple):
     """A verdict and its grounds.
 
     margin: of the metric (NaN: none). ci90: interval of our mean (NaN below two seeds). seeds_needed: a number,
-    `> 100`, `n/a` (no number of seeds decides it), `unknown`, or empty (decided). why: reason for `undecided`.
+    `> 100`, `n/a` (no number of seeds decides it), `unknown`, or empty (decided).
     """
 
     verdict: str
@@ -48,7 +48,7 @@ class ScoreVerdict(NamedTuple):
     ci90_low: float
     ci90_high: float
     seeds_needed: str
-    why: str
+    undecided_because: str
 
 
 @cache

@@ -78,7 +78,7 @@ class SplatModel(Part):
     def restore(self, gaussians: Gaussians, background: torch.Tensor | None, blending: Blending) -> None:
         """Load stored Gaussians to render them as after training, at their full SH degree."""
         self.state = TrainingState(gaussians)
-        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self.optimizer.field_rates)
+        self.optimizer = Adam(self.state, self.budget.rates, self.optimizer.extent, self.optimizer.learning_rates)
         self.degree, self.background, self.blending = gaussians.sh_degree, background, blending
 
     @property

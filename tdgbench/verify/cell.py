@@ -14,8 +14,8 @@ from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import finite_field, read_views
 from tdgbench.bench.stored import cell_files, file_problems
 from tdgbench.verify import facts
-from tdgbench.verify.findings import Findings
 from tdgbench.verify.pictures import StoredPictures, picture_problems
+from tdgbench.verify.problems import Problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
@@ -71,34 +71,34 @@ def read_log(folder: Path) -> list[dict[str, float]]:
 
 def verify_cell(folder: Path) -> list[str]:
     """Return the problems of one cell, in words; of a failed cell, only those of its record."""
-    findings = Findings()
-    cell = findings.read(FILE, read_cell, folder)
+    problems = Problems()
+    cell = problems.read(FILE, read_cell, folder)
     if cell is None:
-        return findings.problems
+        return problems.all
     record = cell.record
-    findings.check(f"fields of {FILE}", cell.schema_problems)
-    findings.check("the key", facts.key_problems, record)
+    problems.check(f"fields of {FILE}", cell.schema_problems)
+    problems.check("the key", facts.key_problems, record)
     if record.status == "failed":
-        return findings.problems
-    findings.check("its files", file_problems, folder, record.hashes)
-    findings.check("its settings", facts.setting_problems, record)
-    cameras = findings.read("cameras.json", read_cameras, folder)
-    rows = findings.read("views.csv", read_views, folder / "views.csv")
-    log = findings.read("log.csv", read_log, folder)
+        return problems.all
+    problems.check("its files", file_problems, folder, record.hashes)
+    problems.check("its settings", facts.setting_problems, record)
+    cameras = problems.read("cameras.json", read_cameras, folder)
+    rows = problems.read("views.csv", read_views, folder / "views.csv")
+    log = problems.read("log.csv", read_log, folder)
     if log is not None:
-        findings.check("log.csv", facts.log_problems, record, log)
-    findings.check("its models", facts.model_problems, folder, record)
-    findings.check("scores of training views", facts.train_score_problems, record)
+        problems.check("log.csv", facts.log_problems, record, log)
+    problems.check("its models", facts.model_problems, folder, record)
+    problems.check("scores of training views", facts.train_score_problems, record)
     if rows is not None:
-        findings.check("means of views.csv", mean_problems, record, rows)
+        problems.check("means of views.csv", mean_problems, record, rows)
     if cameras is None:
-        return findings.problems
-    findings.check("the number of views", facts.view_problems, record, cameras)
-    findings.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
+        return problems.all
+    problems.check("the number of views", facts.view_problems, record, cameras)
+    problems.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
     if rows is not None:
-        findings.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
-    pictures = StoredPictures(folder, record, cameras, findings)
+        problems.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
+    pictures = StoredPictures(folder, record, cameras, problems)
     pictures.check_renders()
-    findings.check("its masks", mask_problems, record, pictures)
-    findings.check("scores", score_problems, record, rows, pictures)
-    return findings.problems
+    problems.check("its masks", mask_problems, record, pictures)
+    problems.check("scores", score_problems, record, rows, pictures)
+    return problems.all

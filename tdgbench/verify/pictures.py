@@ -21,7 +21,7 @@ from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import RenderedImages
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
-from tdgbench.verify.findings import Findings
+from tdgbench.verify.problems import Problems
 
 ROUNDING = 0.01  # levels; float32 renders of one model differ by 1e-4
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
@@ -69,9 +69,9 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
 class StoredPictures:
     """The test views of a cell. Problems go to `found`; what has one is left out of the scores."""
 
-    def __init__(self, folder: Path, record: Record, cameras: Cameras, findings: Findings) -> None:
+    def __init__(self, folder: Path, record: Record, cameras: Cameras, problems: Problems) -> None:
         """cameras: of all views."""
-        self.folder, self.record, self.all_cameras, self.findings = folder, record, cameras, findings
+        self.folder, self.record, self.all_cameras, self.problems = folder, record, cameras, problems
         self.cameras = cameras["test"]
         self.depths: dict[str, np.ndarray] = {}  # (H, W) float32 by view, of views that could be rendered
 
@@ -85,13 +85,13 @@ class StoredPictures:
             for name in self.cameras:
                 if modality == THERMAL or self._has(folder, name):
                     path = f"{folder}/{name}.png"
-                    stored = self.findings.read(path, self._stored, folder, name)
+                    stored = self.problems.read(path, self._stored, folder, name)
                     if stored is not None and render is not None:
-                        self.findings.check(path, self._differences, render, modality, name, stored)
+                        self.problems.check(path, self._differences, render, modality, name, stored)
 
     @cached_property
     def _method(self) -> StoredMethod | None:
-        return self.findings.read(stored_parts.FILE, StoredMethod, self.folder, self.record, self.all_cameras)
+        return self.problems.read(stored_parts.FILE, StoredMethod, self.folder, self.record, self.all_cameras)
 
     def _renderer(self, modality: str) -> Callable[[str], Render] | None:
         """Return what renders a view of the stored Gaussians, or of the method where it renders more than these."""
@@ -99,7 +99,7 @@ class StoredPictures:
             method = self._method
             return None if method is None else lambda name: method.render_from(self.cameras[name], modality, name)
         model = files_of(modality).model
-        gaussians = self.findings.read(model, load_ply, self.folder / model)
+        gaussians = self.problems.read(model, load_ply, self.folder / model)
         if gaussians is None:
             return None
         return lambda name: render_model(

@@ -20,8 +20,8 @@ from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.facts import metric_settings
-from tdgbench.verify.findings import reason
 from tdgbench.verify.pictures import StoredPictures
+from tdgbench.verify.problems import reason
 
 TOLERANCE = 1e-6  # of means
 

@@ -41,10 +41,15 @@ def test_verdicts_and_other_papers_stand_beside_the_published_numbers(tmp_path):
     tables = build_tables(tmp_path)
     written = pd.read_csv(tmp_path / "tables" / "difference.csv", keep_default_na=False).set_index(KEYS)
     row = written.loc[("msmg", "RGBT-Scenes", "day", "Parterre", "psnr")]
-    assert (row["verdict"], row["margin"], row["seeds_needed"], row["why"]) == ("reproduced", "0.2", "", "")
+    assert (row["verdict"], row["margin"], row["seeds_needed"], row["undecided_because"]) == (
+        "reproduced",
+        "0.2",
+        "",
+        "",
+    )
     assert float(row["ci90_low"]) < 24.06 < float(row["ci90_high"])
     assert (row["others_low"], row["others_high"], row["papers"]) == ("26.16", "26.16", 2)
-    assert written.loc[("tdg", "RGBT-Scenes", "day", "Parterre", "psnr"), "why"] == "no number of ours"
+    assert written.loc[("tdg", "RGBT-Scenes", "day", "Parterre", "psnr"), "undecided_because"] == "no number of ours"
     papers = pd.read_csv(tmp_path / "tables" / "between_papers.csv")
     assert len(papers) == len(tables.papers) == 24
 

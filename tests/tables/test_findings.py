@@ -78,7 +78,9 @@ def test_built_in_scenes_are_no_evidence(tmp_path):
     ],
 )
 def test_published_scores(verdicts, sentence):
-    rows = pd.DataFrame(verdicts, columns=["verdict", "seeds_needed", "why"]).assign(metric="psnr", difference=0.1)
+    rows = pd.DataFrame(verdicts, columns=["verdict", "seeds_needed", "undecided_because"]).assign(
+        metric="psnr", difference=0.1
+    )
     hours = rows.iloc[:1].assign(metric="train_hours")  # they depend on the machine
     assert published(pd.concat([rows, hours])) == sentence
 

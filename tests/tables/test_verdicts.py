@@ -46,7 +46,7 @@ NAN = float("nan")
 def test_words(metric, ours, published, std, seeds, word):
     found = verdict(metric, "Truck", ours, published, std, seeds)
     assert found.verdict == word
-    assert bool(found.seeds_needed) == bool(found.why) == (word == UNDECIDED)
+    assert bool(found.seeds_needed) == bool(found.undecided_because) == (word == UNDECIDED)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_words(metric, ours, published, std, seeds, word):
 )
 def test_undecided_says_why(metric, ours, std, seeds, needed, why):
     found = verdict(metric, "Truck", ours, 27.0, std, seeds)
-    assert found.verdict == UNDECIDED and found.seeds_needed == needed and why in found.why
+    assert found.verdict == UNDECIDED and found.seeds_needed == needed and why in found.undecided_because
 
 
 def test_the_interval_is_students():

@@ -165,7 +165,7 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]
 
 
 def _name(side: Side, other: Side) -> str:
-    """Return the method; where both sides are one method, with its first points."""
+    """Return the method; where both sides are one method, with its initial points."""
     return side.method if side.method != other.method else f"{side.method} from {side.init}"
 
 

@@ -232,6 +232,6 @@ def _wins(claim: Claim, evidence: ClaimEvidence) -> tuple[list[tuple[str, str]],
 def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
     """Return the ablation's values by init. Raises MissingError without an ablation."""
     if evidence.ablation is None:
-        raise MissingError("no ablation over the first points")
+        raise MissingError("no ablation over the initial points")
     table = evidence.ablation
     return table[(table["method"] == method) & (table["metric"] == metric)].set_index("init")["value"].dropna()
