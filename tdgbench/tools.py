@@ -33,7 +33,7 @@ TOOLS = {
         (
             ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),
             ("check DIR", "which scenes are there, whole and aligned"),
-            ("prepare DIR OUT", "make a scene of camera files: temperatures, COLMAP model, undistorted images"),
+            ("prepare CAMERA_FILES OUT", "make a scene: temperatures, COLMAP model, undistorted images"),
         ),
         "tdgbench.data.command",
     ),

@@ -100,9 +100,8 @@ class CellRun(SetupObserver):
 
     def note_rig(self, trial: RigTrial) -> None:
         self.record.thermal_camera["rig"] = asdict(trial)
-        self.record.notes.append(
-            f"thermal camera: the rig is {'learnt' if trial.pays else 'not learnt'}: {trial.reason}"
-        )
+        learnt = "" if trial.pays else "not "
+        self.record.notes.append(f"thermal camera: the rig is {learnt}learnt: {trial.reason}")
 
     def note_prior(self, description: dict[str, object]) -> None:
         self.record.prior = description

@@ -128,12 +128,8 @@ def _ablation(tables: Tables) -> dict[str, Any]:
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in ABLATION]
         rows.append({"head": [methods.label(str(method)), init], "cells": cells})
     titles = [measure(m).title for m in ABLATION]
-    return {
-        "heads": ["method", "initial points"],
-        "metrics": titles,
-        "rows": rows,
-        "notes": initial_points(tables.main),
-    }
+    notes = initial_points(tables.main)
+    return {"heads": ["method", "initial points"], "metrics": titles, "rows": rows, "notes": notes}
 
 
 def _published(tables: Tables, keys: list[str]) -> dict[tuple[Any, ...], Any]:

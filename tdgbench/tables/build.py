@@ -146,7 +146,7 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
     """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
 
-    The best init is bold. points: origin of the initial points. Scores of training views show overfitting; scores of the
+    The best init is bold. points: origin of the initial ones. Scores of training views show overfitting; scores of the
     RGB model show what random points do to it.
     """
     parts = []

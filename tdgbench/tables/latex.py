@@ -31,9 +31,8 @@ def escape(text: str) -> str:
     50 \% of a\_b {[}a] é \texttt{U+71B1}
     """
     escaped = "".join(_escaped(c) for c in text)
-    return (
-        f"{{{escaped[0]}}}{escaped[1:]}" if escaped[:1] in ("[", "*") else escaped
-    )  # else an argument of the `\\\\` before it
+    # a bracket or star would be an argument of the `\\\\` before it
+    return f"{{{escaped[0]}}}{escaped[1:]}" if escaped[:1] in ("[", "*") else escaped
 
 
 def _escaped(c: str) -> str:
@@ -121,9 +120,8 @@ def ablation_table(rows: pd.DataFrame) -> str:
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
             pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
             lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
-    return tabular(
-        "lcc" + "c" * len(ABLATION_PAIRS), [rf" & Random & COLMAP & {parts} \\"], lines, initial_points(rows)
-    )
+    heads = [rf" & Random & COLMAP & {parts} \\"]
+    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(rows))
 
 
 def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:

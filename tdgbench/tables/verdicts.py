@@ -40,7 +40,7 @@ class ScoreVerdict(NamedTuple):
     """A verdict and its grounds.
 
     margin: of the metric (NaN: none). ci90: interval of our mean (NaN below two seeds). seeds_needed: a number,
-    `> 100`, `n/a` (no number of seeds decides it), `unknown`, or empty (decided). undecided_because: the reason for that verdict.
+    `> 100`, `n/a` (no number of seeds decides it), `unknown`, or empty (decided).
     """
 
     verdict: str

@@ -24,7 +24,7 @@ class Step:
     """One training step before its backward pass."""
 
     loss: Tensor  # scalar
-    terms: dict[str, float]  # by name, for the log; `thermal` is what a plateau rule watches, else the loss
+    terms: dict[str, float]  # by name, for the log; the plateau rule watches `thermal`, or the loss if there is none
     render: Render
     target: Tensor  # (H, W, C): the image that `render` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all

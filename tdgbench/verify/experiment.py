@@ -33,17 +33,17 @@ def main(arguments: list[str]) -> int:
     status = 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
-            problems = verify(experiment)
+            verified = verify(experiment)
         except (ValueError, OSError) as error:
             say(one_line(f"tdgbench verify: {error}"), stderr=True)
             status = 1
             continue
-        for problem in problems.all:
+        for problem in verified.problems:
             say(one_line(problem), "problem:")
-        unfinished = "" if problems.finished else ", none of them finished"
-        n, m = problems.cells, len(problems.all)
+        unfinished = "" if verified.finished else ", none of them finished"
+        n, m = verified.cells, len(verified.problems)
         say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
-        status |= bool(problems.all) or not problems.finished
+        status |= bool(verified.problems) or not verified.finished
     return status
 
 
@@ -56,14 +56,14 @@ def verify(experiment: Path) -> Verification:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
     problems, finished = [], 0
     for folder in (path.parent for path in records):
-        problems = Problems()
-        cell = problems.read(FILE, read_cell, folder)
+        found = Problems()
+        cell = found.read(FILE, read_cell, folder)
         if cell is not None:
             finished += cell.is_finished
-            problems.check("its folder", cell.place_problems)
-            problems.all += [problem for problem in verify_cell(folder) if problem not in problems.all]
+            found.check("its folder", cell.place_problems)
+            found.all += [problem for problem in verify_cell(folder) if problem not in found.all]
         name = folder.relative_to(experiment / "cells").as_posix()
-        problems += [f"{name}: {problem}" for problem in problems.all]
+        problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {FILE} is missing" for folder in lost]
     return Verification(len(records), finished, problems)
 

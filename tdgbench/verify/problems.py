@@ -16,7 +16,7 @@ class Problems:
     """The problems of one cell, in the order in which they were found."""
 
     def __init__(self) -> None:
-        self.problems: list[str] = []
+        self.all: list[str] = []
 
     def check(self, what: str, problems: Callable[P, Iterable[str]], *args: P.args, **kwargs: P.kwargs) -> None:
         """Add the problems that a check finds. An error ends this check alone and is a problem of `what`."""
@@ -35,8 +35,8 @@ class Problems:
             return None
 
     def _add(self, problem: str) -> None:
-        if problem not in self.problems:
-            self.problems.append(problem)
+        if problem not in self.all:
+            self.all.append(problem)
 
 
 def reason(error: Exception) -> str:

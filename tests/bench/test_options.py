@@ -36,7 +36,7 @@ WRONG = [
     ("budget.iterations=???", "budget.iterations: is missing; set it with budget.iterations=VALUE"),
     ("budget.sh_every=0", "budget.sh_every=0: must be greater than 0"),
     ("budget.sh_degree=4", "budget.sh_degree=4: must be at most 3"),
-    ("budget.rates.opacity=nan", "budget.rates.opacity=nan: must be a finite number"),
+    ("budget.rates.opacity_logits=nan", "budget.rates.opacity_logits=nan: must be a finite number"),
     ("budget.rates.means_final=0", "budget.rates.means_final=0: must be greater than 0"),
     ("budget.density.every=0", "budget.density.every=0: must be greater than 0"),
     ("budget.plateau.gain=-0.1", "budget.plateau.gain=-0.1: must be at least 0"),

@@ -77,7 +77,7 @@ def test_every_experiment_file_names_an_experiment(name):
 
 
 def test_a_target_that_is_no_experiment_is_named():
-    with pytest.raises(TypeError, match=r"job\._target_ is pathlib\.Path, which is no"):
+    with pytest.raises(TypeError, match=r"study\._target_ is pathlib\.Path, no"):
         experiment_of(OmegaConf.create({"study": {"_target_": "pathlib.Path"}}))
 
 

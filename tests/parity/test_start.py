@@ -41,9 +41,9 @@ def test_other_rates(budget):
     names = {
         "f_dc": "sh_dc",
         "f_rest": "sh_rest",
-        "opacity": "opacity",
-        "scaling": "log_scale",
-        "rotation": "quaternion",
+        "opacity": "opacity_logits",
+        "scaling": "log_scales",
+        "rotation": "quats",
     }
     for name, ours in names.items():
         assert getattr(budget.rates, ours) == pytest.approx(float(theirs[f"rate_{name}"])), ours

@@ -16,7 +16,7 @@ EXTENT = 2.0
 
 
 def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
-    rates = {"means": 0.0, "log_scales": RATES.log_scale, "quats": RATES.quaternion, "opacity_logits": RATES.opacity}
+    rates = {"means": 0.0, "log_scales": RATES.log_scales, "quats": RATES.quats, "opacity_logits": RATES.opacity_logits}
     return [{"params": [getattr(leaves, name)], "lr": rate} for name, rate in rates.items()]
 
 
@@ -42,7 +42,7 @@ def test_is_torch_adam(share, channels):
             if name != "sh":
                 tensor.grad = getattr(parts, name).clone()
         dc.grad, rest.grad = parts.sh[:, :1].clone(), parts.sh[:, 1:].clone()
-        peer.param_groups[0]["lr"] = RATES.position(step) * EXTENT
+        peer.param_groups[0]["lr"] = RATES.means(step) * EXTENT
         optimizer.step(gradients, step)
         peer.step()
     optimizer.flush()
@@ -61,7 +61,7 @@ def test_gradients_too_small_to_be_squared_move_nothing_far():
     state = TrainingState(model(1, 0, count=60))
     start, optimizer = state.values.clone(), Adam(state, RATES, EXTENT)
     theirs = start.double().requires_grad_()
-    peer = torch.optim.Adam([theirs], lr=RATES.opacity, betas=(BETA1, BETA2), eps=EPS)
+    peer = torch.optim.Adam([theirs], lr=RATES.opacity_logits, betas=(BETA1, BETA2), eps=EPS)
     column, sizes = state.columns_of("opacity_logits"), torch.logspace(-30, -2, 60)
     for step in range(1, 40):
         dense = torch.zeros(60, state.values.shape[1])
@@ -78,7 +78,7 @@ def test_gradients_too_small_to_be_squared_move_nothing_far():
     optimizer.flush()
     moved, wanted = ((p[:, column] - start[:, column]).double().squeeze(1) for p in (state.values, theirs.detach()))
     assert torch.allclose(moved[sizes > 1e-11], wanted[sizes > 1e-11], rtol=1e-3)
-    assert moved[sizes < 1e-18].abs().max() < 0.05 * RATES.opacity
+    assert moved[sizes < 1e-18].abs().max() < 0.05 * RATES.opacity_logits
     assert (moved - wanted).abs().max() < 0.2 * wanted.abs().max()  # where eps weighs as much as √v
 
 
@@ -159,9 +159,9 @@ def test_float64_defers_no_step():
 
 
 def test_position_rate_is_log_linear():
-    assert RATES.position(0) == pytest.approx(1e-2)
-    assert RATES.position(25) == pytest.approx(1e-3)
-    assert RATES.position(50) == pytest.approx(1e-4) == RATES.position(500)
+    assert RATES.means(0) == pytest.approx(1e-2)
+    assert RATES.means(25) == pytest.approx(1e-3)
+    assert RATES.means(50) == pytest.approx(1e-4) == RATES.means(500)
 
 
 def test_a_step_without_one_parameter():

@@ -1,4 +1,4 @@
-"""`tdgbench data prepare DIR OUT`."""
+"""`tdgbench data prepare CAMERA_FILES OUT`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tdgbench.terminal import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="DIR", help="folder of the camera's files")
+    parser.add_argument("source", type=Path, metavar="CAMERA_FILES", help="folder of them")
     parser.add_argument("out", type=Path, metavar="OUT", help="the scene's folder, which must not exist")
     parser.add_argument("--pairs", nargs=2, metavar=("THERMAL", "RGB"),
                         help="names of the files, * stands for the view: '*_T.tiff' '*_V.jpg'")  # fmt: skip

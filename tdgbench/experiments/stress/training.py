@@ -12,7 +12,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.setup import set_up
+from tdgbench.bench.setup import method_of, set_up
 from tdgbench.experiments.stress.case import Case, Expected, Observed, Raises, require
 from tdgbench.scenes import PointCloud, Scene
 from tdgbench.splats.cpu import pool
@@ -117,7 +117,7 @@ class SmallTraining:
         cfg.backend.name = backend
         for name, value in (budget or {}).items():
             OmegaConf.update(cfg.budget, name, value)
-        method: Method = instantiate(cfg.method.method)
+        method = method_of(cfg)
         if fault is not None:
             method = FaultyMethod(method, fault)
         scene = change(instantiate(cfg.dataset.loader).load(cfg.scene))
