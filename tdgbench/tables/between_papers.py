@@ -52,6 +52,16 @@ def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     return merged
 
 
+def against_others(main: pd.DataFrame) -> pd.DataFrame:
+    """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
+    std, seeds, difference (ours − published). Averages are left out: papers average over different scenes.
+    """
+    others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
+    ours = main[[*PLACE, "value", "std", "seeds"]].rename(columns={"value": "ours"})
+    merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
+    return merged.assign(difference=merged["ours"] - merged["published"])
+
+
 def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> str:
     """Return the paper's gains over its baseline against the spread between papers on the baseline, in words.
 
