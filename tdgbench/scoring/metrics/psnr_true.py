@@ -1,4 +1,4 @@
-"""PSNR to the true temperatures of made scenes."""
+"""PSNR to the true temperatures of built-in scenes."""
 
 from __future__ import annotations
 
