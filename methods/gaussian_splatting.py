@@ -28,12 +28,8 @@ class GaussianSplatting(Method):
         smoothness_reading: SmoothnessReading,
         weight: NonNegativeFloat,
     ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
-            lambda_ssim,
-            lambda_smooth,
-            smoothness_reading,
-            weight,
-        )
+        self.lambda_ssim, self.lambda_smooth = lambda_ssim, lambda_smooth
+        self.smoothness_reading, self.weight = smoothness_reading, weight
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()

@@ -23,7 +23,7 @@ from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
-from tdgbench.bench.setup import Facts, SetupObserver, loader_of, method_of, set_up
+from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
 from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.files import whole_folder
@@ -124,7 +124,7 @@ class CellRun(SetupObserver):
         cfg, record = self.cfg, self.record
         with self.phase("load"):
             dataset, skips = self.locate()
-            cell = IdentifiedCell(outline_of(dataset, cfg.scene), method_of(cfg), skips)
+            cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
             record.config = relevant_config(cfg, cell.method)
             record.data, record.code = self._fingerprint(cell), code_version(record.config)
             record.key = cell_key(record)

@@ -54,7 +54,7 @@ class CellProgress:
 
     def phase(self, name: str) -> None:
         """Begin a phase."""
-        self._stage, self._mark = name, None
+        self._phase, self._mark = name, None
         if self._bar is not None:
             if name == "train":
                 self._bar.reset(self._task, total=self._iterations)
@@ -67,7 +67,7 @@ class CellProgress:
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total)
         else:
-            self._report(done, total, f"{self._stage}, {done} of {total} views")
+            self._report(done, total, f"{self._phase}, {done} of {total} views")
 
     def line(self, line: LogLine) -> None:
         """Show a line of the training log."""
@@ -84,7 +84,7 @@ class CellProgress:
             self._bar.stop()
 
     def _reset(self, title: str) -> None:
-        self._title, self._stage = title, ""
+        self._title, self._phase = title, ""
         self._last = self._clock()  # time of the last line
         self._mark = None
         if self._console.is_interactive:

@@ -31,13 +31,6 @@ SPAN_SIZE = 64, 48  # px, of the vignette whose span is recorded
 DIGITS = 6
 
 
-def method_of(cfg: DictConfig) -> Method:
-    """Return the configured method, with the name of its YAML file."""
-    method: Method = instantiate(cfg.method.method)
-    method.name = str(cfg.method.name)
-    return method
-
-
 class Training(NamedTuple):
     """A method that is ready to train.
 
@@ -91,7 +84,8 @@ def set_up(
     observer = observer or SetupObserver()
     skips = skips or Skips()
     budget = instantiate(cfg.budget)
-    method = method or method_of(cfg)
+    method = instantiate(cfg.method.method) if method is None else method
+    method.name = str(cfg.method.name)
     with observer.phase("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     thermal_camera: ThermalCameraOptions = instantiate(cfg.thermal_camera)

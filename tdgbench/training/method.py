@@ -46,7 +46,7 @@ class Method:
     Everything that changes during training is a part, made through the context (`tdgbench.training.part`).
     """
 
-    name: str = ""  # of its YAML file; set before `setup`
+    name: str = ""  # of its YAML file; `set_up` sets it
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view

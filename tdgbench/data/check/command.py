@@ -11,7 +11,7 @@ from rich.table import Table
 
 from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
-from tdgbench.scenes.inputs import is_hidden, is_there, listed
+from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import SPLITS
 from tdgbench.terminal import console, printable, say
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"no scene in {arguments.root}; a scene is a folder with one of (docs/data.md):", stderr=True)
         for layout in LAYOUTS.values():
             say(f"  {layout.title}: {layout.looks}", stderr=True)
-        if not arguments.json and any(not is_hidden(path.name) for path in listed(arguments.root)):
+        if not arguments.json and place.is_other:
             return 1  # somebody's own capture: a list of the paper's scenes would not help
         say("the paper's scenes:", stderr=True)
     if arguments.json:

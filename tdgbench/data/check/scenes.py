@@ -14,7 +14,7 @@ from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_o
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.images import SUFFIXES, read_pixels
-from tdgbench.scenes.inputs import is_folder, listed
+from tdgbench.scenes.inputs import is_folder, is_hidden, listed
 from tdgbench.scenes.layouts import detect
 
 MOST_PROBLEMS = 20  # of a scene, in words
@@ -72,6 +72,7 @@ class Place:
     dataset: Dataset
     names: list[str]
     is_paper: bool
+    is_other: bool = False  # holds files, but neither a scene nor a data set of the paper
 
 
 def find_place(root: Path, split: str) -> Place:
@@ -93,7 +94,8 @@ def find_place(root: Path, split: str) -> Place:
     names = folder.names()
     if names:
         return Place(root, folder, names, is_paper=False)
-    return Place(root, paper, paper.names(), is_paper=True)
+    is_other = any(not is_hidden(path.name) for path in listed(root))
+    return Place(root, paper, paper.names(), is_paper=True, is_other=is_other)
 
 
 def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCheck]:

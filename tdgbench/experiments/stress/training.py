@@ -12,7 +12,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.setup import method_of, set_up
+from tdgbench.bench.setup import set_up
 from tdgbench.experiments.stress.case import Case, Expected, Observed, Raises, require
 from tdgbench.scenes import PointCloud, Scene
 from tdgbench.splats.cpu import pool
@@ -73,7 +73,7 @@ class FaultyMethod(Method):
     """
 
     def __init__(self, method: Method, fault: str) -> None:
-        self.name, self.modalities, self.needs_prior = method.name, method.modalities, method.needs_prior
+        self.modalities, self.needs_prior = method.modalities, method.needs_prior
         self._method, self._fault = method, fault
 
     def setup(self, context: Context) -> None:
@@ -117,7 +117,7 @@ class SmallTraining:
         cfg.backend.name = backend
         for name, value in (budget or {}).items():
             OmegaConf.update(cfg.budget, name, value)
-        method = method_of(cfg)
+        method: Method = instantiate(cfg.method.method)
         if fault is not None:
             method = FaultyMethod(method, fault)
         scene = change(instantiate(cfg.dataset.loader).load(cfg.scene))

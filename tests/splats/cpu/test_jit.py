@@ -64,5 +64,6 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(tmp_path):
     )
     totals, hits, misses = zip(*(out.split() for out in (results[0][0], results[1][0], third.stdout)), strict=True)
     assert len(set(totals)) == 1
-    assert int(misses[0]) > 5 and int(hits[2]) > 5 and int(misses[2]) == 0
+    # Either process may load what the other has just compiled; between them, they have compiled every kernel.
+    assert int(misses[0]) + int(misses[1]) >= int(hits[2]) > 5 and int(misses[2]) == 0
     assert files and files == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
