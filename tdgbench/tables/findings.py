@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import pandas as pd
 
 from tdgbench.tables import methods
+from tdgbench.tables.claims import THE_PAPER
 from tdgbench.tables.claims.evidence import FAILS, HOLDS
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.long_table import NO_RECORD
@@ -71,14 +72,23 @@ def published(differences: pd.DataFrame) -> str:
 
 
 def claims_in_words(claims: pd.DataFrame) -> list[str]:
-    """Say how many of the paper's claims hold. claims: from `check_all`."""
-    sides = {"published": "By the published tables", "ours": "By our results"}
-    sentences = []
-    for side, evidence in sides.items():
-        counts = claims[side].value_counts().reindex([HOLDS, FAILS, UNDECIDED_CLAIM], fill_value=0)
-        text = f"{counts[HOLDS]} of the paper's {len(claims)} claims hold, {counts[FAILS]} fail"
-        sentences.append(f"{evidence}, {text}, {counts[UNDECIDED_CLAIM]} are undecided")
-    return sentences
+    """Say how many of the paper's claims hold, and of those of other papers. claims: from `check_all`."""
+    of_paper = claims["paper"] == THE_PAPER
+    return [
+        f"{evidence}, {_counted(claims.loc[rows, side], whose)}"
+        for evidence, side, rows, whose in (
+            ("By the published tables", "published", of_paper, "the paper's"),
+            ("By our results", "ours", of_paper, "the paper's"),
+            ("By our results", "ours", ~of_paper, "other papers'"),
+        )
+        if rows.any()
+    ]
+
+
+def _counted(verdicts: pd.Series, whose: str) -> str:
+    counts = verdicts.value_counts().reindex([HOLDS, FAILS, UNDECIDED_CLAIM], fill_value=0)
+    text = f"{counts[HOLDS]} of {whose} {len(verdicts)} claims hold, {counts[FAILS]} fail"
+    return f"{text}, {counts[UNDECIDED_CLAIM]} are undecided"
 
 
 def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:

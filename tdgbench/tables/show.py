@@ -56,7 +56,7 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
         sides = [
             Text.assemble((row[side], colors[row[side]]), f": {row[f'{side}_seen']}") for side in ("published", "ours")
         ]
-        table.add_row(Text(str(row["said"])), *sides)
+        table.add_row(Text(f"{row['paper']}: {row['said']}"), *sides)
     console.print(table)
 
 

@@ -151,10 +151,12 @@ def test_readings_of_one_seed(tmp_path):
 
 
 def test_claims():
-    claims = pd.DataFrame({"published": [HOLDS, HOLDS, FAILS], "ours": [UNDECIDED, HOLDS, UNDECIDED]})
+    papers, published = ["TDg", "TDg", "TDg", "MMOne"], [HOLDS, HOLDS, FAILS, UNDECIDED]
+    claims = pd.DataFrame({"paper": papers, "published": published, "ours": [UNDECIDED, HOLDS, UNDECIDED, FAILS]})
     assert claims_in_words(claims) == [
         "By the published tables, 2 of the paper's 3 claims hold, 1 fail, 0 are undecided",
         "By our results, 1 of the paper's 3 claims hold, 0 fail, 2 are undecided",
+        "By our results, 0 of other papers' 1 claims hold, 1 fail, 0 are undecided",
     ]
 
 

@@ -1,4 +1,4 @@
-"""The paper's claims in words, each checked against the published tables and against our results.
+"""Claims of papers in words, each checked against the published tables and against our results.
 
 A claim `holds`, `fails`, or is `undecided` where the evidence lacks its numbers or does not settle it.
 """
@@ -17,6 +17,7 @@ from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Fin
 from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER
 
+THE_PAPER = "TDg"  # of claims that name none
 Check = Callable[[Claim, ClaimEvidence], Finding]
 OF_TABLES: tuple[Check, ...] = (
     main_table.relative_gain,
@@ -76,10 +77,10 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
-    """Return one row per claim: id, said, where, and for the published table and for ours verdict and grounds."""
+    """Return one row per claim: id, paper, said, where, and for the published table and for ours verdict and grounds."""
     rows = []
     for claim in claims:
-        row = {"id": claim["id"], "said": claim["said"], "where": claim["where"]}
+        row = {key: claim[key] for key in ("id", "said", "where")} | {"paper": claim.get("paper", THE_PAPER)}
         for side, evidence in (("published", published), ("ours", ours)):
             finding = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
             row |= {side: finding.verdict, f"{side}_seen": finding.grounds}
