@@ -48,7 +48,7 @@ def plain_torch(cloud: Cloud) -> Callable[[], float]:
 def pairs_with_weight(cloud: Cloud) -> int:
     """Pixel-Gaussian pairs that a blend cannot skip, in registers of 8 or 16 pixels in which any has weight."""
     view = view_of(cloud, leaves_of(cloud, torch.float32), "cpu", depth=False)
-    _, _, done, _ = view.image.grad_fn.saved  # type: ignore[union-attr]
+    _, _, done, *_ = view.image.grad_fn.saved  # type: ignore[union-attr]
     starts, counts = done.tiles.starts, done.visits.counts
     active = [done.visits.active_blocks[start : start + n] for start, n in zip(starts, counts, strict=False)]
     return int(np.bitwise_count(np.concatenate(active)).sum()) * simd.LANES

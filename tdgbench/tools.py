@@ -34,6 +34,7 @@ TOOLS = {
             ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),
             ("check DIR", "which scenes are there, whole and aligned"),
             ("prepare CAMERA_FILES OUT", "make a scene: temperatures, COLMAP model, undistorted images"),
+            ("export SCENE OUT", "write a scene as the authors' own programs read it"),
         ),
         "tdgbench.data.command",
     ),

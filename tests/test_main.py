@@ -46,7 +46,7 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
 
 
 def test_every_experiment_is_tested():
-    assert set(EXPERIMENTS) == {*SWEEPS, *JOBS}
+    assert set(EXPERIMENTS) == {*SWEEPS, *JOBS, "methods"}
 
 
 @pytest.mark.parametrize(("experiment", "small"), JOBS.items())
@@ -81,6 +81,17 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
         assert "0 cells run" in run.stdout and f"{CELLS[experiment]} without data" in run.stdout
         assert "Dimsum" in run.stderr and "Zenodo" in run.stderr and "tdgbench data get" in run.stderr
         assert (main["value"] == "n/a").all() and (tables / "difference.csv").exists()
+
+
+def test_all_methods_side_by_side(tmp_path, data_root):
+    """Each method of the experiment runs, and stands in the table, the strip and the changes against its baseline."""
+    small = ("scene=turntable", "seed=0", "budget.iterations=6", "metrics=3dgs")
+    run = command_here(tmp_path, "+experiment=methods", *small, f"data.root={data_root}", *QUICK)
+    assert run.returncode == 0 and "16 cells run" in run.stdout, run.stdout + run.stderr[-3000:]
+    tables = tmp_path / "results" / "methods" / "tables"
+    readings, effects = (pd.read_csv(tables / f"{name}.csv") for name in ("readings", "effects"))
+    assert readings["method"].nunique() == 16 and effects["effect"].str.contains("conduction").any()
+    assert (tables.parent / "strip.png").stat().st_size > 10_000
 
 
 def test_part_of_an_experiment_with_both_splits(tmp_path, data_root):
