@@ -77,7 +77,7 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
-    """Return one row per claim: id, paper, said, where, and for the published table and for ours verdict and grounds."""
+    """Return one row per claim: id, said, where, paper, and for the published table and ours verdict and grounds."""
     rows = []
     for claim in claims:
         row = {key: claim[key] for key in ("id", "said", "where")} | {"paper": claim.get("paper", THE_PAPER)}
