@@ -25,7 +25,6 @@ from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 TRUE = "temperature"  # folder of true temperatures
-LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         fingerprint=_fingerprint(folder, files),
         channels=0,
         notes=[
-            *([f"{LAYOUT_NOTE}{layout.title}: {layout.looks}"] if detected else []),
+            *([f"layout {layout.title}: {layout.looks}"] if detected else []),
             *scene_files.notes, *notes, *left_out, *_about_masks(masks, names),
         ],
         folder=folder,

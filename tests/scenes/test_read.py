@@ -135,9 +135,8 @@ def subfolder(path):
 @pytest.mark.parametrize("make", [fifo, loop, subfolder])
 @pytest.mark.parametrize(
     "file",
-    ["thermal/view001.png", "rgb/view001.png", "temperature.json", "depth/view001.npy", "sparse/0/points3D.bin",
-     "sparse/0/frames.bin"],
-)  # fmt: skip
+    ["thermal/view001.png", "rgb/view001.png", "temperature.json", "depth/view001.npy", "sparse/0/points3D.bin"],
+)
 def test_inputs_are_regular_files(folder, file, make):
     make(folder / file)
     with pytest.raises(SceneError) as error:

@@ -46,10 +46,8 @@ class Layout:
 class Model:
     """A COLMAP model in the folder of a scene."""
 
-    folder: Path
     posed: dict[str, RegisteredImage]
     points: PointCloud | None
-    notes: list[str]
     files: list[Path]
 
 
@@ -61,8 +59,8 @@ def find_model(folder: Path, places: Iterable[str], title: str) -> Model:
         raise SceneError(
             f"{folder} has no COLMAP model in {first}; run COLMAP on its RGB images first (read as {title})"
         )
-    posed, points, notes = read_model(place)
-    return Model(place, posed, points, notes, [path for path in listed(place) if path.is_file()])
+    posed, points = read_model(place)
+    return Model(posed, points, [path for path in listed(place) if path.is_file()])
 
 
 def model_folder(folder: Path, places: Iterable[str]) -> Path | None:

@@ -36,7 +36,6 @@ def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
     files = [*model.files, *([folder / FILE] if is_there(folder / FILE) else [])]
     return SceneFiles(
         model.posed, model.points, thermal, photos, shipped, read_radiometry(folder / FILE), files=files,
-        notes=model.notes,
     )  # fmt: skip
 
 

@@ -81,7 +81,6 @@ def _find(folder: Path) -> SceneFiles:
         read_radiometry(folder / FILE),
         in_celsius=True,
         files=[*model.files, *unwarped.values(), *([folder / FILE] if is_there(folder / FILE) else [])],
-        notes=model.notes,
         unwarped=unwarped,
     )
 

@@ -130,7 +130,7 @@ def read_transforms(path: Path) -> Transforms:
         entry = _camera_entry(_parsed(_Intrinsics, {**values, **content}, where), where)
         if entry not in cameras:
             cameras[entry] = to_pinhole(entry, where)
-        pinhole, _, undistortion = cameras[entry]
+        pinhole, undistortion = cameras[entry]
         camera = Camera(pinhole.K, _pose(frame.transform_matrix, where), pinhole.width, pinhole.height)
         posed = RegisteredImage(name, check_camera(camera, where), undistortion)
         frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path)
