@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import read_image
+from tdgbench.scenes.images import read_image, with_channels
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
@@ -202,9 +202,7 @@ def _refuse(name: str) -> np.ndarray:
 def _load_rgb(source: ImageSource) -> np.ndarray:
     """Return RGB image of a view as float32 (height, width, 3)."""
     image, _ = resample(read_image(source.path), None, source)
-    if image.shape[2] == 1:
-        image = np.repeat(image, 3, axis=2)
-    return np.ascontiguousarray(image, np.float32)
+    return np.ascontiguousarray(with_channels(image, 3), np.float32)
 
 
 def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:

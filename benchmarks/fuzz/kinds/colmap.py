@@ -16,7 +16,7 @@ from benchmarks.fuzz.kinds.scene import SceneKind
 from benchmarks.fuzz.mutations import damage, edit
 
 FLOATS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e300, -1e300, 1e-300, 1e9)
-NAMED = ("sparse/0", "COLMAP", "camera")  # an error about a model names one of these, a file or a view
+NAMED = ("sparse/0", "COLMAP", "camera", "sparse points")  # an error about a model names one of these, a file or a view
 IDS = (0, 7, 2**31 - 1, 2**32 - 1)
 
 
