@@ -51,7 +51,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
     scene_files = layout.find(folder)
     thermal = _radiometric_files(folder, scene_files) if options.thermal == "radiometric" else scene_files.thermal
-    names, notes = _paired(folder, scene_files.posed, thermal, options.skip_unpaired)
+    names, notes = _paired(folder, scene_files.posed, thermal)
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names = sorted([*train, *test])
     masks = find_optional(folder / "masks", "masks")
@@ -118,7 +118,7 @@ def _radiometric_files(folder: Path, scene_files: SceneFiles) -> dict[str, Path]
 
 
 def _paired(
-    folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path], skip_unpaired: bool
+    folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path]
 ) -> tuple[list[str], list[str]]:
     """Return names of the views with a pose and a thermal image, and notes on the others."""
     notes = []
@@ -126,11 +126,6 @@ def _paired(
     if unposed:
         notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {first_few(unposed)}")
     unpaired = sorted(set(posed) - set(thermal))
-    if unpaired and not skip_unpaired:
-        raise SceneError(
-            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({first_few(unpaired)}); "
-            "add them, or set data.skip_unpaired=true"
-        )
     if unpaired:
         notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {first_few(unpaired)}")
     names = sorted(set(posed) & set(thermal))

@@ -39,15 +39,11 @@ class _Cursor:
     def damaged(self, what: str) -> DamagedModelError:
         return DamagedModelError(self.path, what)
 
-    def need(self, size: int) -> None:
-        if size > len(self.data) - self.at:
-            raise self.damaged(f"{self.row} needs {self.at + size} bytes, but the file has {len(self.data)}")
-
     def take(self, form: Struct) -> tuple:
-        self.need(form.size)
-        values = form.unpack_from(self.data, self.at)
-        self.at += form.size
-        return values
+        first, self.at = self.at, self.at + form.size
+        if self.at > len(self.data):
+            raise self.damaged(f"{self.row} needs {self.at} bytes, but the file has {len(self.data)}")
+        return form.unpack_from(self.data, first)
 
     def count(self, what: str, smallest: int) -> int:
         """Read a number of items of at least `smallest` bytes each, which the rest of the file has room for."""
