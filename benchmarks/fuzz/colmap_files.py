@@ -12,16 +12,13 @@ from benchmarks.fuzz.colmap_model import (
     NO_POINT,
     PARAMETERS,
     Camera,
-    Frame,
     Image,
     MalformedError,
     Model,
     Point,
-    Rig,
 )
 
 BINARY_FILES = ("cameras.bin", "images.bin", "points3D.bin")
-RIG_FILES = ("rigs.bin", "frames.bin")
 TEXT_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 
 
@@ -45,9 +42,9 @@ class Bytes:
         self.at += size
         return values
 
-    def count(self, smallest: int, layout: str = "Q") -> int:
+    def count(self, smallest: int) -> int:
         """A number of items of at least `smallest` bytes. Raises MalformedError if the file cannot hold them."""
-        (count,) = self.take(layout)
+        (count,) = self.take("Q")
         if count * smallest > len(self.data) - self.at:
             raise MalformedError(f"it cannot hold {count} items")
         return count
@@ -66,10 +63,7 @@ class Bytes:
 
 def read_binary(folder: Path) -> Model:
     """The binary model in a folder. Raises MalformedError."""
-    cameras, images, points = (_read_binary(folder / name) for name in BINARY_FILES)
-    with_rigs = any((folder / name).exists() for name in RIG_FILES)
-    rigs, frames = (_read_binary(folder / name) if with_rigs else None for name in RIG_FILES)
-    return Model(cameras, images, points, rigs, frames)
+    return Model(*(_read_binary(folder / name) for name in BINARY_FILES))  # type: ignore[arg-type]
 
 
 def _read_binary(path: Path) -> list[Any]:
@@ -101,24 +95,10 @@ def _point(data: Bytes) -> Point:
     return Point(identity, rest[:3], rest[3:6], rest[6], track)  # type: ignore[arg-type]
 
 
-def _rig(data: Bytes) -> Rig:
-    (identity,) = data.take("I")
-    if data.count(8, "I") != 1:
-        raise MalformedError("a rig of the suite has one sensor")
-    return Rig(identity, [data.take("iI")])  # type: ignore[list-item]
-
-
-def _frame(data: Bytes) -> Frame:
-    identity, rig, *pose = data.take("II7d")
-    return Frame(identity, rig, pose, [data.take("iIQ") for _ in range(data.count(16, "I"))])  # type: ignore[misc]
-
-
 _BINARY_ITEMS: dict[str, tuple[int, Callable[[Bytes], Any]]] = {
     "cameras.bin": (48, _camera),
     "images.bin": (73, _image),
     "points3D.bin": (51, _point),
-    "rigs.bin": (8, _rig),
-    "frames.bin": (68, _frame),
 }
 
 
@@ -139,14 +119,6 @@ def write_binary(folder: Path, model: Model) -> None:
             for p in model.points
         ],
     }  # fmt: skip
-    if model.rigs is not None and model.frames is not None:
-        parts["rigs.bin"] = [
-            _pack("II", r.id, len(r.sensors)) + b"".join(_pack("iI", *s) for s in r.sensors) for r in model.rigs
-        ]
-        parts["frames.bin"] = [
-            _pack("II7dI", f.id, f.rig, *f.pose, len(f.data)) + b"".join(_pack("iIQ", *d) for d in f.data)
-            for f in model.frames
-        ]
     for name, items in parts.items():
         (folder / name).write_bytes(_pack("Q", len(items)) + b"".join(items))
 
@@ -204,10 +176,7 @@ def _images(lines: list[str]) -> list[Image]:
             raise ValueError("an image has no line of points")
         points = second.split()
         _require(len(words) == 10 and len(points) % 3 == 0)
-        observed = [
-            (float(x), float(y), NO_POINT if p == "-1" else _id(p))
-            for x, y, p in zip(points[::3], points[1::3], points[2::3], strict=True)
-        ]
+        observed = list(zip(points[::3], points[1::3], points[2::3], strict=True))
         found.append(Image(_id(words[0]), [float(w) for w in words[1:8]], _id(words[8]), words[9], observed))
     return found
 
@@ -215,10 +184,10 @@ def _images(lines: list[str]) -> list[Image]:
 def _points(lines: list[str]) -> list[Point]:
     found = []
     for words in _words(lines):
-        _require(len(words) >= 8 and len(words) % 2 == 0)
+        _require(len(words) >= 8)
         color = [_id(w) for w in words[4:7]]
         _require(max(color) < 256)
-        track = [(_id(i), _id(k)) for i, k in zip(words[8::2], words[9::2], strict=True)]
+        track = list(zip(words[8::2], words[9::2], strict=False))
         found.append(Point(_id(words[0]), [float(w) for w in words[1:4]], color, float(words[7]), track))
     return found
 

@@ -8,11 +8,12 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 from PIL import Image as Picture
 from scipy.spatial.transform import Rotation
 
 from benchmarks.fuzz.colmap_files import write_binary, write_text
-from benchmarks.fuzz.colmap_model import Camera, Frame, Image, Model, Point, Rig
+from benchmarks.fuzz.colmap_model import Camera, Image, Model, Point
 
 SIZE = (32, 24)  # px
 VIEWS = 6
@@ -33,9 +34,8 @@ def write_inputs(base: Path) -> None:
         _write_scene(base / "scenes" / kind, kind, model)
     write_binary(base / "models" / "old", model)
     write_text(base / "models" / "text", model)
-    model.rigs = [Rig(1, [(0, 1)])]
-    model.frames = [Frame(image.id, 1, image.pose, [(0, 1, image.id)]) for image in model.images]
-    write_binary(base / "models" / "new", model)
+    (base / "models" / "new").mkdir()
+    pycolmap.Reconstruction(str(base / "models" / "old")).write_binary(str(base / "models" / "new"))
 
 
 def copy_scene(base: Path, folder: Path, thermal: str = "png8", model: str = "old") -> None:

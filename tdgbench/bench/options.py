@@ -180,7 +180,6 @@ class _Data(_Group):
     split: Any
     width: Any
     channels: Any
-    skip_unpaired: Any
     thermal: Any
     principal_point: Any
     temperature: Any

@@ -18,7 +18,7 @@ from pydantic import PositiveInt
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError, importing, unavailable
 from tdgbench.scenes import Scene, View
-from tdgbench.scenes.images import resize
+from tdgbench.scenes.images import resize, with_channels
 from tdgbench.scenes.inputs import hash_of, listed, regular_file
 from tdgbench.splats.cpu import pool
 from tdgbench.text import shortened
@@ -141,17 +141,6 @@ def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
             "onnx", f"{path} has the outputs {', '.join(outputs)}", "name one of them: prior.estimator.output=NAME"
         )
     return OnnxNetwork(session, inputs[0].name, output or outputs[0], int(shape[1]), sides[2], sides[3])
-
-
-def with_channels(image: np.ndarray, channels: int) -> np.ndarray:
-    """Return an image (H, W, C) with 1 or 3 channels: gray is repeated, colours are averaged.
-
-    >>> with_channels(np.array([[[0.0, 0.5, 1.0]]]), 1).tolist(), with_channels(np.array([[[0.5]]]), 3).tolist()
-    ([[[0.5]]], [[[0.5, 0.5, 0.5]]])
-    """
-    if image.shape[2] == channels:
-        return image
-    return np.repeat(image.mean(axis=2, keepdims=True), channels, axis=2)
 
 
 def normalized(image: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def visible_points(camera: Camera, points: np.ndarray, occlusion: float) -> Visi
     [1.0]
     """
     pixels, z = camera.project(points)
-    index = np.flatnonzero(_is_inside(camera, pixels, z))
+    index = np.flatnonzero(camera.holds(pixels, z))
     columns, rows = pixels[index].astype(int).T
     z = z[index]
     nearest = np.full((camera.height, camera.width), np.inf)
@@ -57,15 +57,9 @@ def visible_points(camera: Camera, points: np.ndarray, occlusion: float) -> Visi
 
 def grid_width(cameras: Sequence[Camera], points: np.ndarray) -> int:
     """Return columns of a small image in which about POINTS_IN_WINDOW of the points (N, 3) in it share a window."""
-    inside = sum(int(np.count_nonzero(_is_inside(camera, *camera.project(points)))) for camera in cameras)
+    inside = sum(int(np.count_nonzero(camera.shows(points))) for camera in cameras)
     cells = WINDOW**2 * inside / len(cameras) / POINTS_IN_WINDOW
     return int(np.clip(np.sqrt(cells * cameras[0].width / cameras[0].height), *GRID))
-
-
-def _is_inside(camera: Camera, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return which projected points, at pixels (N, 2) and z (N,), lie in the image."""
-    size = (camera.width, camera.height)
-    return np.asarray((z > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1))
 
 
 @dataclass

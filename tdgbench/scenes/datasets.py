@@ -35,10 +35,18 @@ class Dataset(Protocol):
 
 @runtime_checkable
 class Outlines(Protocol):
-    """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster."""
+    """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster.
+
+    It may be a base class, which gives `load`.
+    """
 
     def outline(self, name: str | None) -> Outline:
         """Return the scene that `load` reads. Raises MissingScenesError or SceneError."""
+        raise NotImplementedError
+
+    def load(self, name: str | None) -> Scene:
+        """Read a scene. Raises MissingScenesError or SceneError."""
+        return self.outline(name).read()
 
 
 def outline_of(dataset: Dataset, name: str | None) -> Outline:
@@ -49,7 +57,7 @@ def outline_of(dataset: Dataset, name: str | None) -> Outline:
     return Outline(scene, lambda: scene)
 
 
-class RegisteredDataset:
+class RegisteredDataset(Outlines):
     """The paper's scenes of one data set, `rgbt_scenes` or `thermalmix`, or of both (None).
 
     Folders: <root>/RGBT-Scenes/<Scene>, <root>/ThermalMix/<Scene>.
@@ -79,9 +87,6 @@ class RegisteredDataset:
             raise SceneError(f"choose a scene with scene=…: {', '.join(self.names())}")
         scene = self._registered(check_scene_name(name))
         return Description(scene.name, registry.DATASETS[scene.dataset], scene.group)
-
-    def load(self, name: str | None) -> Scene:
-        return self.outline(name).read()
 
     def outline(self, name: str | None) -> Outline:
         description = self.describe(name)
@@ -124,7 +129,7 @@ class RegisteredDataset:
         return scene.find(self.root / registry.DATASETS[scene.dataset])
 
 
-class FolderDataset:
+class FolderDataset(Outlines):
     """Any captures in one of the layouts: `root` is the scene, or holds one folder per scene.
 
     layout: a key of LAYOUTS, of the data set of that name, whose scenes may also be in <root>/<title>, for example
@@ -169,9 +174,6 @@ class FolderDataset:
             raise MissingScenesError(wanted, self.explain_missing(wanted))
         title = "folder" if self.layout is None else self.layout.title
         return Description(check_scene_name(names[0] if name is None else name), title, "")
-
-    def load(self, name: str | None) -> Scene:
-        return self.outline(name).read()
 
     def outline(self, name: str | None) -> Outline:
         description, root = self.describe(name), self._root()

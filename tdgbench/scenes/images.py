@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes.errors import SceneError
@@ -29,7 +29,6 @@ COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 FLOAT_MODE = "F"
 READ_AS_THEY_ARE = ("L", "RGB", FLOAT_MODE, *COUNT_MODES)
 MOST_COUNTS = 65535  # of 16 bits
-MAX_BYTES = 16 * MAX_PIXELS  # of an image's file; four channels of 32 bits
 
 Storage = Literal["8-bit", "16-bit", "float"]
 
@@ -54,13 +53,9 @@ def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Ima
                 yield image
     except (SceneError, MemoryError):
         raise
-    except Image.DecompressionBombError as error:
-        raise SceneError(f"{path} is too large an image ({error}); an image may have {MAX_PIXELS} pixels") from error
-    except UnidentifiedImageError as error:
-        what = f"cannot identify its format; images are {', '.join(FORMATS)}"
-        raise SceneError(f"{path} cannot be read as an image: {what}; copy or export it again") from error
     except Exception as error:  # Pillow's decoders raise many kinds
-        raise SceneError(f"{path} cannot be read as an image: {error}; copy or export it again") from error
+        remedy = f"copy it again, or export it as {', '.join(FORMATS)}"
+        raise SceneError(f"{path} cannot be read as an image: {error}; {remedy}") from error
 
 
 def _check_one_picture(image: Image.Image, path: Path) -> None:
@@ -80,17 +75,10 @@ def storage(path: Path) -> Storage:
         return "float" if image.mode == FLOAT_MODE else "16-bit" if image.mode in COUNT_MODES else "8-bit"
 
 
-def read_image_bytes(path: Path) -> bytes:
-    """Read an image's file. Raises SceneError for a file larger than any image."""
-    if regular_file(path).stat().st_size > MAX_BYTES:
-        raise SceneError(f"{path} has {path.stat().st_size} bytes; an image has {MAX_BYTES} at most. Export it again")
-    return read_bytes(path)
-
-
 @contextmanager
 def whole_image(path: Path) -> Iterator[Image.Image]:
     """Open an image as `opened_image`; its file is read once, and its format's checksums are right."""
-    content = read_image_bytes(path)
+    content = read_bytes(path)
     with opened_image(path, content) as image:
         if image.format == "PNG":
             image.verify()  # the checksums, which decoding ignores; the image is closed then
@@ -150,6 +138,17 @@ def is_gray(image: np.ndarray) -> bool:
 def in_pseudo_colour(views: Iterable[View]) -> list[str]:
     """Return names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
     return [view.name for view in views if not is_gray(view.thermal)]
+
+
+def with_channels(image: np.ndarray, channels: int) -> np.ndarray:
+    """Return an image (H, W, C) with 1 or 3 channels: gray is repeated, colours are averaged.
+
+    >>> with_channels(np.array([[[0.0, 0.5, 1.0]]]), 1).tolist(), with_channels(np.array([[[0.5]]]), 3).tolist()
+    ([[[0.5]]], [[[0.5, 0.5, 0.5]]])
+    """
+    if image.shape[2] == channels:
+        return image
+    return np.repeat(image, 3, axis=2) if channels == 3 else image.mean(axis=2, keepdims=True)
 
 
 def nearest_valid(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:

@@ -28,9 +28,9 @@ from tdgbench.scenes.view_images import (
     MaskedImage,
     ThermalImages,
     decide_channels,
+    in_channels,
     read_hidden,
     resample,
-    with_channels,
 )
 
 
@@ -119,7 +119,7 @@ def measured_images(
         values = _valid_values(measured[name])
         clipped += int(np.count_nonzero((values < span.min) | (values > span.max)))
         count += values.size
-        images[name] = with_channels(_scaled(measured.pop(name), span, unit.dtype), channels)
+        images[name] = in_channels(_scaled(measured.pop(name), span, unit.dtype), channels)
     if clipped == count:
         folder = next(iter(sources.values())).path.parent
         raise SceneError(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -20,17 +19,15 @@ from PIL import Image
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
-from tdgbench.scenes.inputs import read_bytes, regular_file
+from tdgbench.scenes.inputs import read_bytes
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 from tdgbench.scenes.validate import MAX_PIXELS
 
-JPEG_START, JPEG_SCAN, APP1, APP3 = b"\xff\xd8", 0xDA, 0xE1, 0xE3
 FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
 NO_SCALE = CountScale()
-TIFF_STARTS = (b"II*\0", b"MM\0*")
 
 
 @dataclass(frozen=True)
@@ -59,16 +56,12 @@ class Thermogram:
 def is_radiometric(path: Path) -> bool:
     """Return whether a file holds temperatures: FLIR or DJI radiometric JPEG, TIFF of one 16-bit or float channel.
 
-    Decides by the file's first bytes and headers, not by its name. Raises SceneError for what is no regular file.
+    Decides by the file's headers, not by its name. Raises SceneError for what is no image.
     """
-    with regular_file(path).open("rb") as file:
-        start = file.read(4)
-        if start[:2] == JPEG_START:
-            return _maker(file) is not None
-    if start not in TIFF_STARTS:
-        return False
     with opened_image(path) as image:
-        return image.mode in (*COUNT_MODES, FLOAT_MODE)
+        if image.format == "TIFF":
+            return image.mode in (*COUNT_MODES, FLOAT_MODE)
+        return _maker(image) is not None
 
 
 def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
@@ -77,11 +70,9 @@ def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
     counts, of which `scale` says the temperature. Raises SceneError naming the file.
     """
-    with regular_file(path).open("rb") as file:
-        is_jpeg = file.read(2) == JPEG_START
-    if is_jpeg:
-        return read_thermogram(path).celsius
     with opened_image(path) as image:
+        if image.format in ("JPEG", "MPO"):
+            return read_thermogram(path).celsius
         mode, values = image.mode, np.asarray(image).astype(np.float64)
     if mode in COUNT_MODES:
         if not scale.is_known:
@@ -98,27 +89,26 @@ def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
 def read_thermogram(path: Path) -> Thermogram:
     """Read temperatures, photo and settings of a radiometric JPEG. Raises SceneError naming the file."""
     content = read_bytes(path)
-    maker = _maker(io.BytesIO(content))
+    with opened_image(path, content) as image:
+        maker = _maker(image)
+    if maker == "DJI":
+        raise SceneError(
+            f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
+            "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
+        )
     if maker is None:
         raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return DECODERS[maker](content, path)
+            return _decode_flir(content, path)
     except (SceneError, MemoryError):
         raise
     except Exception as error:  # decoders raise many kinds on damaged files
         raise SceneError(
-            f"{path} cannot be read as a {maker} radiometric JPEG: {type(error).__name__}: {error}; "
+            f"{path} cannot be read as a FLIR radiometric JPEG: {type(error).__name__}: {error}; "
             "copy it again from the camera, or leave it out"
         ) from error
-
-
-def _refuse_dji(content: bytes, path: Path) -> Thermogram:
-    raise SceneError(
-        f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
-        "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
-    )
 
 
 def _decode_flir(content: bytes, path: Path) -> Thermogram:
@@ -147,9 +137,6 @@ def _decode_flir(content: bytes, path: Path) -> Thermogram:
         mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
     celsius = _valid_or_nan(FlyrThermogram(counts, settings).celsius, path)
     return Thermogram(celsius, photo, mapping, {key: float(value) for key, value in settings.items()})
-
-
-DECODERS = {"FLIR": _decode_flir, "DJI": _refuse_dji}  # of radiometric JPEG, by what `_maker` returns
 
 
 def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:
@@ -201,22 +188,10 @@ def _valid_or_nan(celsius: np.ndarray, path: Path) -> np.ndarray:
     return celsius
 
 
-def _maker(file: BinaryIO) -> str | None:
-    """Return `FLIR` or `DJI` if a JPEG has raw counts of such a camera. Reads the headers of its segments alone."""
-    has_app3 = is_dji = False
-    for marker, head in _segments(file):
-        if marker == APP1 and head.startswith(FLIR_SEGMENT):
-            return "FLIR"
-        has_app3 |= marker == APP3
-        is_dji |= marker == APP1 and head.startswith(b"Exif") and DJI_MAKE in head
-    return "DJI" if is_dji and has_app3 else None
-
-
-def _segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield marker and first 512 bytes of each segment of a JPEG before its pixels."""
-    file.seek(2)
-    while len(header := file.read(4)) == 4 and header[0] == 0xFF and header[1] != JPEG_SCAN:
-        length = max(0, struct.unpack(">H", header[2:])[0] - 2)
-        head = file.read(min(length, 512))
-        yield header[1], head
-        file.seek(length - len(head), io.SEEK_CUR)
+def _maker(image: Image.Image) -> str | None:
+    """Return `FLIR` or `DJI` if a JPEG has raw counts of such a camera."""
+    segments: list[tuple[str, bytes]] = getattr(image, "applist", [])
+    if any(name == "APP1" and content.startswith(FLIR_SEGMENT) for name, content in segments):
+        return "FLIR"
+    is_dji = any(name == "APP1" and content.startswith(b"Exif") and DJI_MAKE in content for name, content in segments)
+    return "DJI" if is_dji and any(name == "APP3" for name, _ in segments) else None

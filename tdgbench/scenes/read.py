@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import read_image
+from tdgbench.scenes.images import read_image, with_channels
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import find_files, find_optional
@@ -25,7 +25,6 @@ from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 TRUE = "temperature"  # folder of true temperatures
-LAYOUT_NOTE = "layout "  # how the note begins that names a detected layout
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         raise SceneError(f"{folder} has none of the layouts of a scene ({looks}); see docs/data.md")
     scene_files = layout.find(folder)
     thermal = _radiometric_files(folder, scene_files) if options.thermal == "radiometric" else scene_files.thermal
-    names, notes = _paired(folder, scene_files.posed, thermal, options.skip_unpaired)
+    names, notes = _paired(folder, scene_files.posed, thermal)
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names = sorted([*train, *test])
     masks = find_optional(folder / "masks", "masks")
@@ -78,7 +77,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         fingerprint=_fingerprint(folder, files),
         channels=0,
         notes=[
-            *([f"{LAYOUT_NOTE}{layout.title}: {layout.looks}"] if detected else []),
+            *([f"layout {layout.title}: {layout.looks}"] if detected else []),
             *scene_files.notes, *notes, *left_out, *_about_masks(masks, names),
         ],
         folder=folder,
@@ -119,7 +118,7 @@ def _radiometric_files(folder: Path, scene_files: SceneFiles) -> dict[str, Path]
 
 
 def _paired(
-    folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path], skip_unpaired: bool
+    folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path]
 ) -> tuple[list[str], list[str]]:
     """Return names of the views with a pose and a thermal image, and notes on the others."""
     notes = []
@@ -127,11 +126,6 @@ def _paired(
     if unposed:
         notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {first_few(unposed)}")
     unpaired = sorted(set(posed) - set(thermal))
-    if unpaired and not skip_unpaired:
-        raise SceneError(
-            f"{folder}: {len(unpaired)} views of the COLMAP model have no thermal image ({first_few(unpaired)}); "
-            "add them, or set data.skip_unpaired=true"
-        )
     if unpaired:
         notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {first_few(unpaired)}")
     names = sorted(set(posed) & set(thermal))
@@ -203,9 +197,7 @@ def _refuse(name: str) -> np.ndarray:
 def _load_rgb(source: ImageSource) -> np.ndarray:
     """Return RGB image of a view as float32 (height, width, 3)."""
     image, _ = resample(read_image(source.path), None, source)
-    if image.shape[2] == 1:
-        image = np.repeat(image, 3, axis=2)
-    return np.ascontiguousarray(image, np.float32)
+    return np.ascontiguousarray(with_channels(image, 3), np.float32)
 
 
 def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:

@@ -53,7 +53,10 @@ class Camera:
 
     def shows(self, points: np.ndarray) -> np.ndarray:
         """Return which of the world points (N, 3) lie in front of the camera and in its image, (N,) bool."""
-        pixels, z = self.project(points)
+        return self.holds(*self.project(points))
+
+    def holds(self, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return which projected points, at pixels (N, 2) and depths z (N,), lie in the image, (N,) bool."""
         return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
 
 

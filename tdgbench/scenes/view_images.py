@@ -11,7 +11,7 @@ import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import is_gray, read_image, resize
+from tdgbench.scenes.images import is_gray, read_image, resize, with_channels
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
@@ -52,7 +52,7 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
     images = {name: _read_shown(source, radiometry) for name, source in sources.items()}
     channels = decide_channels(wanted, all(view.image.shape[2] == 1 for view in images.values()))
-    images = {name: with_channels(view, channels) for name, view in images.items()}
+    images = {name: in_channels(view, channels) for name, view in images.items()}
     return ThermalImages(images, channels, None if radiometry is None else radiometry.range)
 
 
@@ -63,14 +63,9 @@ def decide_channels(wanted: int | str, are_gray: bool) -> int:
     return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
 
 
-def with_channels(view: MaskedImage, channels: int) -> MaskedImage:
-    """Return a thermal image with 1 or 3 channels: gray is repeated, colours are averaged."""
-    image = view.image
-    if channels == 1 and image.shape[2] == 3:
-        image = image.mean(axis=2, keepdims=True)
-    if channels == 3 and image.shape[2] == 1:
-        image = np.repeat(image, 3, axis=2)
-    return MaskedImage(np.ascontiguousarray(image, np.float32), view.valid)
+def in_channels(view: MaskedImage, channels: int) -> MaskedImage:
+    """Return a thermal image with 1 or 3 channels."""
+    return MaskedImage(np.ascontiguousarray(with_channels(view.image, channels), np.float32), view.valid)
 
 
 def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> MaskedImage:

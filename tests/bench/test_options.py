@@ -17,7 +17,6 @@ WRONG = [
     ("data.width=0", "data.width=0: must be at least 1"),
     ("data.channels=2", "data.channels=2: must be auto, 1 or 3"),
     ("data.split=thirds", "data.split=thirds: must be eighty_twenty, every_8th or folder"),
-    ("data.skip_unpaired=maybe", "data.skip_unpaired=maybe: must be a valid boolean"),
     ("+data.depth=1", "data.depth=1: is no option"),
     ("+colour=red", "colour=red: is no option"),
     ("seed=-1", "seed=-1: must be at least 0"),

@@ -65,14 +65,17 @@ def test_resize_averages_areas():
 def test_decompression_bombs_are_refused_before_decoding(tmp_path, recwarn):
     """The header is believed by a decoder; the second is beyond Pillow's own limit, the first is not."""
     path = tmp_path / "bomb.png"
-    for width, message in ((10000, r"bomb\.png is 10000×10000 px"), (50000, r"bomb\.png is too large an image")):
+    for width, message in (
+        (10000, r"bomb\.png is 10000×10000 px; an image may have 89478485 pixels"),
+        (50000, r"bomb\.png cannot be read as an image: Image size .* exceeds limit"),
+    ):
         path.write_bytes(b"\x89PNG\r\n\x1a\n")
         for kind, content in ((b"IHDR", struct.pack(">IIBBBBB", width, width, 8, 0, 0, 0, 0)), (b"IDAT", b"")):
             with path.open("ab") as file:
                 file.write(struct.pack(">I", len(content)) + kind + content)
                 file.write(struct.pack(">I", zlib.crc32(kind + content)))
         for read in (storage, read_image):
-            with pytest.raises(SceneError, match=message + ".* an image may have 89478485 pixels"):
+            with pytest.raises(SceneError, match=message):
                 read(path)
     assert not recwarn.list
 

@@ -18,7 +18,6 @@ from tdgbench.bench.init import ColmapPoints
 from tdgbench.priors import DepthEstimator, PriorError
 from tdgbench.priors.sfm_points import SfmPointsPrior
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tdgbench.scenes.read import LAYOUT_NOTE
 from tdgbench.terminal import say
 
 FILE = "loaded.npz"
@@ -33,7 +32,6 @@ def load_scene(root: str, scene: str, prior: DepthEstimator) -> int:
             "points": ColmapPoints().points(found).points,
             "colors": ColmapPoints().points(found).colors,
         }
-        content["notes"] = [note for note in found.notes if not note.startswith(LAYOUT_NOTE)]
         content["extent"] = found.extent
         content["names"] = [view.name for view in found.views]
         content["train"] = [view.name for view in found.train]
@@ -122,9 +120,6 @@ def differences(folder: Path, found: dict[str, np.ndarray]) -> str:
     problems = model.problems()
     if problems:
         return f"loaded, but the model is unusable: {problems[0]}"
-    doubts = [] if found["notes"].size else model.doubts()
-    if doubts:
-        return f"loaded without a note, but the model is doubtful: {doubts[0]}"
     cameras = {camera.id: camera for camera in model.cameras}
     by_view = {image.view: image for image in model.images}
     for view in found["names"].tolist():

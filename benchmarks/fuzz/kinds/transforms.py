@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -87,10 +88,11 @@ class Transforms(SceneKind):
     def _wrong_points(self, found: dict) -> str:
         header, _, rows = (self.scene / POINTS).read_text(encoding="utf-8", errors="replace").partition("end_header\n")
         table = [row.split() for row in rows.splitlines() if row.strip()]
-        if "format ascii" not in header or f"element vertex {len(table)}\n" not in header:
+        stated = re.search(r"element vertex (\d+)\n", header)
+        if "format ascii" not in header or stated is None or int(stated[1]) > len(table):
             return f"loaded points of a malformed {POINTS}"
         axes = [line.split()[-1] for line in header.splitlines() if line.startswith("property")]
-        xyz = np.array([[float(row[axes.index(axis)]) for axis in "xyz"] for row in table])
+        xyz = np.array([[float(row[axes.index(axis)]) for axis in "xyz"] for row in table[: int(stated[1])]])
         return "" if np.allclose(xyz, found["points"], rtol=1e-6) else f"the points differ from {POINTS}"
 
     def wrong_values(self, found: dict) -> str:

@@ -16,8 +16,8 @@ from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import ViewFiles, find_sources
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import COUNT_MODES, read_image, whole_image
-from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.images import COUNT_MODES, read_image, whole_image, with_channels
+from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping, is_radiometric, read_celsius, read_thermogram
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
@@ -65,7 +65,7 @@ class Capture:
 
     def rgb(self, view: str) -> np.ndarray:
         """Return the RGB image (h, w, 3), float32 in [0, 1]."""
-        return read_rgb(self.folder / self.names[view])
+        return with_channels(read_image(self.folder / self.names[view]), 3)
 
     def thermal(self, view: str) -> np.ndarray:
         """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
@@ -133,19 +133,13 @@ def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
         photo = thermogram.photo.astype(np.float32) / 255
         return ViewContent(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
     if holds_celsius(files.thermal, scale):
-        return ViewContent(read_celsius(files.thermal, scale), read_rgb(files.rgb))
-    return ViewContent(read_image(files.thermal), read_rgb(files.rgb))
-
-
-def read_rgb(path: Path) -> np.ndarray:
-    """Read an RGB image (H, W, 3), float32 in [0, 1]. Raises SceneError."""
-    image = read_image(path)
-    return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
+        return ViewContent(read_celsius(files.thermal, scale), with_channels(read_image(files.rgb), 3))
+    return ViewContent(read_image(files.thermal), with_channels(read_image(files.rgb), 3))
 
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:
     """Return whether temperatures can be read from a thermal file; else it shows values without a scale."""
-    if is_radiometric(regular_file(path)):
+    if is_radiometric(path):
         return True
     with whole_image(path) as image:
         return image.mode in COUNT_MODES and scale.is_known

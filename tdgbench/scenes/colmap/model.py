@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -10,17 +11,17 @@ import numpy as np
 import pycolmap
 
 from tdgbench.scenes.colmap import binary, text
-from tdgbench.scenes.colmap.agreement import check_agreement
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
-from tdgbench.scenes.colmap.references import camera_poses, check_points
-from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ModelTables, Points, by_id
+from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ImageEntry, Points
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import check_view_name, is_there
 from tdgbench.scenes.scene import Camera, PointCloud
-from tdgbench.scenes.validate import check_camera
+from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
 
 FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
 NEEDED = ("cameras", "images", "points3D")
+UNIT_TOLERANCE = 1e-3  # of a quaternion's norm; COLMAP writes 1 to the last digits
+ROUNDING = 1e-12  # of that norm
 
 
 @dataclass(frozen=True)
@@ -42,64 +43,67 @@ class ReadModel(NamedTuple):
 
     images: dict[str, RegisteredImage]  # by view name
     points: PointCloud | None
-    notes: list[str]  # what is doubtful about it
 
 
 def read_model(folder: Path) -> ReadModel:
     """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
-    tables = read_tables(folder)
-    if not tables.images:
-        raise SceneError(f"{tables.file('images')} has no registered image; {REMEDY}")
-    poses = camera_poses(tables)
-    check_points(tables)
-    cameras = {
-        key: to_pinhole(entry, f"{tables.file('cameras')}: camera {entry.id}") for key, entry in tables.cameras.items()
-    }
-    posed: dict[str, RegisteredImage] = {}
-    for image_id, image in tables.images.items():
-        where = f"{tables.file('images')}: image {image.name!r}"
-        name = check_view_name(PurePosixPath(image.name.replace("\\", "/")).stem, where)
-        if name in posed:
-            raise SceneError(f"{folder} has two images named {name}; view names must be unique in a scene")
-        pinhole, _, undistortion = cameras[image.camera_id]
-        pose = np.eye(4)
-        pose[:3] = poses[image_id]
-        camera = Camera(pinhole.K, pose, pinhole.width, pinhole.height)
-        check_camera(camera, where)
-        posed[name] = RegisteredImage(name, camera, undistortion)
-    sources: dict[int, pycolmap.Camera] = {key: source for key, (_, source, _) in cameras.items()}
-    return ReadModel(posed, _cloud(tables.points), check_agreement(tables, poses, sources))
-
-
-def _cloud(points: Points) -> PointCloud | None:
-    """Return points in the order of their ids, or None if there are none."""
-    if not len(points.ids):
-        return None
-    order = np.argsort(points.ids)
-    return PointCloud(points.xyz[order], points.colors[order].astype(np.float32) / np.float32(255))
-
-
-def read_tables(folder: Path) -> ModelTables:
-    """Read a model's files. Raises SceneError naming the file and the remedy."""
     suffix = next((s for s in FORMATS if all(is_there(folder / (name + s)) for name in NEEDED)), None)
     if suffix is None:
         raise SceneError(f"{folder} is not a COLMAP model: {_missing(folder)}; {REMEDY}")
     reader = FORMATS[suffix]
-    cameras, images, points, rigs, frames = (
-        folder / (name + suffix) for name in ("cameras", "images", "points3D", "rigs", "frames")
-    )
-    if is_there(rigs) != is_there(frames):
-        there, absent = (rigs, frames) if is_there(rigs) else (frames, rigs)
-        raise DamagedModelError(there, f"{absent.name} is missing beside it")
-    return ModelTables(
-        folder,
-        suffix,
-        by_id(cameras, reader.read_cameras(cameras), "camera"),
-        by_id(images, reader.read_images(images), "image"),
-        reader.read_points(points),
-        by_id(rigs, reader.read_rigs(rigs), "rig") if is_there(rigs) else {},
-        by_id(frames, reader.read_frames(frames), "frame") if is_there(frames) else {},
-    )
+    cameras_file, images_file, points_file = (folder / (name + suffix) for name in NEEDED)
+    rows = reader.read_cameras(cameras_file)
+    cameras = {row.id: to_pinhole(row, f"{cameras_file}: camera {row.id}") for row in rows}
+    if len(cameras) < len(rows):
+        raise DamagedModelError(cameras_file, "two of its cameras have one id")
+    images = reader.read_images(images_file)
+    if not images:
+        raise SceneError(f"{images_file} has no registered image; {REMEDY}")
+    posed: dict[str, RegisteredImage] = {}
+    for image in images:
+        where = f"{images_file}: image {image.name!r}"
+        name = check_view_name(PurePosixPath(image.name.replace("\\", "/")).stem, where)
+        if name in posed:
+            raise SceneError(f"{folder} has two images named {name}; view names must be unique in a scene")
+        if image.camera_id not in cameras:
+            what = f"image {image.name!r} has camera {image.camera_id}, which {cameras_file.name} does not hold"
+            raise DamagedModelError(images_file, what)
+        pinhole, undistortion = cameras[image.camera_id]
+        camera = Camera(pinhole.K, _pose(image, images_file), pinhole.width, pinhole.height)
+        posed[name] = RegisteredImage(name, check_camera(camera, where), undistortion)
+    return ReadModel(posed, _cloud(reader.read_points(points_file), points_file))
+
+
+def _pose(image: ImageEntry, path: Path) -> np.ndarray:
+    """Return world to camera (4, 4). Raises DamagedModelError for what is no pose."""
+    w, x, y, z = image.quaternion
+    quaternion, norm = np.array([x, y, z, w]), math.hypot(w, x, y, z)
+    if not np.isfinite([norm, *image.translation]).all():
+        raise DamagedModelError(path, f"the pose of image {image.name!r} is not finite")
+    if abs(norm - 1) > UNIT_TOLERANCE:
+        raise DamagedModelError(path, f"the quaternion of image {image.name!r} has length {norm:.6g}; it must be 1")
+    if abs(norm - 1) > ROUNDING:  # pycolmap takes a quaternion of another length as it is
+        quaternion /= norm
+    pose = np.eye(4)
+    pose[:3] = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(image.translation)).matrix()
+    return pose
+
+
+def _cloud(points: Points, path: Path) -> PointCloud | None:
+    """Return points in the order of their ids, or None if there are none. Raises DamagedModelError."""
+    if not len(points.ids):
+        return None
+    order = np.argsort(points.ids)
+    ids, xyz = points.ids[order], points.xyz[order]
+    twice = ids[1:][ids[1:] == ids[:-1]]
+    if len(twice):
+        raise DamagedModelError(path, f"it holds point {twice[0]} twice")
+    bad = ~(np.abs(xyz) <= MAX_COORDINATE).all(axis=1)  # NaN included
+    if bad.any():
+        named = ", ".join(map(str, ids[bad][:5]))
+        what = f"{int(bad.sum())} points are not finite or beyond {MAX_COORDINATE:g} (point {named})"
+        raise DamagedModelError(path, what)
+    return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255))
 
 
 def _missing(folder: Path) -> str:

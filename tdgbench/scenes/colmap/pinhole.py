@@ -76,8 +76,8 @@ class Undistortion:
         return SceneError(f"{self.where}: the distortion {', '.join(distortion)} {what}. Correct the model")
 
 
-def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, pycolmap.Camera, Undistortion | None]:
-    """Return a camera as a pinhole at the world's origin, COLMAP's camera, and how to resample images.
+def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, Undistortion | None]:
+    """Return a camera as a pinhole at the world's origin, and how to resample images.
 
     where: file and camera, for messages. A camera that is no pinhole becomes pycolmap's undistorted one. Raises
     SceneError for numbers that cannot be a camera's.
@@ -92,13 +92,13 @@ def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, pycolmap.Camera,
         raise SceneError(f"{where} is {entry.model}, which no pinhole can show; render the scene with pinholes")
     _check_intrinsics(source, where)
     if entry.model in PINHOLES:
-        return _at_origin(source), source, None
+        return _at_origin(source), None
     try:
         pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
     except Exception as error:
         raise SceneError(f"{where} cannot be undistorted: {error}. Correct the model") from error
     _check_intrinsics(pinhole, f"{where}, undistorted,")
-    return _at_origin(pinhole), source, Undistortion(source, pinhole, where)
+    return _at_origin(pinhole), Undistortion(source, pinhole, where)
 
 
 def _check_intrinsics(camera: pycolmap.Camera, where: str) -> None:

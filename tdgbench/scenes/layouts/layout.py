@@ -11,7 +11,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
 from tdgbench.scenes.scene import PointCloud, TemperatureRange
-from tdgbench.scenes.temperature import Radiometry
+from tdgbench.scenes.temperature import FILE, Radiometry, read_radiometry
 
 
 @dataclass(frozen=True)
@@ -44,25 +44,25 @@ class Layout:
 
 @dataclass(frozen=True)
 class Model:
-    """A COLMAP model in the folder of a scene."""
+    """A COLMAP model in the folder of a scene, and the scene's temperature.json."""
 
-    folder: Path
     posed: dict[str, RegisteredImage]
     points: PointCloud | None
-    notes: list[str]
+    radiometry: Radiometry | None
     files: list[Path]
 
 
 def find_model(folder: Path, places: Iterable[str], title: str) -> Model:
-    """Read the COLMAP model in the first of `places` that is there. Raises SceneError."""
+    """Read the COLMAP model in the first of `places` that is there, and temperature.json. Raises SceneError."""
     place = model_folder(folder, places)
     if place is None:
         first = next(iter(places))
         raise SceneError(
             f"{folder} has no COLMAP model in {first}; run COLMAP on its RGB images first (read as {title})"
         )
-    posed, points, notes = read_model(place)
-    return Model(place, posed, points, notes, [path for path in listed(place) if path.is_file()])
+    posed, points = read_model(place)
+    files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
+    return Model(posed, points, read_radiometry(folder / FILE), files)
 
 
 def model_folder(folder: Path, places: Iterable[str]) -> Path | None:

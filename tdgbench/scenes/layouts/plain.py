@@ -16,9 +16,8 @@ from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_folder, is_there
+from tdgbench.scenes.inputs import is_folder
 from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model, find_optional, model_folder
-from tdgbench.scenes.temperature import FILE, read_radiometry
 
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 
@@ -33,11 +32,7 @@ def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
         raise SceneError(f"{folder / images} holds no image; put one of each view there ({', '.join(SUFFIXES)})")
     photos = {} if rgb is None else find_optional(folder / rgb, "RGB images")
     model = find_model(folder, MODELS, layout.title)
-    files = [*model.files, *([folder / FILE] if is_there(folder / FILE) else [])]
-    return SceneFiles(
-        model.posed, model.points, thermal, photos, shipped, read_radiometry(folder / FILE), files=files,
-        notes=model.notes,
-    )  # fmt: skip
+    return SceneFiles(model.posed, model.points, thermal, photos, shipped, model.radiometry, files=model.files)
 
 
 RGBT_SCENES = Layout(

@@ -18,11 +18,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_folder, is_there, listed
+from tdgbench.scenes.inputs import is_folder, listed
 from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model
 from tdgbench.scenes.registry import registered
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import FILE, read_radiometry
 from tdgbench.scenes.warped import PICTURES
 
 MODELS = ("colmap_sparse/0", "sparse/0", "colmap/sparse/0")
@@ -78,10 +77,9 @@ def _find(folder: Path) -> SceneFiles:
         {**pictures, **arrays},
         {} if photos is None else find_files(photos)[0],
         {**placed, **shipped},
-        read_radiometry(folder / FILE),
+        model.radiometry,
         in_celsius=True,
-        files=[*model.files, *unwarped.values(), *([folder / FILE] if is_there(folder / FILE) else [])],
-        notes=model.notes,
+        files=[*model.files, *unwarped.values()],
         unwarped=unwarped,
     )
 

@@ -17,12 +17,13 @@ from PIL import Image
 from pydantic import Field, NonNegativeInt
 
 from tdgbench.scenes.colmap import write_model
+from tdgbench.scenes.datasets import Outlines
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
-from tdgbench.scenes.scene import Camera, PointCloud, Scene
+from tdgbench.scenes.scene import Camera, PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors, Encoding, TrueCamera, TrueRig, levels, limits
 from tdgbench.scenes.synthetic.render import World, look_at, render_world
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth
@@ -35,7 +36,7 @@ POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
 
 
-class SyntheticDataset:
+class SyntheticDataset(Outlines):
     """Scenes in <root>/synthetic/, one folder per name, size, number of views and points, seed, and errors.
 
     width, height: of the images, px. views: cameras per scene. points: sparse points per scene. errors: of the capture.
@@ -74,9 +75,6 @@ class SyntheticDataset:
             raise SceneError(self.explain_missing([name]))
         title = "synthetic_degC" if self.shot.errors.thermal_camera.encoding == "degC" else "synthetic"
         return Description(name, title, WORLDS[name](self.shot.seed).group)
-
-    def load(self, name: str | None) -> Scene:
-        return self.outline(name).read()
 
     def outline(self, name: str | None) -> Outline:
         description = self.describe(name)

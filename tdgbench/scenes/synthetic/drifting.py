@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 import numpy as np
 from pydantic import NonNegativeInt
 
-from tdgbench.scenes.datasets import Dataset, outline_of
+from tdgbench.scenes.datasets import Dataset, Outlines, outline_of
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
@@ -21,7 +21,7 @@ ROOM = 1.0  # °C between the values and the ends of the range
 NOISE = 9  # number of the random stream; those of the camera are others
 
 
-class DriftingDataset:
+class DriftingDataset(Outlines):
     """The scenes of a data set, seen by a thermal camera with errors. The camera is drawn for each scene by the seed.
 
     inner: data set whose images are gray and in °C; they are what an ideal camera would show. errors: of the camera;
@@ -43,9 +43,6 @@ class DriftingDataset:
     def describe(self, name: str | None) -> Description:
         description = self.inner.describe(name)
         return replace(description, dataset=f"{description.dataset}_drifting", group="")
-
-    def load(self, name: str | None) -> Scene:
-        return self.outline(name).read()
 
     def outline(self, name: str | None) -> Outline:
         inner, title = outline_of(self.inner, name), self.describe(name).dataset

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import random
 
 import numpy as np
 import pycolmap
 import pytest
 
-from benchmarks.fuzz.colmap_files import read, read_binary, read_text, write_text
+from benchmarks.fuzz.colmap_files import BINARY_FILES, read, read_binary, read_text, write_text
 from benchmarks.fuzz.colmap_model import MalformedError
 from benchmarks.fuzz.inputs import write_inputs
-from benchmarks.fuzz.kinds.colmap import FIELDS
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +23,7 @@ def models(tmp_path_factory):
 @pytest.mark.parametrize("name", ["old", "new", "text"])
 def test_pycolmap_reads_the_same_numbers(models, name):
     ours, theirs = read(models / name), pycolmap.Reconstruction(str(models / name))
-    assert ours.problems() == ours.doubts() == []
+    assert ours.problems() == []
     for image in ours.images:
         other = theirs.images[image.id]
         np.testing.assert_allclose(ours.pose(image)[:3], other.cam_from_world().matrix(), atol=1e-12)
@@ -44,7 +41,7 @@ def test_pycolmap_writes_what_the_reader_accepts(models, name, tmp_path):
 
 @pytest.mark.parametrize("name", ["old", "new"])
 def test_every_cut_is_seen(models, name, tmp_path):
-    for path in (models / name).iterdir():
+    for path in (models / name / file for file in BINARY_FILES):
         for other in (models / name).iterdir():
             (tmp_path / other.name).write_bytes(other.read_bytes())
         data = path.read_bytes()
@@ -55,20 +52,6 @@ def test_every_cut_is_seen(models, name, tmp_path):
         (tmp_path / path.name).write_bytes(data + b"\0")
         with pytest.raises(MalformedError, match="too many"):
             read(tmp_path)
-
-
-def test_a_wrong_camera_does_not_see_its_points(models):
-    good = read_binary(models / "old")
-    for how in ("_turned", "_far", "_swapped_poses", "_zero_quaternion"):
-        model = copy.deepcopy(good)
-        next(field for field in FIELDS if field.__name__ == how)(model, random.Random(0))
-        assert model.problems() or model.doubts(), how
-    model = copy.deepcopy(good)
-    model.cameras[0].params[:2] = [1.5 * v for v in model.cameras[0].params[:2]]
-    assert not model.problems() and model.doubts()
-    model = copy.deepcopy(good)
-    model.images[0].pose[4] += 1e-9  # what cannot be noticed
-    assert not model.problems() and not model.doubts()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0, -5.0, 1e300])

@@ -9,15 +9,13 @@ import signal
 import sys
 import time
 
-import numpy as np
 import pytest
 
 from benchmarks.fuzz.__main__ import counts, line
 from benchmarks.fuzz.case import Change
-from benchmarks.fuzz.colmap_files import read_binary, write_binary
 from benchmarks.fuzz.kinds import scene as scenes
 from benchmarks.fuzz.kinds.arrays import Celsius
-from benchmarks.fuzz.kinds.colmap import FIELDS, NewColmap, OldColmap, TextColmap
+from benchmarks.fuzz.kinds.colmap import NewColmap, OldColmap, TextColmap
 from benchmarks.fuzz.suite import Drawn, draw
 from tdgbench.scenes import FolderDataset, SceneError
 
@@ -31,18 +29,6 @@ class Loaded(OldColmap):
 
     def mutate(self, rng):
         return Change("nothing", ("cameras.bin",))
-
-
-class Turned(Loaded):
-    """A model with one camera that is valid but rotated by 30 degrees."""
-
-    def mutate(self, rng):
-        (turn,) = (field for field in FIELDS if field.__name__ == "_turned")
-        folder = self.scene / "sparse" / "0"
-        model = read_binary(folder)
-        what = turn(model, rng)
-        write_binary(folder, model)
-        return Change(what, ("cameras.bin", "images.bin"))
 
 
 def outcome(suite, kind=Loaded):
@@ -97,26 +83,6 @@ def test_every_defect_of_a_loader_is_found(suite, monkeypatch, name):
     if expected == "hang":
         suite.limits = suite.limits._replace(seconds=1)
     assert outcome(suite) == expected
-
-
-def test_a_wrong_camera_that_loads_is_found(suite, monkeypatch):
-    """Whatever the loader checks: one that reads the file as it is, without looking at its observations."""
-    monkeypatch.setattr(scenes, "load_scene", None)
-
-    class Read(Turned):
-        def run(self, programs):
-            model = read_binary(self.scene / "sparse" / "0")
-            content = {
-                "names": [image.view for image in model.images],
-                "points": np.array([p.xyz for p in model.points]),
-            }
-            for image in model.images:
-                content |= {f"K/{image.view}": model.cameras[0].matrix, f"pose/{image.view}": model.pose(image),
-                            f"size/{image.view}": [32, 24]}  # fmt: skip
-            np.savez("loaded.npz", **content)
-            return 0
-
-    assert outcome(suite, Read) == "wrong"
 
 
 @pytest.mark.parametrize("kind", [OldColmap, NewColmap, TextColmap])

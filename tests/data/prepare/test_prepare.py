@@ -88,7 +88,7 @@ def test_report_says_what_became_of_each_file(tmp_path, small_gray_scene, monkey
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(source / "selfie.png")
     report = prepare_scene(source, tmp_path / "scene", PrepareOptions())
     status = {one.view: one.status for one in report.files}
-    assert (status["broken"], status["selfie"], status[lost]) == ("not read", "left out", "not registered")
+    assert (status["broken"], status["selfie"], status[lost]) == ("left out", "left out", "not registered")
     assert report.count("written") == 5 and not report.is_complete
     text = (tmp_path / "scene" / "report.txt").read_text(encoding="utf-8")
     assert text == report.text() and "5 of 8 views are in the scene" in text and "COLMAP finds no pose: 100" in text

@@ -20,7 +20,7 @@ def test_round_trip(tmp_path):
     views = [(f"a/v{i}.png", Camera(K, pose(i), 64, 48)) for i in range(3)]
     cloud = PointCloud(np.random.default_rng(0).normal(size=(9, 3)), np.full((9, 3), 0.2, np.float32))
     write_model(tmp_path / "0", views, cloud)
-    posed, points, _ = read_model(tmp_path / "0")
+    posed, points = read_model(tmp_path / "0")
     assert sorted(posed) == ["v0", "v1", "v2"]
     for name, camera in views:
         read = posed[name[2:-4]].camera
@@ -46,7 +46,7 @@ def test_distorted_cameras_become_pinholes(tmp_path):
     model.add_camera_with_trivial_rig(distorted)
     model.add_image_with_trivial_frame(pycolmap.Image(name="v.png", camera_id=1, image_id=1), pycolmap.Rigid3d())
     model.write_binary(str(tmp_path))
-    posed, points, _ = read_model(tmp_path)
+    posed, points = read_model(tmp_path)
     view = posed["v"]
     assert points is None and view.undistortion is not None
     assert view.camera.K[0, 1] == 0 and view.camera.K[0, 0] > 0
