@@ -11,11 +11,14 @@ from typing import Literal
 import numpy as np
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
+from tdgbench.data.check.model import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.images import SUFFIXES, read_pixels
 from tdgbench.scenes.inputs import is_folder, is_hidden, listed
 from tdgbench.scenes.layouts import detect
+from tdgbench.scenes.layouts.layout import model_folder
+from tdgbench.scenes.layouts.plain import MODELS
 
 MOST_PROBLEMS = 20  # of a scene, in words
 
@@ -130,6 +133,7 @@ def _examine(dataset: Dataset, check: SceneCheck) -> None:
             _find_broken_images(outline.scene, check)
         else:
             _describe(scene, check)
+            _check_model(scene, check)
             _read_rgb(scene, check)
             _ = scene.extent
     except SceneError as error:
@@ -162,6 +166,18 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
         check.notes.append("no sparse points: use init=random; prior=sfm_points is not possible")
     if check.views_published is not None and check.views < check.views_published:
         check.notes.append(f"{check.views} views can be used of {check.views_published} published ones")
+
+
+def _check_model(scene: Scene, check: SceneCheck) -> None:
+    """Add the views whose camera is wrong; where most are, the cameras may have been edited, which is noted."""
+    place = None if scene.folder is None else model_folder(scene.folder, MODELS)
+    wrong = [] if place is None else wrong_views(place)
+    if len(wrong) <= len(scene.views) / 2:
+        check.problems += wrong
+    else:
+        check.notes.append(
+            f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?"
+        )
 
 
 def _read_rgb(scene: Scene, check: SceneCheck) -> None:

@@ -1,0 +1,36 @@
+"""Find cameras whose numbers are valid but wrong: their points do not project to where the images show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+FEWEST = 10  # points of a view from which it is judged
+FAR = 0.05  # median error of a wrong view, × diagonal of the image; COLMAP drops what is 4 px off, some 0.005
+
+
+def wrong_views(folder: Path) -> list[str]:
+    """Return a problem per view of a COLMAP model whose points project far from where it shows them.
+
+    Models without 2-D points, and ones that pycolmap does not read, have none.
+    """
+    try:
+        model = pycolmap.Reconstruction(folder)
+    except (ValueError, RuntimeError):
+        return []
+    problems = []
+    for image in model.images.values():
+        shown = [(point.xy, model.points3D[point.point3D_id].xyz) for point in image.get_observation_points2D()]
+        if len(shown) < FEWEST:
+            continue
+        seen = [(xy, image.project_point(xyz)) for xy, xyz in shown]
+        errors = [np.inf if place is None else float(np.linalg.norm(xy - place)) for xy, place in seen]
+        share = float(np.median(errors)) / float(np.hypot(image.camera.width, image.camera.height))
+        if share > FAR:
+            off = f"project {share:.0%} of the diagonal off" if np.isfinite(share) else "lie behind it"
+            problems.append(
+                f"{image.name}: the points that it shows {off}; its pose or its camera in {folder} is wrong"
+            )
+    return problems
