@@ -45,7 +45,6 @@ def settings(slow: bool) -> dict[str, Setting]:
     chosen = {
         BASELINE: Setting(),
         "cpu, 1 thread": Setting(threads=1),
-        "cpu, loose bounds": Setting(blending=replace(AS_3DGS, tight=False)),
         "cpu, tiles never end early": Setting(blending=replace(AS_3DGS, end_early=False)),
         "cpu, alpha cut at 1/1000": Setting(blending=replace(AS_3DGS, min_alpha=1e-3)),
         "cpu, alpha cut at 1/64": Setting(blending=replace(AS_3DGS, min_alpha=1 / 64)),

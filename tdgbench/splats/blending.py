@@ -1,4 +1,4 @@
-"""Constants of alpha blending, 3DGS's by default, and the shortcuts of the `cpu` backend."""
+"""Constants of alpha blending, 3DGS's by default, and a shortcut of the `cpu` backend."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Blending:
-    """Thresholds of alpha blending, which change the image, and two switches that change only speed.
+    """Thresholds of alpha blending, which change the image, and a switch that changes only speed.
 
     Args:
         max_alpha: cap of alpha.
         min_alpha: smaller alphas are skipped.
         min_transmittance: a pixel stops before the Gaussian that would take its transmittance below this.
-        tight: list tiles by the ellipse in which alpha ≥ min_alpha; else by the square around the cutoff, whatever the
-            opacity, as 3DGS does.
         end_early: a tile ends once all its pixels have stopped.
 
     >>> round(1 / Blending().min_alpha)
@@ -27,7 +25,6 @@ class Blending:
     max_alpha: float = 0.99
     min_alpha: float = 1.0 / 255.0
     min_transmittance: float = 1e-4
-    tight: bool = True
     end_early: bool = True
 
     def __post_init__(self) -> None:

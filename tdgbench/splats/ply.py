@@ -11,16 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement
+from plyfile import PlyData, PlyElement, PlyParseError
 
 from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 
 CHUNK_ROWS = 100_000  # written at once
-MAX_HEADER = 2**16  # bytes
-_SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
-_ALIASES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}
-PROPERTY_BYTES = {**_SIZES, **_ALIASES}
 
 
 def _columns(rest: int) -> list[str]:
@@ -91,8 +87,7 @@ def load_ply(path: Path) -> Gaussians:
     header says, or with numbers that are not finite.
     """
     try:
-        count_rows(path)
-        vertex = PlyData.read(str(path))["vertex"]
+        vertex = _vertices(path)
         names = {p.name for p in vertex.properties}
         rest = sum(name.startswith("f_rest_") for name in names) // 3
         missing = set(_columns(rest)) - names - {"nx", "ny", "nz"}
@@ -126,35 +121,30 @@ def load_ply(path: Path) -> Gaussians:
 
 
 def count_rows(path: Path) -> int:
-    """Return the number of Gaussians that a PLY file's header states; nothing else of the file is read.
+    """Return the number of Gaussians in a PLY file. Raises ValueError as `_vertices`."""
+    return len(_vertices(path))
 
-    Raises ValueError where `path` is not a regular file, its header is no PLY header of numbers only, or the file is
-    too short or too long for the rows that the header states (so that no memory is taken for rows that are not there).
+
+def _vertices(path: Path) -> PlyElement:
+    """Return the rows of a PLY file; those of a binary file are read when they are used.
+
+    Raises ValueError where `path` is not a regular file, or does not hold what its header states: vertices and no more.
     """
     if not path.is_file():
         raise ValueError(f"{path.name} is missing or not a regular file")
     with path.open("rb") as file:
-        header, end, rest = file.read(MAX_HEADER).partition(b"end_header")
-    line_end = b"\r\n" if rest.startswith(b"\r\n") else b"\n"
-    if not header.startswith(b"ply") or not rest.startswith(line_end):
-        raise ValueError("it has no PLY header")
-    lines = [line.split() for line in header.decode("ascii").splitlines()]
-    counts: dict[str, int] = {}
-    needed, ascii_text = len(header) + len(end) + len(line_end), ["format", "ascii", "1.0"] in lines
-    for words in lines:
-        if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
-            counts[words[1]] = count = int(words[2])
-        elif words[:1] == ["property"]:
-            if len(words) != 3 or words[1] not in PROPERTY_BYTES or not counts:
-                raise ValueError(f"its header has the line {' '.join(words)!r}")
-            needed += count * (2 if ascii_text else PROPERTY_BYTES[words[1]])  # a digit and a space at least
-    if set(counts) != {"vertex"}:
-        raise ValueError(f"its elements are {', '.join(counts) or 'none'}, not vertex alone")
-    size = path.stat().st_size
-    if needed > size or (needed < size and not ascii_text):
-        many = "few" if needed > size else "many"
-        raise ValueError(f"it has {size} bytes, too {many} for the {counts['vertex']} rows that its header states")
-    return counts["vertex"]
+        try:
+            content = PlyData.read(file)
+        except (MemoryError, OverflowError) as error:
+            raise ValueError("its header states an impossible number of rows") from error
+        except PlyParseError as error:
+            raise ValueError(str(error)) from error
+        if not content.text and file.read(1):
+            raise ValueError("it goes on behind the rows that its header states")
+    names = [element.name for element in content]
+    if names != ["vertex"]:
+        raise ValueError(f"its elements are {', '.join(names) or 'none'}, not vertex alone")
+    return content["vertex"]
 
 
 def _finite(vertex: PlyElement, name: str) -> np.ndarray:

@@ -11,7 +11,7 @@ from tdgbench.splats.backends import choose_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.harmonics import num_bases
 from tdgbench.splats.render import render_view
-from tdgbench.splats.view import EPS2D, FAR_PLANE, NEAR_PLANE, GaussianTensors, Pinhole, Projection, Render
+from tdgbench.splats.view import EPS2D, FAR_PLANE, NEAR_PLANE, GaussianTensors, Pinhole, Render
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 
@@ -68,8 +68,12 @@ def rasterization(
         options: dict[str, Any] = {"depth": "D" in render_mode, "background": background, "blending": blending}
         views.append(render_view(gaussians, camera, **options, absgrad=absgrad, backend=backend))
     chosen = choose_backend(backend, means.device, means.dtype)
+    projections = [view.projection for view in views if view.projection is not None]
     return *_stack(views, render_mode), {
-        **_stack_projections(views),
+        "means2d": [projection.means2d for projection in projections],
+        "radii": torch.stack([projection.radii for projection in projections]),
+        "depths": torch.stack([projection.depths for projection in projections]),
+        "absgrad": [projection.absgrad for projection in projections if projection.absgrad is not None],
         "backend": chosen,
         "width": width,
         "height": height,
@@ -86,17 +90,6 @@ def _stack(views: list[Render], render_mode: str) -> tuple[Tensor, Tensor]:
             depth = depth / alphas.clamp_min(1e-10)
         renders = torch.cat([renders, depth], dim=-1)
     return renders, alphas
-
-
-def _stack_projections(views: list[Render]) -> dict[str, Any]:
-    """Return `means2d`, `radii` and `depths` of the views, see `rasterization`."""
-    projections: list[Projection] = [view.projection for view in views if view.projection is not None]
-    return {
-        "means2d": [projection.means2d for projection in projections],
-        "radii": torch.stack([projection.radii for projection in projections]),
-        "depths": torch.stack([projection.depths for projection in projections]),
-        "absgrad": [projection.absgrad for projection in projections if projection.absgrad is not None],
-    }
 
 
 def _check(

@@ -160,7 +160,12 @@ class Context:
             start = gaussians_from_points(self.points.points, self.points.colors, channels, budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
-        growth_test, filters = self._growth_test(images, background, rig), self._filter(rig)
+        of_rig = {} if rig is None else {"camera_of": rig.camera}
+        growth, views, growth_test, filters = self.budget.growth, self.scene.train, None, None
+        if growth is not None:
+            growth_test = GrowthTest(growth, views, images, self.curriculum, self.backend, background, **of_rig)
+        if self.budget.filter is not None:
+            filters = Filter(self.budget.filter, [view.camera for view in views], **of_rig)
         rates = dict(learning_rates or {})
         if filters is not None:
             start.extra_fields[FIELD], rates[FIELD] = torch.zeros_like(start.means[:, :1]), 0.0
@@ -195,19 +200,6 @@ class Context:
         if self.budget.background != "mean":
             return None
         return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
-
-    def _growth_test(self, images: Modality, background: torch.Tensor | None, rig: Rig | None) -> GrowthTest | None:
-        rule = self.budget.growth
-        if rule is None:
-            return None
-        camera_of = {} if rig is None else {"camera_of": rig.camera}
-        return GrowthTest(rule, self.scene.train, images, self.curriculum, self.backend, background, **camera_of)
-
-    def _filter(self, rig: Rig | None) -> Filter | None:
-        rule, cameras = self.budget.filter, [view.camera for view in self.scene.train]
-        if rule is None:
-            return None
-        return Filter(rule, cameras) if rig is None else Filter(rule, cameras, rig.camera)
 
 
 def training_device(backend: str) -> torch.device:

@@ -112,15 +112,13 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
         s for s in SCALES
         if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
     )  # fmt: skip
-    shares = np.mean([_shares(view, scales) for view in views], axis=0)
+    amplitudes = []  # without masked pixels
+    for view in views:
+        filled, noise = nearest_valid(view.thermal, view.valid), noise_of(view.thermal, view.valid)
+        amplitudes.append(significant_amplitudes(filled, noise, scales))
+    shares = np.mean(amplitudes, axis=0)
     ends = [int(share * rule.until * iterations) for share in shares]
     return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
-
-
-def _shares(view: View, scales: tuple[int, ...]) -> np.ndarray:
-    """Return `significant_amplitudes` (scales,) of a view's thermal image, with masked pixels filled."""
-    filled = nearest_valid(view.thermal, view.valid)
-    return significant_amplitudes(filled, noise_of(view.thermal, view.valid), scales)
 
 
 def shrunk(view: View, scale: int) -> View:

@@ -62,52 +62,41 @@ def train(
     """
     log = log or TrainingLog()
     log.ended = log.ended or not trainer.method.trains
+    clock = Clock(log)
     try:
-        _train_stages(trainer, log, on_log_line, after_iteration, before_update)
+        while not log.ended:
+            iteration = log.iterations - trainer.iterations_before + 1  # within the stage
+            for part in trainer.parts.values():
+                part.begin(iteration)
+            step = trainer.stage.step(iteration)
+            loss = _finite_loss(step, trainer.parts, iteration)
+            ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
+            log.iterations += 1
+            log.ended = ends_stage and trainer.is_last_stage
+            if before_update is not None:
+                clock.stop()
+                before_update(log)
+                clock = Clock(log)
+            if not ends_stage:
+                _update(step, trainer.parts, iteration)
+            every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
+            if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
+                _check_parameters(trainer.parts, iteration)
+                clock.stop()
+                line = _line(log, step, loss, trainer)
+                log.lines.append(line)
+                if on_log_line is not None:
+                    on_log_line(line)
+            if ends_stage:
+                trainer.advance(iteration)
+            clock.stop()
+            if after_iteration is not None:
+                after_iteration(log)
+                clock = Clock(log)
     except TrainingError as error:
         error.iteration += trainer.iterations_before  # of the whole training, as in the log
         raise
     return log
-
-
-def _train_stages(
-    trainer: Trainer,
-    log: TrainingLog,
-    on_log_line: Callable[[LogLine], None] | None,
-    after_iteration: Callable[[TrainingLog], None] | None,
-    before_update: Callable[[TrainingLog], None] | None,
-) -> None:
-    """Train the remaining stages and write the log."""
-    clock = Clock(log)
-    while not log.ended:
-        iteration = log.iterations - trainer.iterations_before + 1  # within the stage
-        for part in trainer.parts.values():
-            part.begin(iteration)
-        step = trainer.stage.step(iteration)
-        loss = _finite_loss(step, trainer.parts, iteration)
-        ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
-        log.iterations += 1
-        log.ended = ends_stage and trainer.is_last_stage
-        if before_update is not None:
-            clock.stop()
-            before_update(log)
-            clock = Clock(log)
-        if not ends_stage:
-            _update(step, trainer.parts, iteration)
-        every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
-        if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
-            _check_parameters(trainer.parts, iteration)
-            clock.stop()
-            line = _line(log, step, loss, trainer)
-            log.lines.append(line)
-            if on_log_line is not None:
-                on_log_line(line)
-        if ends_stage:
-            trainer.advance(iteration)
-        clock.stop()
-        if after_iteration is not None:
-            after_iteration(log)
-            clock = Clock(log)
 
 
 def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:

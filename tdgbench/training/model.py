@@ -13,7 +13,7 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
-from tdgbench.splats.density import GrowthDecision, TrainingView
+from tdgbench.splats.density import TrainingView
 from tdgbench.splats.filter import Filter
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
@@ -180,12 +180,6 @@ class SplatModel(Part):
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
-    def _decide_growth(self, iteration: int) -> GrowthDecision | None:
-        """Apply the budget's growth rule; None without one, or if no round of density control is due."""
-        if self.growth_test is None or not self.density.is_round(iteration):
-            return None
-        return self.growth_test.decide(self.gaussians, self.degree, iteration // self.density.rules.every)
-
     def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
@@ -197,10 +191,13 @@ class SplatModel(Part):
         """
         views, self._views = self._views, []
         gradients, statistics = self._gradients_of(views, iteration)
+        decision = None
         if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
             gradients = None
             self._forget(views)
-        decision = self._decide_growth(iteration)
+            if self.growth_test is not None:
+                number = iteration // self.density.rules.every
+                decision = self.growth_test.decide(self.gaussians, self.degree, number)
         change = self.density.update(self.optimizer, iteration, self._generator, decision)
         self.work.add_change(change)
         rules = self.density.rules

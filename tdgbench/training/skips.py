@@ -98,11 +98,8 @@ class Work:
 
     def add_change(self, change: DensityChange) -> None:
         """Add an iteration's density control."""
-        self.cloned += change.cloned
-        self.split += change.split
-        self.pruned += change.pruned
-        self.relocated += change.relocated
-        self.not_grown += change.not_grown
+        for name in ("cloned", "split", "pruned", "relocated", "not_grown"):
+            setattr(self, name, getattr(self, name) + getattr(change, name))
 
 
 class Finished(NamedTuple):

@@ -5,7 +5,7 @@ from tdgbench.splats.blending import AS_3DGS, Blending
 
 def test_constants_are_those_of_3dgs():
     assert (AS_3DGS.max_alpha, AS_3DGS.min_alpha, AS_3DGS.min_transmittance) == (0.99, 1 / 255, 1e-4)
-    assert AS_3DGS.tight and AS_3DGS.end_early
+    assert AS_3DGS.end_early
 
 
 def test_moved_thresholds():

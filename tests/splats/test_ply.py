@@ -64,18 +64,19 @@ def absurd_count(content: bytes) -> bytes:
 
 
 SPOILED = {
-    "cut": (lambda c: c[:-1], "too few for the 7 rows"),
-    "absurd count": (absurd_count, "too few for the 99999999999 rows"),
+    "cut": (lambda c: c[:-1], "row 6: early end-of-file"),
+    "longer": (lambda c: c + b"x", "goes on behind the rows"),
+    "absurd count": (absurd_count, "row 7: early end-of-file"),
     "absurd count of text": (
-        lambda c: absurd_count(c).replace(b"binary_little_endian", b"ascii"), "too few for the 99999999999 rows",
+        lambda c: absurd_count(c).replace(b"binary_little_endian", b"ascii"), "an impossible number of rows",
     ),
-    "header only": (lambda c: c[: c.index(b"end_header")], "no PLY header"),
-    "nothing": (lambda c: b"", "no PLY header"),
+    "header only": (lambda c: c[: c.index(b"end_header")], "line 30: early end-of-file"),
+    "nothing": (lambda c: b"", "expected 'ply'"),
     "other bytes": (lambda c: b"ply\n\xff end_header\n", "can't decode"),
-    "list": (lambda c: c.replace(b"property float opacity", b"property list int int opacity"), "line 'property list"),
+    "list": (lambda c: c.replace(b"property float opacity", b"property list int int opacity"), "property 'opacity'"),
     "faces": (lambda c: c.replace(b"element vertex 7", b"element face 9\nelement vertex 7"), "face, vertex, not v"),
     "no opacity": (lambda c: c.replace(b" opacity", b" opaque"), "it has no opacity"),
-    "negative count": (lambda c: c.replace(b"element vertex 7", b"element vertex -7"), "line 'property float x'"),
+    "negative count": (lambda c: c.replace(b"element vertex 7", b"element vertex -7"), "an impossible number of rows"),
     "NaN": (lambda c: c[:-4] + np.float32("nan").tobytes(), "rot_3 of row 6 is not a finite number"),
     "infinite": (lambda c: c[:-4] + np.float32("-inf").tobytes(), "rot_3 of row 6 is not a finite number"),
 }  # fmt: skip

@@ -192,7 +192,7 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "a Gaussian less": (write("model.ply", lose_gaussian), "gaussians has 300 for model.ply, which holds 299", True),
     "model cut": (write("model.ply", lambda c: c[:-9]), "model.ply cannot be read: ", True),
     "absurd model": (
-        write("model.ply", lambda c: c.replace(b"vertex 300", b"vertex 300000000000")), "too few for the 3000", True),
+        write("model.ply", lambda c: c.replace(b"vertex 300", b"vertex 300000000000")), "early end-of-file", True),
     "model of RGB": (remove("model_rgb.ply"), "model_rgb.ply cannot be read: ", True),
     "render": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png is not what model.ply gives", True),
     "render changed": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png has changed", False),

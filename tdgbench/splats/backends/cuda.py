@@ -52,7 +52,7 @@ class CudaBackend(Backend):
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         from gsplat import rasterization
 
-        if replace(options.blending, tight=AS_3DGS.tight, end_early=AS_3DGS.end_early) != AS_3DGS:
+        if replace(options.blending, end_early=AS_3DGS.end_early) != AS_3DGS:
             raise ValueError("backend cuda blends with gsplat's constants; leave `blending` as it is")
         means, quats, scales, opacities, colors, sh_degree = gaussians
         channels, camera = colors.shape[-1], camera.to(means)
@@ -70,9 +70,8 @@ class CudaBackend(Backend):
         image = rendered[0, ..., :channels]
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)
-        radii = meta["radii"][0]
-        if radii.dim() == 2:  # one per axis since 1.5
-            radii = radii.amax(dim=1) * (radii > 0).all(dim=1)
+        by_axis = meta["radii"][0]
+        radii = by_axis.amax(dim=1) * (by_axis > 0).all(dim=1)
         absgrad = torch.zeros_like(meta["means2d"][0].detach()) if options.absgrad else None
         probe = _probe_of(meta["means2d"], absgrad)
         projection = Projection(probe, radii.to(torch.int32), meta["depths"][0], absgrad)

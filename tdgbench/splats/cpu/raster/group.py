@@ -73,7 +73,7 @@ def project_group(group, gathered, raw, camera, limits, has_nan):
     keep = select(greater_equal(opacity, broadcast(limits.min_alpha)), valid, zero)
     u, v = x * footprint.rz * camera.fx + camera.cx, y * footprint.rz * camera.fy + camera.cy
     cut = log2_opacity - limits.log2_min_alpha
-    wide, high = half_sides(a, c, det, cut, limits)
+    wide, high = half_sides(a, c, cut)
     inverse = divide(ONE, det)
     store(group, U_SINGLE * LANES, u)
     store(group, V_SINGLE * LANES, v)
@@ -98,18 +98,10 @@ def project_group(group, gathered, raw, camera, limits, has_nan):
 
 
 @kernel(inline=True)
-def half_sides(a, c, det, cut, limits):
-    """Half the width and height, px, of the box in which log2(alpha) may be `cut` below that of the centre.
-
-    Of the ellipse where alpha ≥ min_alpha, or with `loose` of the square around the cutoff.
-    """
+def half_sides(a, c, cut):
+    """Half the width and height, px, of the ellipse in which log2(alpha) is at most `cut` below that of the centre."""
     wide = square_root(maximum(TWO / LOG2_E * cut * a, broadcast(ZERO)))
     high = square_root(maximum(TWO / LOG2_E * cut * c, broadcast(ZERO)))
-    if limits.loose:
-        middle = HALF * (a + c)
-        longest = middle + square_root(maximum(middle * middle - det, broadcast(ZERO)))
-        wide = limits.cutoff * square_root(longest)
-        high = wide
     return wide, high
 
 

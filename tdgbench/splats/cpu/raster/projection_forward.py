@@ -170,7 +170,7 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
                 continue
             before = n_pairs
             box = box_of(boxes, i)
-            if limits.loose or (box.right >> 4) == (box.left >> 4) or (box.bottom >> 4) == (box.top >> 4):
+            if (box.right >> 4) == (box.left >> 4) or (box.bottom >> 4) == (box.top >> 4):
                 n_pairs = list_box(box, tiles_x, n_pairs, tiles)
             else:
                 n_pairs = list_tiles(ellipse_of(group, i), box, tiles_x, n_pairs, tiles)

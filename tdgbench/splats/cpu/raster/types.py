@@ -55,7 +55,6 @@ class Limits(NamedTuple):
     log2_min_alpha: np.float32
     min_transmittance: np.float32
     cutoff: np.float32  # σ: alpha is below min_alpha beyond it, whatever the opacity
-    loose: bool  # tiles are listed by the square box, not by the ellipse
     end_early: bool
 
 
@@ -194,8 +193,8 @@ def pack_limits(blending: Blending) -> Limits:
     """Return the limits of a blending. Raises ValueError where no cutoff exists.
 
     >>> limits = pack_limits(Blending())
-    >>> float(limits.max_alpha), round(float(limits.cutoff), 3), limits.loose
-    (0.9900000095367432, 3.329, False)
+    >>> float(limits.max_alpha), round(float(limits.cutoff), 3)
+    (0.9900000095367432, 3.329)
     """
     if blending.min_alpha <= 0:
         raise ValueError("backend cpu needs min_alpha above 0; use 'reference'")
@@ -203,4 +202,4 @@ def pack_limits(blending: Blending) -> Limits:
     numbers = (
         blending.max_alpha, blending.min_alpha, math.log2(blending.min_alpha), blending.min_transmittance, cutoff,
     )  # fmt: skip
-    return Limits(*map(np.float32, numbers), not blending.tight, blending.end_early)
+    return Limits(*map(np.float32, numbers), blending.end_early)

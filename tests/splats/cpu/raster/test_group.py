@@ -101,27 +101,22 @@ def test_nan_is_found_in_any_lane(parameter):
 
 
 @kernel()
-def sides(a, c, det, cut, limits, out):
-    wide, high = half_sides(load(a, 0), load(c, 0), load(det, 0), load(cut, 0), limits)
+def sides(a, c, cut, out):
+    wide, high = half_sides(load(a, 0), load(c, 0), load(cut, 0))
     store(out, 0, wide)
     store(out, LANES, high)
 
 
-@pytest.mark.parametrize("tight", [True, False])
-def test_half_sides_of_the_box(tight):
-    """Of the ellipse in which alpha is large enough, or of the circle around the cutoff."""
-    rng, blending = np.random.default_rng(0), Blending(tight=tight)
+def test_half_sides_of_the_box():
+    """Of the ellipse in which alpha is large enough."""
+    rng = np.random.default_rng(0)
     axes, opacities = rng.normal(size=(LANES, 2, 2)) * 3, rng.uniform(0.05, 1, LANES)
     covariance = axes @ axes.transpose(0, 2, 1) + 0.3 * np.eye(2)
     out = empty_aligned((2 * LANES,), F)
-    cut = np.log2(opacities / blending.min_alpha)
-    numbers = [covariance[:, 0, 0], covariance[:, 1, 1], np.linalg.det(covariance), cut]
-    sides(*map(aligned, numbers), pack_limits(blending), out)
-    if tight:
-        reach = 2 * np.log(opacities / blending.min_alpha)[:, None]
-        wanted = np.sqrt(reach * np.diagonal(covariance, axis1=1, axis2=2)).T
-    else:
-        wanted = [np.sqrt(2 * np.log(1 / blending.min_alpha) * np.linalg.eigvalsh(covariance)[:, 1])] * 2
+    numbers = [covariance[:, 0, 0], covariance[:, 1, 1], np.log2(opacities / AS_3DGS.min_alpha)]
+    sides(*map(aligned, numbers), out)
+    reach = 2 * np.log(opacities / AS_3DGS.min_alpha)[:, None]
+    wanted = np.sqrt(reach * np.diagonal(covariance, axis1=1, axis2=2)).T
     assert np.allclose(out.reshape(2, LANES), wanted, rtol=1e-4)
 
 

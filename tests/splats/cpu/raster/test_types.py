@@ -29,7 +29,7 @@ def test_every_number_is_single_precision():
 def test_limits_of_3dgs():
     limits = pack_limits(AS_3DGS)
     assert np.allclose(limits[:4], [0.99, 1 / 255, -math.log2(255), 1e-4])
-    assert limits.cutoff == pytest.approx(math.sqrt(2 * math.log(255))) and not limits.loose and limits.end_early
+    assert limits.cutoff == pytest.approx(math.sqrt(2 * math.log(255))) and limits.end_early
     assert all(isinstance(number, np.float32) for number in limits[:5])
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from tdgbench.splats.mcmc import RelocationRules, relocated
+from methods.mcmc import RelocationRules, relocated
 from tdgbench.splats.view import Pinhole
 from tests.helpers.configs import config
 from tests.helpers.training import ready_to_train, take_gradients, train
