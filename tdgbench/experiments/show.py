@@ -33,9 +33,7 @@ def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) 
 
 
 def _text(value: object) -> str:
-    """Format a value: three digits of a number; yes or nothing for a Boolean."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else ""
+    """Format a value: three digits of a number."""
     if not isinstance(value, float):
         return str(value)
     if np.isnan(value):

@@ -80,10 +80,7 @@ class ThermalCameraExperiment(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
-        for method in cfg.study.methods.values():
-            cell = cfg.copy()
-            cell.method = method
-            prepare_prior(cell)
+        prepare_prior(cfg, cfg.study.methods.values())
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""

@@ -121,15 +121,15 @@ def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
 def remaining_time(cells: int, outcomes: Sequence[Outcome], workers: int, now: datetime | None = None) -> str:
     """Return the number of cells that are still to run, and the time they take if each takes the mean of the finished.
 
-    cells: number of cells to run. outcomes: of the jobs so far. workers: cells that run at once. Empty before the first
-    finished cell, and after the last.
+    cells: number of cells whose scene is there. outcomes: of the jobs so far. workers: cells that run at once. Empty
+    before the first finished cell, and after the last.
 
     >>> done = [Outcome("ok", "tdg on a", seconds=1800.0), Outcome("kept", "tdg on b")]
     >>> remaining_time(3, done, workers=1, now=datetime(2024, 1, 1, 12))
-    '2 of 3 cells to go, about 1:00:00 left (until Mon 13:00)'
+    '1 of 3 cells to go, about 0:30:00 left (until Mon 12:30)'
     """
     seconds = [outcome.seconds for outcome in outcomes if outcome.status == "ok"]
-    left = cells - sum(outcome.status in ("ok", "failed") for outcome in outcomes)
+    left = cells - sum(outcome.status != "missing" for outcome in outcomes)
     if not seconds or left < 1:
         return ""
     time = sum(seconds) / len(seconds) * left / min(workers, left)
