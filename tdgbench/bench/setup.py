@@ -159,17 +159,24 @@ def _correct_thermal_camera(
 ) -> tuple[Scene, ImageResponse]:
     """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
 
-    Where the contrast is changed as well, renders are those of an ideal camera: the camera never showed such images.
+    Where the camera cannot be estimated, images stay as they are. Where the contrast is changed as well, renders are
+    those of an ideal camera: the camera never showed such images.
     """
     if not options.estimate:
         return scene, IDEAL
     with observer.phase("thermal_camera"):
-        scene, facts, notes, response = correct_scene(scene)
+        estimate, before, response = estimate_camera(scene), len(scene.notes), IDEAL
+        if isinstance(estimate, Unknown):
+            facts: Facts = {"unknown": estimate.reason}
+            notes = [f"images stay as they are: {estimate.reason}"]
+        else:
+            scene, response = corrected(scene, estimate)
+            facts, notes = _estimated(estimate), list(scene.notes[before:])
         if contrast_changes:
             scene, response = in_one_range(scene, response), IDEAL
     if response != IDEAL:
         facts["response"] = response.as_json()
-    observer.note("thermal_camera", {"estimated": facts}, notes)
+    observer.note("thermal_camera", {"estimated": facts}, [f"thermal camera: {note}" for note in notes])
     return scene, response
 
 
@@ -211,27 +218,6 @@ class ThermalCameraOptions:
 
     estimate: bool  # its response, before training, from sparse points; training views are then corrected
     rig: bool | Literal["auto"] = False  # learn its pose and lens with the Gaussians; auto: if `try_rig` finds a gain
-
-
-class CorrectedScene(NamedTuple):
-    """A scene to train on, facts for the record, notes, response for renders."""
-
-    scene: Scene
-    facts: Facts
-    notes: list[str]
-    response: ImageResponse = IDEAL
-
-
-def correct_scene(scene: Scene) -> CorrectedScene:
-    """Estimate the camera and correct the training views; where it cannot be estimated, images stay as they are."""
-    estimate = estimate_camera(scene)
-    if isinstance(estimate, Unknown):
-        notes = [f"thermal camera: images stay as they are: {estimate.reason}"]
-        return CorrectedScene(scene, {"unknown": estimate.reason}, notes)
-    before = len(scene.notes)
-    scene, response = corrected(scene, estimate)
-    notes = [f"thermal camera: {note}" for note in scene.notes[before:]]
-    return CorrectedScene(scene, _estimated(estimate), notes, response)
 
 
 def _estimated(camera: ThermalCamera) -> Facts:

@@ -25,7 +25,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
@@ -82,7 +82,7 @@ class ErrorTime(Experiment):
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
             write_text(folder / "faster.csv", as_csv(savings, na_rep="n/a"))
-            show_table(savings, console(), f"time saved against {first}")
+            show_table(savings, f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
         say(f"tables and pictures: {folder}")
         if failed:

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.setup import set_up
 from tdgbench.experiments.stress.case import Case, Raises, require
-from tdgbench.scenes import PointCloud, Scene
+from tdgbench.scenes import Camera, PointCloud, Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
@@ -113,23 +113,26 @@ def with_points(scene: Scene, points: np.ndarray) -> Scene:
 def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
     """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
     first = scene.train[0].camera
-    views = []
-    for i, view in enumerate(scene.train):
-        pose = first.world_to_camera.copy()
-        pose[0, 3] += step * i
-        views.append(replace(view, camera=replace(first, world_to_camera=pose)))
-    return replace(scene, train=views)
+    along_x = np.zeros((4, 4))
+    along_x[0, 3] = step
+    return _with_cameras(
+        scene, [replace(first, world_to_camera=first.world_to_camera + i * along_x) for i in range(len(scene.train))]
+    )
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
     """Return a scene, which has points, moved by an offset along each axis, world units."""
     assert scene.points is not None
-    views = []
-    for view in scene.train:
-        pose = view.camera.world_to_camera.copy()
-        pose[:3, 3] -= pose[:3, :3] @ np.full(3, offset)
-        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
-    return replace(scene, train=views, points=PointCloud(scene.points.points + offset, scene.points.colors))
+    back = np.eye(4)
+    back[:3, 3] = -offset
+    cameras = [replace(view.camera, world_to_camera=view.camera.world_to_camera @ back) for view in scene.train]
+    points = PointCloud(scene.points.points + offset, scene.points.colors)
+    return replace(_with_cameras(scene, cameras), points=points)
+
+
+def _with_cameras(scene: Scene, cameras: list[Camera]) -> Scene:
+    views = [replace(view, camera=camera) for view, camera in zip(scene.train, cameras, strict=True)]
+    return replace(scene, train=views)
 
 
 def _scenes() -> list[tuple[str, Raises | str, Callable[[Scene], Scene]]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -17,15 +16,10 @@ from tdgbench.scenes import SceneError
 from tdgbench.terminal import say
 
 
-class CellCount(NamedTuple):
-    """Number of cells of a sweep: all, and those whose scene is not on disk."""
-
-    total: int
-    without_data: int
-
-
-def plan_sweep(cfg: DictConfig) -> CellCount:
+def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     """Write the plan of a sweep, and print the number of its cells, all missing scenes, and missing priors.
+
+    Returns the number of cells, and of those whose scene is not on disk.
 
     Raises SystemExit(1) for an unknown scene.
     """
@@ -43,20 +37,20 @@ def plan_sweep(cfg: DictConfig) -> CellCount:
     for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     jobs = number_of_jobs(cfg) or len(scenes)
-    count = CellCount(jobs, sum(one.scene in missing for one in scenes) * jobs // len(scenes))
+    without_data = sum(one.scene in missing for one in scenes) * jobs // len(scenes)
     if jobs > 1:
-        say(f"{cfg.name}: {count.total} cells, {count.without_data} without data", stderr=True)
+        say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
     plan = Plan(
         table=cfg.table,
         scenes=scenes,
         methods=options.get("method", [cfg.method.name]),
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH],
-        cells_to_run=count.total - count.without_data if number_of_jobs(cfg) else 0,
+        cells_to_run=jobs - without_data if number_of_jobs(cfg) else 0,
     )
     plan.write(Path(cfg.results) / cfg.name)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
-    return count
+    return jobs, without_data
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:

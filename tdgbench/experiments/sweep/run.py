@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -37,24 +38,18 @@ class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
 
     def start(self, cfg: DictConfig) -> None:
-        count = plan_sweep(cfg)
-        if count.without_data == count.total:  # no job has anything to do
-            _finish(cfg, [Outcome("missing", "")] * count.total)
+        cells, without_data = plan_sweep(cfg)
+        if without_data == cells:  # no job has anything to do
+            _finish(cfg, [Outcome("missing", "")] * cells)
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
         hydra = HydraConfig.get()
         outcome = _outcome(cfg, hydra)
         folder = Path(hydra.runtime.output_dir)
-        try:
+        with suppress(OSError):  # the summary says which job left no outcome
             folder.mkdir(parents=True, exist_ok=True)
             write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
-        except OSError as error:
-            say(
-                f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})",
-                "error:",
-                stderr=True,
-            )
         if outcome.status != "missing":
             say(outcome.line, stderr=True)
         workers = cells_at_once(hydra.launcher, pool.available_cores())
