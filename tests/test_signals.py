@@ -95,7 +95,7 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
         end_session(run)
     *before, last = err.splitlines()
     assert run.returncode == status and last.startswith(f"interrupted by {number.name}")
-    assert all(": starts, " in line or " cells: " in line for line in before), err
+    assert all(": starts, " in line or " cells, " in line for line in before), err
     waited(lambda: not _of_session(run.pid), 20, "the workers end")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -41,7 +41,6 @@ from tdgbench.training.model import SplatModel
 from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
 from tdgbench.training.trainer import Trainer
-from tdgbench.training.trial import RigTrial
 
 SLOW = 1800  # seconds of networks in a training, of which the terminal warns
 
@@ -94,20 +93,9 @@ class CellRun(SetupObserver):
     def count(self, done: int, total: int) -> None:
         self.progress.count(done, total)
 
-    def note_thermal_camera(self, facts: Facts, notes: list[str]) -> None:
-        self.record.thermal_camera["estimated"] = facts
+    def note(self, field: str, facts: Facts, notes: Sequence[str] = ()) -> None:
+        setattr(self.record, field, {**(getattr(self.record, field) or {}), **facts})
         self.record.notes += notes
-
-    def note_rig(self, trial: RigTrial) -> None:
-        self.record.thermal_camera["rig"] = asdict(trial)
-        learnt = "" if trial.pays else "not "
-        self.record.notes.append(f"thermal camera: the rig is {learnt}learnt: {trial.reason}")
-
-    def note_prior(self, description: dict[str, object]) -> None:
-        self.record.prior = description
-
-    def note_points(self, description: dict[str, object]) -> None:
-        self.record.init_points = description
 
     def locate(self) -> tuple[Dataset, Skips]:
         """Return the cell's data set and skips; put the names of its scene into the record, without reading it."""

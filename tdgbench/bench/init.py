@@ -40,8 +40,6 @@ class RandomPoints:
     where = ""
 
     def __init__(self, count: PositiveInt, seed: NonNegativeInt) -> None:
-        if count < 1:
-            raise ValueError(f"random initial points need count ≥ 1, not {count}")
         self.count, self.seed = count, seed
 
     def points(self, scene: Scene) -> PointCloud:
@@ -70,8 +68,6 @@ class CubeAroundCameras(RandomPoints):
 
     def __init__(self, count: PositiveInt, half_side: PositiveFloat, seed: NonNegativeInt) -> None:
         super().__init__(count, seed)
-        if half_side <= 0:
-            raise ValueError(f"init=random needs half_side > 0, not {half_side}")
         self.half_side = half_side
         self.where = f"a cube of half side {half_side:g} × extent around the mean training camera, with random colours"
 

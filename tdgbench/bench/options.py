@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from pkgutil import resolve_name
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from omegaconf import DictConfig, ListConfig, Node, OmegaConf
+from omegaconf import DictConfig, Node, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
@@ -46,9 +46,8 @@ def check_options(cfg: DictConfig) -> None:
     Options of tdgbench are checked against the models below, those of a `_target_` against its signature. Raises
     OptionError, which names all problems.
     """
-    unresolved: list[Problem] = []
-    plain = _resolved(cfg, "", unresolved)
-    problems = unresolved or [*_model_problems(plain), *_object_problems(cfg, plain, ""), *not_finite(plain, "")]
+    plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
+    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, "")]
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
@@ -61,8 +60,8 @@ def check_options(cfg: DictConfig) -> None:
 
 def check_names(cfg: DictConfig) -> None:
     """Check the options that name a cell: without them its result has no place. Raises OptionError."""
-    problems: list[Problem] = []
-    problems += _model_problems(_resolved(cfg, "", problems))
+    plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
+    problems = unresolved or _model_problems(plain)
     of_the_cell = [problem for problem in problems if problem.option in OF_THE_CELL]
     if of_the_cell:
         raise OptionError(of_the_cell)
@@ -70,9 +69,9 @@ def check_names(cfg: DictConfig) -> None:
 
 def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> None:
     """Check the options in `cfg.study` against the signature of a dataclass or function. Raises OptionError."""
-    problems: list[Problem] = []
-    given = {k: v for k, v in _resolved(cfg.study, EXPERIMENT, problems).items() if k != "_target_"}
-    problems = problems or signature_problems(options, given, EXPERIMENT)
+    plain, unresolved = _resolved(cfg.study)
+    given = {k: v for k, v in plain.items() if k != "_target_"}
+    problems = unresolved or signature_problems(options, given, EXPERIMENT)
     if problems:
         raise OptionError(problems)
 
@@ -218,21 +217,21 @@ class _Options(_Group):
 
 def _model_problems(plain: dict[str, Any]) -> list[Problem]:
     try:
-        _Options.model_validate({k: v for k, v in plain.items() if k != "hydra"})
+        _Options.model_validate(plain)
     except ValidationError as error:
         return pydantic_problems(error, "")
     return []
 
 
-def _object_problems(cfg: DictConfig | ListConfig, plain: Any, name: str) -> Iterator[Problem]:
+def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
     """Yield problems of every `_target_` in a configuration."""
     if isinstance(plain, list):
         for index, item in enumerate(plain):
-            yield from _object_problems(cfg, item, f"{name}[{index}]")
+            yield from _object_problems(item, f"{name}[{index}]")
     if not isinstance(plain, dict):
         return
     for key, item in plain.items():
-        yield from _object_problems(cfg, item, f"{name}.{key}" if name else key)
+        yield from _object_problems(item, f"{name}.{key}" if name else key)
     if "_target_" not in plain or name == EXPERIMENT:
         return
     try:
@@ -256,21 +255,14 @@ def _import(path: str) -> Any:
         return resolve_name(path)  # `package.module.Class.name`
 
 
-def _resolved(cfg: DictConfig | ListConfig, name: str, problems: list[Problem]) -> Any:
-    """Return a configuration as plain data without `hydra`; values that cannot be resolved become problems."""
-    keys: list[Any] = [k for k in cfg if name or k != "hydra"] if isinstance(cfg, DictConfig) else list(range(len(cfg)))
-    plain: dict[Any, Any] = {}
-    for key in keys:
-        path = f"{name}[{key}]" if isinstance(cfg, ListConfig) else f"{name}.{key}" if name else str(key)
-        try:
-            value = cfg[key]
-        except MissingMandatoryValue:
-            problems.append(Problem(path, f"is missing; set it with {path}=VALUE"))
-        except OmegaConfBaseException as error:
-            problems.append(Problem(path, str(error).splitlines()[0]))
-        else:
-            plain[key] = _resolved(value, path, problems) if isinstance(value, DictConfig | ListConfig) else value
-    return plain if isinstance(cfg, DictConfig) else list(plain.values())
+def _resolved(cfg: DictConfig) -> tuple[dict[Any, Any], list[Problem]]:
+    """Return a configuration as plain data; or none, and the problem of the first value that cannot be resolved."""
+    try:
+        return cast(dict[Any, Any], OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)), []
+    except MissingMandatoryValue as error:
+        return {}, [Problem(str(error.full_key), f"is missing; set it with {error.full_key}=VALUE")]
+    except OmegaConfBaseException as error:
+        return {}, [Problem(str(error.full_key), str(error).splitlines()[0])]
 
 
 def _typed_name(cfg: DictConfig, name: str) -> str:

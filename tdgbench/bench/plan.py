@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +27,7 @@ IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's 
 
 @dataclass
 class Plan:
-    """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells without a result."""
+    """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells that have data."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -103,17 +102,6 @@ def number_of_jobs(config: DictConfig) -> int | None:
 def overrides_of_jobs(config: DictConfig) -> list[list[str]]:
     """Return the overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
     return [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
-
-
-@cache
-def key_and_value(override: str) -> tuple[str, str]:
-    """Return the key of an override, without signs, and its value as text.
-
-    >>> key_and_value("+scene='1.10'")
-    ('scene', '1.10')
-    """
-    parsed = OverridesParser.create().parse_override(override)
-    return parsed.key_or_group, _as_text(parsed.value())
 
 
 def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:

@@ -17,7 +17,7 @@ from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
 FILE = "record.json"
-SCHEMA = 2
+SCHEMA: Literal[2] = 2
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
 READ_PHASE = "read"  # of the failure that stands for a record that cannot be read
 LARGEST = 2**63 - 1
@@ -34,17 +34,6 @@ Megabytes = Annotated[float, Field(ge=0)]
 Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Scores = dict[str, float | None]
-
-
-def _among(*values: int) -> AfterValidator:
-    """Return validator of an integer that must be one of these. (Literal[1] would accept true and 1.0.)"""
-
-    def check(value: int) -> int:
-        if value not in values:
-            raise PydanticCustomError("among", "must be {values}", {"values": " or ".join(map(str, values))})
-        return value
-
-    return AfterValidator(check)
 
 
 @with_config(CLOSED)
@@ -114,7 +103,7 @@ class Record:
     convention: str = ""
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
-    channels: Annotated[int, _among(0, 1, 3)] = 0  # of the thermal images; 0: not loaded
+    channels: Annotated[int, Field(ge=0, le=3)] = 0  # of the thermal images; 0: not loaded
     temperature_range: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
     masked: dict[str, Share] = field(default_factory=dict)  # share of the pixels without a thermal value, as `views`
@@ -137,7 +126,7 @@ class Record:
     environment: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     failure: Failure | None = None
-    schema: Annotated[int, _among(SCHEMA)] = SCHEMA
+    schema: Literal[2] = SCHEMA
 
     @property
     def why_failed(self) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -24,7 +25,7 @@ from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
-from tdgbench.training.trial import RigTrial, try_rig
+from tdgbench.training.trial import try_rig
 from tdgbench.training.warmup import compile_kernels
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is recorded
@@ -52,17 +53,11 @@ class SetupObserver:
     def count(self, done: int, total: int) -> None:
         """Called after each of the phase's views."""
 
-    def note_thermal_camera(self, facts: Facts, notes: list[str]) -> None:
-        """Called once the thermal camera is estimated, if it is, with facts and notes for the record."""
+    def note(self, field: str, facts: Facts, notes: Sequence[str] = ()) -> None:
+        """Called with facts for the record once they are known.
 
-    def note_rig(self, trial: RigTrial) -> None:
-        """Called once short trainings have shown whether the rig is learnt, if they decide on it."""
-
-    def note_prior(self, description: dict[str, object]) -> None:
-        """Called once the depth priors are known, with their estimator's identity, kind and source."""
-
-    def note_points(self, description: dict[str, object]) -> None:
-        """Called once the initial points are known, with their number and origin."""
+        field: `thermal_camera` (whose parts are `estimated` and `rig`), `prior` or `init_points`.
+        """
 
 
 def set_up(
@@ -103,7 +98,7 @@ def set_up(
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
         context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
-        observer.note_points(init.describe(scene))
+        observer.note("init_points", init.describe(scene))
     if compiles and method.trains:
         with observer.phase("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
@@ -112,7 +107,9 @@ def set_up(
     if thermal_camera.rig == "auto":
         with observer.phase("rig"):
             trial = try_rig(method, context)
-        observer.note_rig(trial)
+        learnt = "" if trial.pays else "not "
+        note = f"thermal camera: the rig is {learnt}learnt: {trial.reason}"
+        observer.note("thermal_camera", {"rig": asdict(trial)}, [note])
     context.learns_rig = trial.pays if thermal_camera.rig == "auto" else thermal_camera.rig
     with observer.phase("init"):
         trainer = Trainer(method, context)
@@ -162,15 +159,24 @@ def _correct_thermal_camera(
 ) -> tuple[Scene, ImageResponse]:
     """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
 
-    Where the contrast is changed as well, renders are those of an ideal camera: the camera never showed such images.
+    Where the camera cannot be estimated, images stay as they are. Where the contrast is changed as well, renders are
+    those of an ideal camera: the camera never showed such images.
     """
     if not options.estimate:
         return scene, IDEAL
     with observer.phase("thermal_camera"):
-        scene, facts, notes, response = correct_scene(scene)
+        estimate, before, response = estimate_camera(scene), len(scene.notes), IDEAL
+        if isinstance(estimate, Unknown):
+            facts: Facts = {"unknown": estimate.reason}
+            notes = [f"images stay as they are: {estimate.reason}"]
+        else:
+            scene, response = corrected(scene, estimate)
+            facts, notes = _estimated(estimate), list(scene.notes[before:])
         if contrast_changes:
             scene, response = in_one_range(scene, response), IDEAL
-    observer.note_thermal_camera(facts if response == IDEAL else facts | {"response": response.as_json()}, notes)
+    if response != IDEAL:
+        facts["response"] = response.as_json()
+    observer.note("thermal_camera", {"estimated": facts}, [f"thermal camera: {note}" for note in notes])
     return scene, response
 
 
@@ -185,7 +191,8 @@ def _estimate_priors(
         reason = f"{cached} of {views} training views were estimated before; test views need no prior"
         skips.prior.decide(cached > 0, reason, f"{cached} estimates")
         source = {"made_from": cfg.prior.made_from} if cfg.prior.get("made_from") else {}
-        observer.note_prior({**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source})
+        facts = {**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source}
+        observer.note("prior", facts)
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
 
 
@@ -211,27 +218,6 @@ class ThermalCameraOptions:
 
     estimate: bool  # its response, before training, from sparse points; training views are then corrected
     rig: bool | Literal["auto"] = False  # learn its pose and lens with the Gaussians; auto: if `try_rig` finds a gain
-
-
-class CorrectedScene(NamedTuple):
-    """A scene to train on, facts for the record, notes, response for renders."""
-
-    scene: Scene
-    facts: Facts
-    notes: list[str]
-    response: ImageResponse = IDEAL
-
-
-def correct_scene(scene: Scene) -> CorrectedScene:
-    """Estimate the camera and correct the training views; where it cannot be estimated, images stay as they are."""
-    estimate = estimate_camera(scene)
-    if isinstance(estimate, Unknown):
-        notes = [f"thermal camera: images stay as they are: {estimate.reason}"]
-        return CorrectedScene(scene, {"unknown": estimate.reason}, notes)
-    before = len(scene.notes)
-    scene, response = corrected(scene, estimate)
-    notes = [f"thermal camera: {note}" for note in scene.notes[before:]]
-    return CorrectedScene(scene, _estimated(estimate), notes, response)
 
 
 def _estimated(camera: ThermalCamera) -> Facts:

@@ -187,27 +187,18 @@ def _path(name: str, parts: tuple[int | str, ...]) -> str:
 def option_meant(option: str) -> str:
     """Return `; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
 
-    An option of other choices than the configured one comes with these.
-
     >>> option_meant("iterations")
     '; did you mean budget.iterations?'
     >>> option_meant("bugdet.iterations")
     '; did you mean budget.iterations?'
-    >>> option_meant("budget.growth.z")
-    '; it belongs to budget=lean'
     >>> option_meant("methd")
     '; did you mean method?'
     >>> option_meant("colour")
     ''
     """
-    known, last = option_names(), option.rpartition(".")[2]
-    if known.get(option):
-        return f"; it belongs to {', '.join(known[option])}"
-    alike = [name for name in known if name.rpartition(".")[2] == last] if "." not in option else []
-    groups = {name.partition(".")[0] for name in known}
-    if "." not in option and not alike and (group := meant(option, groups)):
-        return group
-    return meant(option, known) if not alike else f"; did you mean {' or '.join(alike[:3])}?"
+    known = option_names()
+    alike = [name for name in known if name.endswith(f".{option}")]
+    return f"; did you mean {' or '.join(alike[:3])}?" if alike else meant(option, known)
 
 
 def meant(word: str, known: Iterable[str]) -> str:
@@ -230,16 +221,15 @@ def choices(group: str) -> list[str]:
 
 
 @cache
-def option_names() -> dict[str, list[str]]:
-    """Return dotted names of all options in conf/, with the choices that have them (none: always there)."""
-    folder, names = conf_folder(), dict[str, list[str]]()
+def option_names() -> list[str]:
+    """Return dotted names of all options in conf/, and of its groups."""
+    folder, names = conf_folder(), dict[str, None]()
     for path in sorted(folder.rglob("*.yaml")):
         groups = path.relative_to(folder).parts[:-1]
         if groups[:1] not in [(folder,) for folder in NO_OPTIONS]:
             content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-            for name in _names(content, "".join(f"{group}." for group in groups)):
-                names.setdefault(name, []).extend([f"{'/'.join(groups)}={path.stem}"] if groups else [])
-    return names
+            names |= dict.fromkeys([*groups, *_names(content, "".join(f"{group}." for group in groups))])
+    return list(names)
 
 
 def _names(content: Any, prefix: str) -> Iterator[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -85,9 +85,12 @@ def run_job(cfg: DictConfig) -> None:
     experiment_of(cfg).run(names_to_text(cfg))
 
 
-def prepare_prior(cfg: DictConfig) -> None:
-    """Get what the depth prior of a cell needs, if its method needs a prior. Raises PriorUnavailableError."""
-    if instantiate(cfg.method.method).needs_prior:
+def prepare_prior(cfg: DictConfig, methods: Iterable[DictConfig] = ()) -> None:
+    """Get what the depth prior of cells needs, if one of the methods, by default the configured one, needs a prior.
+
+    Raises PriorUnavailableError.
+    """
+    if any(instantiate(method.method).needs_prior for method in methods or [cfg.method]):
         prepare(instantiate(cfg.prior.estimator))
 
 

@@ -29,7 +29,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes import SceneError
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 
 NONE = "none"  # TDg without its depth loss
 SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
@@ -159,7 +159,7 @@ def _write(folder: Path, tables: Sequence[SceneTables]) -> None:
     for scene, rows in table.groupby("scene", sort=False):
         truth = next((text for text in rows["truth"] if text), "nothing")
         shown = format_columns(rows, SHOWN)
-        show_table(shown, console(), f"{scene}: depth priors against {truth}, and TDg with each")
+        show_table(shown, f"{scene}: depth priors against {truth}, and TDg with each")
     for reason in reasons(table):
         say(reason, "n/a:", "yellow")
     say(f"tables: {folder / 'priors.csv'}, {folder / 'priors_views.csv'}")

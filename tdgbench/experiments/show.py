@@ -6,16 +6,17 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.table import Table
 
+from tdgbench.terminal import console
 
-def show_table(table: pd.DataFrame, console: Console, title: str = "") -> None:
+
+def show_table(table: pd.DataFrame, title: str | None = None) -> None:
     """Print a table."""
-    view = Table(*map(str, table.columns), title=title or None)
+    view = Table(*map(str, table.columns), title=title)
     for row in table.itertuples(index=False):
         view.add_row(*(_text(value) for value in row))
-    console.print(view)
+    console().print(view)
 
 
 def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
@@ -33,9 +34,7 @@ def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) 
 
 
 def _text(value: object) -> str:
-    """Format a value: three digits of a number; yes or nothing for a Boolean."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else ""
+    """Format a value: three digits of a number."""
     if not isinstance(value, float):
         return str(value)
     if np.isnan(value):

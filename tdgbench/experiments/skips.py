@@ -17,7 +17,7 @@ from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_al
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.training.skips import RULES, SWITCHES
 
 NAMES = (*SWITCHES, *RULES)
@@ -60,7 +60,7 @@ class SkipAblation(Experiment):
             folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.study.skips))
             write_text(folder / "skips_cells.csv", as_csv(rows))
             write_text(folder / "skips.csv", as_csv(table))
-            show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN), console())
+            show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN))
             say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
         check_all_ran(cells)
 

@@ -32,7 +32,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.thermal.accuracy import normalized_truth
 from tdgbench.thermal.camera import ViewResponses, normalized
 from tdgbench.thermal.maps import TERMS, evaluate
@@ -80,10 +80,7 @@ class ThermalCameraExperiment(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
-        for method in cfg.study.methods.values():
-            cell = cfg.copy()
-            cell.method = method
-            prepare_prior(cell)
+        prepare_prior(cfg, cfg.study.methods.values())
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
@@ -97,7 +94,7 @@ class ThermalCameraExperiment(Experiment):
             write_text(folder / "thermal_camera.csv", as_csv(table, na_rep="n/a"))
             for scene, of_scene in table.groupby("scene", sort=False):
                 title = f"{scene}: what the thermal camera costs, and what comes back"
-                show_table(format_columns(of_scene, SHOWN), console(), title)
+                show_table(format_columns(of_scene, SHOWN), title)
             say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}")
         check_all_ran(cells)
 

@@ -25,11 +25,11 @@ def test_settings_that_are_not_finite_leave_a_record(tiny_cell, value):
 
 
 def test_a_failure_that_is_no_json_leaves_a_record(tiny_cell, monkeypatch):
-    def note(self, _):
+    def note(self, *_):
         self.record.init_points = {"box": [float("nan"), object()]}
 
     monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("lone surrogate \udcff, NUL \0")))
-    monkeypatch.setattr(CellRun, "note_points", note)
+    monkeypatch.setattr(CellRun, "note", note)
     assert tiny_cell().status == "failed"
     (record,) = read_all(tiny_cell.experiment)
     assert record.status == "failed" and record.init_points["box"][0] == "nan"

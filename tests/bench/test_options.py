@@ -6,7 +6,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
-from tdgbench.experiments.error_time.run import ErrorTimeOptions
+from tdgbench.experiments.error_time import ErrorTimeOptions
 from tdgbench.experiments.experiment import experiment_of
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT

@@ -42,11 +42,8 @@ class Watch(SetupObserver):
     def count(self, done, total):
         self.counts.append((done, total))
 
-    def note_prior(self, description):
-        self.notes.append(description["kind"])
-
-    def note_points(self, description):
-        self.notes.append(description["kind"])
+    def note(self, field, facts, notes=()):
+        self.notes.append((field, facts["kind"]))
 
 
 def test_an_observer_sees_phases_and_facts(data_root, tmp_path):
@@ -56,6 +53,9 @@ def test_an_observer_sees_phases_and_facts(data_root, tmp_path):
     set_up(cfg, scene, skips=first, prior_cache=tmp_path, compiles=False)
     set_up(cfg, scene, skips=again, prior_cache=tmp_path, observer=watch)
     assert watch.phases == ["images", "prior", "init", "compile", "init"]
-    assert watch.counts[-1] == (len(scene.train), len(scene.train)) and watch.notes == ["depth", "colmap"]
+    assert watch.counts[-1] == (len(scene.train), len(scene.train)) and watch.notes == [
+        ("prior", "depth"),
+        ("init_points", "colmap"),
+    ]
     assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
     assert again.rgb.taken and again.rgb.reason == "tdg trains on thermal images alone"

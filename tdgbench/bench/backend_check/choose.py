@@ -79,19 +79,22 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
     reason = load_backend(backend).why_not()
     if reason is not None:
         return AutoBackend(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
-    say(
-        "checking gsplat against the reference; its first use compiles kernels for minutes",
-        "note:",
-        "yellow",
-        stderr=True,
-    )
-    lines = []
+    note = "checking gsplat against the reference; its first use compiles kernels for minutes"
+    say(note, "note:", "yellow", stderr=True)
+    version, lines = f"gsplat {installed_version()}", []
     for name, index in sorted(models.items()):
         with torch.cuda.device(index):
             verdict = run(backend)
         if verdict.reason:
-            return AutoBackend(AUTO["cpu"], f"the CPU trains, not {name}: {_refusal(backend, verdict)}")
-        lines.append(f"{name} trains: {_acceptance(verdict)}")
+            line = f"the CPU trains, not {name}: {version} did not pass its check: {verdict.reason} (checked in "
+            line += f"{verdict.seconds:g} s; backend={backend} trains with it all the same)"
+            return AutoBackend(AUTO["cpu"], line)
+        sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
+        lines.append(
+            f"{name} trains: {version} agrees with the reference (image within {verdict.image:.0e} of "
+            f"{IMAGE_TOLERANCE:g}, gradients within {verdict.gradients:.0e} of {GRADIENT_TOLERANCE:g}; {sums}; "
+            f"checked in {verdict.seconds:g} s)"
+        )
     return AutoBackend(backend, "; ".join(lines))
 
 
@@ -101,16 +104,31 @@ def check(backend: str) -> BackendCheck:
     worst = {"image": 0.0, "gradients": 0.0, "spread": 0.0}
     reason = ""
     try:
-        for name, make in scenes().items():
-            reason = reason or _compare(name, make(), backend, worst)
+        for name, scene in scenes().items():
+            reason = reason or _compare(name, scene, backend, worst)
     except Exception as error:
         reason = shortened(message(error))
     return BackendCheck(reason, **worst, seconds=round(time.perf_counter() - start, 1))
 
 
-def scenes() -> dict[str, Callable[[], Cloud]]:
-    """Return the three scenes, by what they are like."""
-    return {"gray, harmonics of degree 3": _gray, "colours, many tiles": _colors, "hidden, faint and opaque": _extremes}
+def scenes() -> dict[str, Cloud]:
+    """Return the three scenes, by what they are like.
+
+    Thermal values as most trainings hold them; more Gaussians in more tiles, so that sums over tiles have an order to
+    lose; Gaussians behind and beside the camera, below the threshold of alpha, near its cap, thin and large.
+    """
+    extremes = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
+    extremes.means[:15, 2] *= -1
+    extremes.means[15:30, 0] += 40.0
+    extremes.opacities[30:45] = 1 / 300
+    extremes.opacities[45:60] = 0.98
+    extremes.scales[60:75, 1:] = 0.005
+    extremes.scales[75:80] = 3.0
+    return {
+        "gray, harmonics of degree 3": cloud(100, seed=1, width=53, height=37, degree=3),
+        "colours, many tiles": cloud(200, seed=2, width=72, height=56, channels=3),
+        "hidden, faint and opaque": extremes,
+    }
 
 
 def _compare(name: str, scene: Cloud, backend: str, worst: dict[str, float]) -> str:
@@ -138,41 +156,3 @@ def _spread(first: Rendered, other: Rendered) -> float:
         gradient = first.gradients[name]
         parts.append((gradient - other.gradients[name]).norm() / gradient.norm().clamp_min(1e-12))
     return torch.stack(parts).max().item()
-
-
-def _gray() -> Cloud:
-    """Return thermal values as most trainings hold them."""
-    return cloud(100, seed=1, width=53, height=37, degree=3)
-
-
-def _colors() -> Cloud:
-    """Return more Gaussians in more tiles, so that sums over tiles have an order to lose."""
-    return cloud(200, seed=2, width=72, height=56, channels=3)
-
-
-def _extremes() -> Cloud:
-    """Return Gaussians behind and beside the camera, below the threshold of alpha, near its cap, thin and large."""
-    scene = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
-    scene.means[:15, 2] *= -1
-    scene.means[15:30, 0] += 40.0
-    scene.opacities[30:45] = 1 / 300
-    scene.opacities[45:60] = 0.98
-    scene.scales[60:75, 1:] = 0.005
-    scene.scales[75:80] = 3.0
-    return scene
-
-
-def _acceptance(verdict: BackendCheck) -> str:
-    sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
-    return (
-        f"gsplat {installed_version()} agrees with the reference (image within {verdict.image:.0e} of "
-        f"{IMAGE_TOLERANCE:g}, gradients within {verdict.gradients:.0e} of {GRADIENT_TOLERANCE:g}; {sums}; "
-        f"checked in {verdict.seconds:g} s)"
-    )
-
-
-def _refusal(backend: str, verdict: BackendCheck) -> str:
-    return (
-        f"gsplat {installed_version()} did not pass its check: {verdict.reason} (checked in {verdict.seconds:g} s; "
-        f"backend={backend} trains with it all the same)"
-    )

@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE
+from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, BackendErrors
+
+TOLERANCES = BackendErrors(IMAGE_TOLERANCE, GRADIENT_TOLERANCE)
 
 
 class UnexpectedError(Exception):
@@ -20,38 +23,19 @@ def require(condition: bool, observed: str) -> None:
         raise UnexpectedError(observed)
 
 
-@dataclass(frozen=True)
-class Observed:
-    """Numbers or a sentence; or the type of an error and its message."""
-
-    text: str = ""
-    numbers: dict[str, float] = field(default_factory=dict)
-    error: str | None = None
-
-    def __str__(self) -> str:
-        if self.error is not None:
-            return f"{self.error}: {self.text}"
-        numbers = [f"{name} {value:.1e}" for name, value in self.numbers.items()]
-        return "; ".join([self.text, *numbers] if self.text else numbers)
+def close(tolerances: BackendErrors = TOLERANCES) -> str:
+    """Say that values and gradients are close to the float64 reference."""
+    return f"finite; image within {tolerances.image:g}, gradients within {tolerances.gradients:g}"
 
 
-@dataclass(frozen=True)
-class Close:
-    """Finite, and close to the float64 reference: errors relative to the values' range, to the gradients' norm."""
-
-    image: float = IMAGE_TOLERANCE
-    gradients: float = GRADIENT_TOLERANCE
-
-    def allows(self, observed: Observed) -> bool:
-        """Return whether both errors are within their limits; NaN is not."""
-        return observed.numbers["image"] <= self.image and observed.numbers["gradients"] <= self.gradients
-
-    def __str__(self) -> str:
-        return f"finite; image within {self.image:g}, gradients within {self.gradients:g}"
+def require_close(errors: BackendErrors, tolerances: BackendErrors = TOLERANCES) -> str:
+    """Return the errors in words. Raises UnexpectedError unless both are within their tolerances; NaN is not."""
+    observed = f"image {errors.image:.1e}; gradients {errors.gradients:.1e}"
+    require(all(error <= limit for error, limit in zip(errors, tolerances, strict=True)), observed)
+    return observed
 
 
-@dataclass(frozen=True)
-class Raises:
+class Raises(NamedTuple):
     """An error of a named type whose message matches a pattern."""
 
     kind: str
@@ -61,43 +45,32 @@ class Raises:
         return f"{self.kind}: {self.pattern.replace(chr(92), '')}"
 
 
-Expected = Close | Raises | str  # a sentence is checked by the case itself, which raises UnexpectedError
-
-
 @dataclass(frozen=True)
 class Case:
-    """A named case. `run` takes a backend; a case with every_backend=False runs once, with the word `once`."""
+    """A named case.
+
+    expected: an error, or a sentence that the case itself checks. run: takes a backend, returns what it observed, and
+    raises UnexpectedError if that is not as expected. A case with every_backend=False runs once, with the word `once`.
+    """
 
     family: str
     name: str
-    expected: Expected
-    run: Callable[[str], Observed]
+    expected: Raises | str
+    run: Callable[[str], str]
     every_backend: bool = True
 
 
-@dataclass(frozen=True)
-class CaseResult:
-    """One row of the table."""
-
-    family: str
-    case: str
-    backend: str
-    expected: str
-    seen: str
-    passed: bool
-    seconds: float
-
-
-def run_case(case: Case, backend: str) -> CaseResult:
-    """Run a case on a backend. An exception is an observation."""
+def run_case(case: Case, backend: str) -> dict[str, Any]:
+    """Run a case on a backend; return its row of the table. An exception is an observation."""
     start, expected = time.perf_counter(), case.expected
     try:
-        observed = case.run(backend)
+        seen, passed = case.run(backend), isinstance(expected, str)
     except Exception as error:
-        observed = Observed(text=str(error).partition("\n")[0], error=type(error).__name__)
-    if isinstance(expected, Raises):
-        passed = observed.error == expected.kind and re.search(expected.pattern, observed.text) is not None
-    else:
-        passed = observed.error is None and (isinstance(expected, str) or expected.allows(observed))
+        kind, message = type(error).__name__, str(error).partition("\n")[0]
+        seen = f"{kind}: {message}"
+        passed = isinstance(expected, Raises) and kind == expected.kind and bool(re.search(expected.pattern, message))
     seconds = round(time.perf_counter() - start, 3)
-    return CaseResult(case.family, case.name, backend, str(expected), str(observed), passed, seconds)
+    return {
+        "family": case.family, "case": case.name, "backend": backend, "expected": str(expected), "seen": seen,
+        "passed": passed, "seconds": seconds,
+    }  # fmt: skip

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from methods.tdg import DepthTarget, depth_loss
-from tdgbench.experiments.stress.case import Case, Close, Observed
+from tdgbench.bench.backend_check.compare import BackendErrors
+from tdgbench.experiments.stress.case import Case, close, require_close
 from tdgbench.priors import DepthPrior
 from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal_loss
 
 FAMILY = "losses"
 SIZE = (24, 32)
-CLOSE = Close(1e-4, 1e-3)
+TOLERANCES = BackendErrors(1e-4, 1e-3)
 
 Loss = Callable[[Tensor], Tensor]
 
 
 def cases() -> list[Case]:
     """Return every case of this family. They run once: losses do not depend on the backend."""
-    return [Case(FAMILY, name, CLOSE, _fused_against_torch(loss, at), False) for name, loss, at in _losses()]
+    return [
+        Case(FAMILY, name, close(TOLERANCES), partial(_fused_against_torch, loss, at), False)
+        for name, loss, at in _losses()
+    ]
 
 
 def _losses() -> list[tuple[str, Loss, Tensor]]:
@@ -73,20 +78,17 @@ def _against(prior: Tensor) -> Loss:
     return loss
 
 
-def _fused_against_torch(loss: Loss, at: Tensor) -> Callable[[str], Observed]:
+def _fused_against_torch(loss: Loss, at: Tensor, _backend: str) -> str:
     """Compare value and gradient in float32, which the fused kernels compute, with torch in float64."""
-
-    def run(_backend: str) -> Observed:
-        values, gradients = [], []
-        for dtype in (torch.float64, torch.float32):
-            x = at.to(dtype).clone().requires_grad_()
-            value = loss(x)
-            value.backward()
-            values.append(value.detach().double())
-            gradients.append(torch.zeros_like(x) if x.grad is None else x.grad.double())
-        usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # gradient of a mean over the pixels
-        gradient_error = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
-        error = (values[1] - values[0]).abs() / values[0].abs().clamp_min(1.0)
-        return Observed(f"loss {values[0].item():.4g}", {"image": error.item(), "gradients": gradient_error.item()})
-
-    return run
+    values, gradients = [], []
+    for dtype in (torch.float64, torch.float32):
+        x = at.to(dtype).clone().requires_grad_()
+        value = loss(x)
+        value.backward()
+        values.append(value.detach().double())
+        gradients.append(torch.zeros_like(x) if x.grad is None else x.grad.double())
+    usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # gradient of a mean over the pixels
+    gradient_error = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
+    error = (values[1] - values[0]).abs() / values[0].abs().clamp_min(1.0)
+    errors = require_close(BackendErrors(error.item(), gradient_error.item()), TOLERANCES)
+    return f"loss {values[0].item():.4g}; {errors}"

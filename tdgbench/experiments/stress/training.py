@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.setup import set_up
-from tdgbench.experiments.stress.case import Case, Expected, Observed, Raises, require
-from tdgbench.scenes import PointCloud, Scene
+from tdgbench.experiments.stress.case import Case, Raises, require
+from tdgbench.scenes import Camera, PointCloud, Scene
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.view import Render
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.method import Context, Frame, Method, Step
-from tdgbench.training.model import SplatModel
+from tdgbench.training.method import Step
 from tdgbench.training.trainer import Trainer
 
 FAMILY = "training"
@@ -40,16 +38,16 @@ FAULTS = (  # where, the tensor that the error must name, the fault
 )
 
 
-def cases(small: SmallTraining) -> list[Case]:
-    """Return every case of the families `training` and `determinism`."""
+def cases(cfg: DictConfig) -> list[Case]:
+    """Return every case of the families `training` and `determinism`. cfg: of a small training."""
 
-    def finite(**given: Any) -> Callable[[str], Observed]:
-        return lambda backend: _check_finite(*small.train(backend, **given))
+    def finite(**given: Any) -> Callable[[str], str]:
+        return lambda backend: _check_finite(*train_small(cfg, backend, **given))
 
     return [
         *(Case(FAMILY, name, expected, finite(change=change)) for name, expected, change in _scenes()),
-        *(Case(FAMILY, name, expected, finite(budget=budget)) for name, expected, budget in _budgets(small.cfg)),
-        Case(FAMILY, "a cap on Gaussians reached", "it is reached and kept", lambda b: _capped(small, b)),
+        *(Case(FAMILY, name, expected, finite(budget=budget)) for name, expected, budget in _budgets(cfg)),
+        Case(FAMILY, "a cap on Gaussians reached", "it is reached and kept", lambda b: _capped(cfg, b)),
         *(
             Case(
                 FAMILY, f"NaN in {name}, at step {FAULTY_STEP}",
@@ -59,70 +57,52 @@ def cases(small: SmallTraining) -> list[Case]:
         ),
         Case(
             "determinism", "five trainings, on 1, 2 and 3 threads", "the same bytes",
-            lambda _: check_same_bytes(lambda: small.train("cpu")[0]), every_backend=False,
+            lambda _: check_same_bytes(lambda: train_small(cfg, "cpu")[0]), every_backend=False,
         ),
-        Case("determinism", "another seed", "other bytes", lambda b: _with_another_seed(small, b)),
     ]  # fmt: skip
 
 
-class FaultyMethod(Method):
-    """A method with NaN at FAULTY_STEP.
+def train_small(
+    cfg: DictConfig,
+    backend: str,
+    change: Callable[[Scene], Scene] = lambda scene: scene,
+    budget: Mapping[str, Any] | None = None,
+    fault: str | None = None,
+) -> tuple[Trainer, TrainingLog]:
+    """Train the configured method on a changed scene. budget: options by dotted name. fault: see `break_step`."""
+    cfg = cfg.copy()
+    cfg.backend.name = backend
+    for name, value in (budget or {}).items():
+        OmegaConf.update(cfg.budget, name, value)
+    trainer = set_up(cfg, change(instantiate(cfg.dataset.loader).load(cfg.scene)), compiles=False).trainer
+    if fault is not None:
+        break_step(trainer, fault)
+    return trainer, train(trainer)
+
+
+def break_step(trainer: Trainer, fault: str) -> None:
+    """Put NaN into a training at FAULTY_STEP.
 
     fault: a parameter of the thermal model's Gaussians (NaN in all of them, so that some are visible), `target` (in one
     pixel of every training image), or `gradient` (in the gradient of the rendered image; the loss stays finite).
     """
+    stage = trainer.stage
 
-    def __init__(self, method: Method, fault: str) -> None:
-        self.modalities, self.needs_prior = method.modalities, method.needs_prior
-        self._method, self._fault = method, fault
-
-    def setup(self, context: Context) -> None:
-        self._context = context
-        self._method.setup(context)
-
-    def step(self, iteration: int) -> Step:
-        is_faulty = iteration == FAULTY_STEP
-        if is_faulty and self._fault == "target":
-            for view in self._context.scene.train:
+    def faulty(iteration: int) -> Step:
+        if iteration != FAULTY_STEP:
+            return stage.step(iteration)
+        if fault == "target":
+            for view in trainer.context.scene.train:
                 view.thermal = view.thermal.copy()
                 view.thermal[1, 2] = np.nan
-        elif is_faulty and self._fault != "gradient":
-            thermal = self._context.parts["thermal"]
-            assert isinstance(thermal, SplatModel)
-            getattr(thermal.gaussians, self._fault).detach().fill_(float("nan"))
-        step = self._method.step(iteration)
-        if is_faulty and self._fault == "gradient":
+        elif fault != "gradient":
+            getattr(trainer.gaussians["thermal"].gaussians, fault).detach().fill_(float("nan"))
+        step = stage.step(iteration)
+        if fault == "gradient":
             step.render.image.register_hook(lambda grad: grad * float("nan"))
         return step
 
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self._method.render(frame, modality)
-
-
-@dataclass(frozen=True)
-class SmallTraining:
-    """A small training: the configured method on the configured scene."""
-
-    cfg: DictConfig
-
-    def train(
-        self,
-        backend: str,
-        change: Callable[[Scene], Scene] = lambda scene: scene,
-        budget: Mapping[str, Any] | None = None,
-        fault: str | None = None,
-    ) -> tuple[Trainer, TrainingLog]:
-        """Train on a changed scene. budget: options by dotted name. fault: see `FaultyMethod`."""
-        cfg = self.cfg.copy()
-        cfg.backend.name = backend
-        for name, value in (budget or {}).items():
-            OmegaConf.update(cfg.budget, name, value)
-        method: Method = instantiate(cfg.method.method)
-        if fault is not None:
-            method = FaultyMethod(method, fault)
-        scene = change(instantiate(cfg.dataset.loader).load(cfg.scene))
-        trainer = set_up(cfg, scene, method=method, compiles=False).trainer
-        return trainer, train(trainer)
+    trainer.stages[0] = stage._replace(step=faulty)
 
 
 def with_points(scene: Scene, points: np.ndarray) -> Scene:
@@ -133,27 +113,29 @@ def with_points(scene: Scene, points: np.ndarray) -> Scene:
 def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
     """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
     first = scene.train[0].camera
-    views = []
-    for i, view in enumerate(scene.train):
-        pose = first.world_to_camera.copy()
-        pose[0, 3] += step * i
-        views.append(replace(view, camera=replace(first, world_to_camera=pose)))
-    return replace(scene, train=views)
+    along_x = np.zeros((4, 4))
+    along_x[0, 3] = step
+    return _with_cameras(
+        scene, [replace(first, world_to_camera=first.world_to_camera + i * along_x) for i in range(len(scene.train))]
+    )
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
-    """Return a scene moved by an offset along each axis, world units. Raises ValueError if it has no points."""
-    if scene.points is None:
-        raise ValueError(f"scene {scene.name} has no points to shift")
-    views = []
-    for view in scene.train:
-        pose = view.camera.world_to_camera.copy()
-        pose[:3, 3] -= pose[:3, :3] @ np.full(3, offset)
-        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
-    return replace(scene, train=views, points=PointCloud(scene.points.points + offset, scene.points.colors))
+    """Return a scene, which has points, moved by an offset along each axis, world units."""
+    assert scene.points is not None
+    back = np.eye(4)
+    back[:3, 3] = -offset
+    cameras = [replace(view.camera, world_to_camera=view.camera.world_to_camera @ back) for view in scene.train]
+    points = PointCloud(scene.points.points + offset, scene.points.colors)
+    return replace(_with_cameras(scene, cameras), points=points)
 
 
-def _scenes() -> list[tuple[str, Expected, Callable[[Scene], Scene]]]:
+def _with_cameras(scene: Scene, cameras: list[Camera]) -> Scene:
+    views = [replace(view, camera=camera) for view, camera in zip(scene.train, cameras, strict=True)]
+    return replace(scene, train=views)
+
+
+def _scenes() -> list[tuple[str, Raises | str, Callable[[Scene], Scene]]]:
     line = np.linspace(-1, 1, 50)[:, None] * np.array([[1.0, 0, 0]])
     return [
         ("one training view", ONE_PLACE, lambda s: replace(s, train=s.train[:1])),
@@ -173,7 +155,7 @@ def _scenes() -> list[tuple[str, Expected, Callable[[Scene], Scene]]]:
     ]  # fmt: skip
 
 
-def _budgets(cfg: DictConfig) -> list[tuple[str, Expected, dict[str, Any]]]:
+def _budgets(cfg: DictConfig) -> list[tuple[str, Raises | str, dict[str, Any]]]:
     return [
         ("every Gaussian pruned", Raises("EmptyModelError", "no Gaussian is left"), {"density.min_opacity": 0.9999}),
         ("learning rates × 100", FINITE, _rates(cfg, 100)),
@@ -196,47 +178,34 @@ def _rates(cfg: DictConfig, factor: float) -> dict[str, Any]:
     return {f"rates.{name}": max(float(value) * factor, 1e-30) for name, value in rates.items()}
 
 
-def _check_finite(trainer: Trainer, log: TrainingLog) -> Observed:
+def _check_finite(trainer: Trainer, log: TrainingLog) -> str:
     for name, model in trainer.gaussians.items():
         for parameter, tensor in model.gaussians.items():
             require(bool(torch.isfinite(tensor).all()), f"{name} {parameter} is not finite")
     counts = ", ".join(f"{len(model)} {name}" for name, model in trainer.gaussians.items())
-    return Observed(f"loss {log.lines[0].loss:.3g} to {log.lines[-1].loss:.3g}, {counts} Gaussians")
+    return f"loss {log.lines[0].loss:.3g} to {log.lines[-1].loss:.3g}, {counts} Gaussians"
 
 
-def _capped(small: SmallTraining, backend: str) -> Observed:
+def _capped(cfg: DictConfig, backend: str) -> str:
     density = {"start": 0, "every": 5, "grad_threshold": 0.0, "max_gaussians": CAP}
-    trainer, _ = small.train(backend, budget={f"density.{name}": value for name, value in density.items()})
+    trainer, _ = train_small(cfg, backend, budget={f"density.{name}": value for name, value in density.items()})
     (count,) = (len(model) for model in trainer.gaussians.values())
     require(count == CAP, f"{count} Gaussians, the cap is {CAP}")
-    return Observed(f"{count} Gaussians")
+    return f"{count} Gaussians"
 
 
-def check_same_bytes(train: Callable[[], Trainer]) -> Observed:
-    """Train on the CPU with each number of threads in THREADS; all bytes must agree."""
+def check_same_bytes(train: Callable[[], Trainer]) -> str:
+    """Train on the CPU with each number of threads in THREADS; the bytes of all parameters must agree."""
     before, digests = pool.get_threads(), []
     try:
         for count in THREADS:
             pool.set_threads(count)
-            digests.append(_digest(train()))
+            digest = hashlib.sha256()
+            for model in train().gaussians.values():
+                for _, tensor in model.gaussians.items():
+                    digest.update(tensor.contiguous().numpy().tobytes())
+            digests.append(digest.hexdigest()[:12])
     finally:
         pool.set_threads(before)
     require(len(set(digests)) == 1, f"different results: {digests} with {THREADS} threads")
-    return Observed(f"{len(digests)} times {digests[0]}")
-
-
-def _with_another_seed(small: SmallTraining, backend: str) -> Observed:
-    cfg = small.cfg.copy()
-    cfg.seed = int(cfg.seed) + 1
-    digests = [_digest(training.train(backend)[0]) for training in (small, SmallTraining(cfg))]
-    require(digests[0] != digests[1], f"both {digests[0]}")
-    return Observed(" and ".join(digests))
-
-
-def _digest(trainer: Trainer) -> str:
-    """Return a hash of all parameters of the Gaussians."""
-    digest = hashlib.sha256()
-    for model in trainer.gaussians.values():
-        for _, tensor in model.gaussians.items():
-            digest.update(tensor.cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:12]
+    return f"{len(digests)} times {digests[0]}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -37,24 +38,18 @@ class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
 
     def start(self, cfg: DictConfig) -> None:
-        count = plan_sweep(cfg)
-        if count.without_data == count.total:  # no job has anything to do
-            _finish(cfg, [Outcome("missing", "")] * count.total)
+        cells, without_data = plan_sweep(cfg)
+        if without_data == cells:  # no job has anything to do
+            _finish(cfg, [Outcome("missing", "")] * cells)
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
         hydra = HydraConfig.get()
         outcome = _outcome(cfg, hydra)
         folder = Path(hydra.runtime.output_dir)
-        try:
+        with suppress(OSError):  # the summary says which job left no outcome
             folder.mkdir(parents=True, exist_ok=True)
             write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
-        except OSError as error:
-            say(
-                f"{outcome.title}: its outcome could not be written to {folder} ({error.strerror})",
-                "error:",
-                stderr=True,
-            )
         if outcome.status != "missing":
             say(outcome.line, stderr=True)
         workers = cells_at_once(hydra.launcher, pool.available_cores())
@@ -121,15 +116,15 @@ def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
 def remaining_time(cells: int, outcomes: Sequence[Outcome], workers: int, now: datetime | None = None) -> str:
     """Return the number of cells that are still to run, and the time they take if each takes the mean of the finished.
 
-    cells: number of cells to run. outcomes: of the jobs so far. workers: cells that run at once. Empty before the first
-    finished cell, and after the last.
+    cells: number of cells whose scene is there. outcomes: of the jobs so far. workers: cells that run at once. Empty
+    before the first finished cell, and after the last.
 
     >>> done = [Outcome("ok", "tdg on a", seconds=1800.0), Outcome("kept", "tdg on b")]
     >>> remaining_time(3, done, workers=1, now=datetime(2024, 1, 1, 12))
-    '2 of 3 cells to go, about 1:00:00 left (until Mon 13:00)'
+    '1 of 3 cells to go, about 0:30:00 left (until Mon 12:30)'
     """
     seconds = [outcome.seconds for outcome in outcomes if outcome.status == "ok"]
-    left = cells - sum(outcome.status in ("ok", "failed") for outcome in outcomes)
+    left = cells - sum(outcome.status != "missing" for outcome in outcomes)
     if not seconds or left < 1:
         return ""
     time = sum(seconds) / len(seconds) * left / min(workers, left)

@@ -25,7 +25,7 @@ def one_scene(monkeypatch):
 
 def test_the_scenes_hold_what_they_are_for():
     """Degrees, channels, several tiles; Gaussians that no ray sees; few pixels that a rounding error could flip."""
-    made = {name: make() for name, make in scenes().items()}
+    made = scenes()
     assert len(made) == 3
     assert {(c.degree, c.colors.shape[-1]) for c in made.values()} == {(3, 1), (None, 3), (1, 3)}
     for scene in made.values():

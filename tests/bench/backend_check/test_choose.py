@@ -19,7 +19,7 @@ def machine(monkeypatch):
     """A machine with these GPUs, by name: `machine("A", "B")`."""
     auto.cache_clear()
     monkeypatch.setattr(choosing, "choose", choose)  # other tests are on the CPU
-    monkeypatch.setattr(choosing, "scenes", lambda: {"small": lambda: cloud(30, width=20, height=15)})
+    monkeypatch.setattr(choosing, "scenes", lambda: {"small": cloud(30, width=20, height=15)})
 
     def with_gpus(*names, why_not=None):
         monkeypatch.setattr(torch.cuda, "is_available", lambda: bool(names))

@@ -34,9 +34,9 @@ def test_workers_share_the_cores(launcher, threads):
 def test_time_left_is_that_of_the_mean_finished_cell():
     noon = datetime(2024, 1, 1, 12)
     done = [Outcome("ok", "a", seconds=600.0), Outcome("ok", "b", seconds=1800.0), Outcome("kept", "c")]
-    assert "5 of 8 cells to go, about 0:50:00 left" in remaining_time(8, [*done, Outcome("failed", "d")], 2, noon)
-    assert "1 of 3 cells to go, about 0:20:00 left" in remaining_time(3, done, 4, noon)  # a cell has one worker
-    assert remaining_time(2, done, 1) == remaining_time(1, done, 1) == remaining_time(9, done[2:], 1) == ""
+    assert "5 of 9 cells to go, about 0:50:00 left" in remaining_time(9, [*done, Outcome("failed", "d")], 2, noon)
+    assert "1 of 4 cells to go, about 0:20:00 left" in remaining_time(4, done, 4, noon)  # a cell has one worker
+    assert remaining_time(3, done, 1) == remaining_time(2, done, 1) == remaining_time(9, done[2:], 1) == ""
 
 
 def test_a_job_without_a_readable_outcome_has_failed(tmp_path):

@@ -11,28 +11,32 @@ import numpy as np
 import pandas as pd
 import torch
 from hydra.utils import instantiate
+from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
-from tdgbench.experiments.error_time.curves import CURVE_METRICS, attribution, draw_curves, faster_by
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.show import show_table
 from tdgbench.files import write_text
+from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes import Scene
-from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 
+CURVE_METRICS = ("psnr", "ssim", "lpips", "depth_abs_rel")
+MARKERS = "osD^vP*X"
+
 
 class Run(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=True):
-    """A training of the chain: a method, overrides of its options, and its share of the budget's iterations.
+    """A training: a method, overrides of its options, and its share of the budget's iterations.
 
     budget: its name in `study.budgets`; None: that of the configuration.
     """
@@ -53,7 +57,6 @@ class ErrorTimeOptions:
     samples: Annotated[int, Field(ge=2)]
     runs: list[Run]
     budgets: dict[str, Any] = field(default_factory=dict)
-    chain: bool = True
 
 
 class ErrorTime(Experiment):
@@ -64,10 +67,7 @@ class ErrorTime(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if a training needs a prior that is not available."""
-        for run in runs_of(cfg):
-            cell = cfg.copy()
-            cell.method = cfg.study.methods[run.method]
-            prepare_prior(cell)
+        prepare_prior(cfg, [cfg.study.methods[run.method] for run in runs_of(cfg)])
 
     def run(self, cfg: DictConfig) -> None:
         """Sample the curves, write and print the tables. Raises SystemExit(1) if a training failed."""
@@ -77,9 +77,13 @@ class ErrorTime(Experiment):
         folder = Path(cfg.results) / cfg.name
         folder.mkdir(parents=True, exist_ok=True)
         curves, failed = sample_all(cfg)
-        _write(curves, folder / "curves.csv")
+        write_text(folder / "curves.csv", as_csv(curves, na_rep="n/a"))
         if not curves.empty:
-            _compare(curves, [run.label for run in runs_of(cfg)], folder, is_chain=bool(cfg.study.get("chain", True)))
+            first, *others = [run.label for run in runs_of(cfg)]
+            savings = faster_by(curves, first, others)
+            write_text(folder / "faster.csv", as_csv(savings, na_rep="n/a"))
+            show_table(savings, f"time saved against {first}")
+            draw_curves(curves, folder / "curves.png")
         say(f"tables and pictures: {folder}")
         if failed:
             raise SystemExit(1)
@@ -92,7 +96,7 @@ class Budgets(ErrorTime):
 
 
 def runs_of(cfg: DictConfig) -> list[Run]:
-    """Return the chain in `cfg.study.runs`. Raises ValueError for a method or budget that is not in `cfg.study`."""
+    """Return the trainings in `cfg.study.runs`. Raises ValueError for a method or budget that is not in `cfg.study`."""
     budgets = cfg.study.get("budgets", {})
     runs: list[Run] = []
     for options in cfg.study.runs:
@@ -127,7 +131,7 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
 
 
 def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
-    """Train one link and score the test views at `samples` iterations, evenly spaced on a logarithmic scale, and at the
+    """Train once and score the test views at `samples` iterations, evenly spaced on a logarithmic scale, and at the
     end, which may come before the budget's.
 
     A sample right after density control waits until the models have recovered, so that each point of the curve is a
@@ -174,17 +178,76 @@ def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
     return {next(i for i in range(first, end + 1) if rules.has_recovered(i, end)) for first in even}
 
 
-def _compare(curves: pd.DataFrame, labels: list[str], folder: Path, is_chain: bool) -> None:
-    """Write the figure; write and print the time saved, and what each step of a chain contributes."""
-    savings = faster_by(curves, labels[0], labels[1:])
-    _write(savings, folder / "faster.csv")
-    show_table(savings, console(), f"time saved against {labels[0]}")
-    if is_chain:
-        contributions = attribution(curves, labels)
-        _write(contributions, folder / "attribution.csv")
-        show_table(contributions, console(), f"contribution of each step after {labels[0]} to the speed-up")
-    draw_curves(curves, folder / "curves.png")
+def seconds_to(curve: pd.DataFrame, quality: float, metric: str = "psnr") -> float:
+    """Return the seconds until a curve first reaches a quality, linear between samples; NaN if it never does.
+
+    >>> seconds_to(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 22.0)
+    1.5
+    """
+    seconds, values = curve["seconds"].to_numpy(float), curve[metric].to_numpy(float)
+    reached = np.flatnonzero(values >= quality)
+    if not reached.size:
+        return np.nan
+    around = slice(max(0, reached[0] - 1), reached[0] + 1)  # the last sample below it, and the first that reaches it
+    return float(np.interp(quality, values[around], seconds[around]))
 
 
-def _write(table: pd.DataFrame, target: Path) -> None:
-    write_text(target, as_csv(table, na_rep="n/a"))
+def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> float:
+    """Return the quality of a curve at a time, linear between samples; NaN before the first, constant after the last.
+
+    >>> quality_at(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 1.5)
+    22.0
+    """
+    return float(np.interp(seconds, curve["seconds"].to_numpy(float), curve[metric].to_numpy(float), left=np.nan))
+
+
+def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.DataFrame:
+    """Return the share of time saved against the baseline over whole runs, at equal iterations and at equal quality.
+
+    The gain in dB is at equal time, the end of the shorter run. A run that failed has no row.
+    """
+    rows = []
+    for scene, group in curves.groupby("scene", sort=False):
+        by_label = {str(label): curve for label, curve in group.groupby("label", sort=False)}
+        for label in labels:
+            if baseline not in by_label or label not in by_label:
+                continue
+            pair = by_label[label], by_label[baseline]
+            ends = [float(curve["seconds"].iloc[-1]) for curve in pair]
+            last = min(int(curve["iteration"].iloc[-1]) for curve in pair)
+            per_iteration = [float(np.interp(last, curve["iteration"], curve["seconds"])) for curve in pair]
+            quality = min(float(curve["psnr"].max()) for curve in pair)
+            reached = [seconds_to(curve, quality) for curve in pair]
+            rows.append(
+                {
+                    "scene": scene,
+                    "label": label,
+                    "whole runs": 1 - ends[0] / ends[1],
+                    "equal iterations": 1 - per_iteration[0] / per_iteration[1],
+                    "equal quality": 1 - reached[0] / reached[1],
+                    "that quality (dB)": quality,
+                    "dB more at equal time": quality_at(pair[0], min(ends)) - quality_at(pair[1], min(ends)),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def draw_curves(curves: pd.DataFrame, target: Path) -> None:
+    """Draw the quality of the test views against seconds of training: one column per scene, one row per metric."""
+    shown = [m for m in CURVE_METRICS if curves[m].notna().any()]
+    scenes = list(dict.fromkeys(curves["scene"]))
+    figure = Figure(figsize=(5.2 * len(scenes), 2.6 * len(shown)), layout="constrained")
+    grid = figure.subplots(len(shown), len(scenes), squeeze=False)
+    for column, scene in enumerate(scenes):
+        for row, metric in enumerate(shown):
+            axes = grid[row][column]
+            for i, (label, curve) in enumerate(curves[curves["scene"] == scene].groupby("label", sort=False)):
+                values, marker = curve[metric].astype(float), MARKERS[i % len(MARKERS)]
+                axes.plot(curve["seconds"], values, marker=marker, markersize=3, linewidth=1, label=plain(str(label)))
+            axes.set_xscale("log")
+            axes.set_ylabel(METRICS[metric].title)
+            axes.grid(linewidth=0.3)
+        grid[0][column].set_title(plain(str(scene)), fontsize=9)
+        grid[0][column].legend(fontsize=6)
+        grid[-1][column].set_xlabel("seconds of training")
+    save_figure(figure, target)

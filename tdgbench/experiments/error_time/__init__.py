@@ -1,1 +1,0 @@
-"""Quality of the test views against training time: curves, and what each step adds to the speed-up."""
