@@ -25,7 +25,7 @@ class Measure:
     images: str = ""  # the images that the number is of; empty: thermal test views
     latex: str = ""  # label in LaTeX; empty: `label`
     ratio: bool = False  # two values are compared by their ratio, else by their difference
-    published: bool = False  # column of the main table
+    in_main_table: bool = False  # column of the main table
 
     @property
     def sign(self) -> int:

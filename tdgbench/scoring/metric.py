@@ -46,13 +46,13 @@ class ImageMetric(Metric):
         return replace(
             self, name=metric_name(self.name, modality), images=f"{label} model", modality=modality,
             order=self.order + AFTER_THERMAL, needs=f"{label} model of the method, {label} test images",
-            of_every_modality=False, published=False, on_training_views=False,
+            of_every_modality=False, in_main_table=False, on_training_views=False,
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:
         """Return the description of the mean over the training views."""
         described = {field.name: getattr(self, field.name) for field in fields(Measure)}
-        return Measure(**described | {"name": f"train_{self.name}", "images": "training views", "published": False})
+        return Measure(**described | {"name": f"train_{self.name}", "images": "training views", "in_main_table": False})
 
 
 @dataclass(frozen=True, kw_only=True)

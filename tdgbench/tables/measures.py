@@ -30,7 +30,7 @@ class RecordMeasure(Measure):
 
 HOURS = RecordMeasure(
     name="train_hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True,
-    published=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
+    in_main_table=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
     name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
@@ -44,12 +44,12 @@ MEMORY = RecordMeasure(
     name="memory_mb", label="memory", meaning="largest memory of the process that ran the cell", unit="MB", digits=0,
     ratio=True, of_record=lambda record: nan if record.peak_rss_mb is None else record.peak_rss_mb,
 )  # fmt: skip
-OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `published` are columns of the main table
+OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `in_main_table` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
 MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 
-PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.published)
-PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.published))  # columns of the main table
+PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
+PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
 TRAINING = tuple(measure.name for measure in _TRAIN)  # of the training views, where overfitting shows
 COLUMNS = (PUBLISHED[0], "psnr_right_half", *PUBLISHED[1:])  # where tables are read, not compared with the paper's
 EXTRA = (*(name for name in METRICS if name not in COLUMNS), *TRAINING)

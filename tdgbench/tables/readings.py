@@ -32,7 +32,7 @@ from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import half_width
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
-SHOWN = (*PUBLISHED, "depth_consistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
+SHOWN = (*PUBLISHED, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,

@@ -72,7 +72,7 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Return every number of a cell: scores by view, hours as one value."""
     values_by_name = {
-        described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.published
+        described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.in_main_table
     }
     try:
         rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())

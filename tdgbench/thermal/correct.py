@@ -63,18 +63,6 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
     return Corrected(changed, _response(camera, scale, zero, (low, high)))
 
 
-def in_one_range(scene: Scene, response: ImageResponse) -> Scene:
-    """Bring the test views of a corrected scene into the range of its training views, for steps that change both."""
-    if (response.low, response.high) == (0.0, 1.0):
-        return scene
-
-    def moved(view: View) -> View:
-        image = (view.thermal - response.low) / (response.high - response.low)
-        return view.with_thermal(image.astype(np.float32))
-
-    return replace(scene, test=[moved(view) for view in scene.test])
-
-
 def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[float, float]) -> ImageResponse:
     def rounded(values: np.ndarray | None) -> tuple[float, ...]:
         return () if values is None or not values.any() else tuple(np.round(values / scale, DIGITS).tolist())

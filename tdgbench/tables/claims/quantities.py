@@ -64,8 +64,8 @@ def _overfit(cell: Cell, _claim: Claim) -> float | None:
     return None if train is None or test is None else train - test
 
 
-def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
-    """Return the geometric mean of the depth consistency over the views that have one in both cells.
+def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
+    """Return the geometric mean of the depth inconsistency over the views that have one in both cells.
 
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
@@ -74,7 +74,7 @@ def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] 
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
     if known or tables[0] is None or tables[1] is None:
         return None
-    both = tables[0].merge(tables[1], on="view")[["depth_consistency_x", "depth_consistency_y"]].dropna()
+    both = tables[0].merge(tables[1], on="view")[["depth_inconsistency_x", "depth_inconsistency_y"]].dropna()
     logs = np.log(both[(both > 0).all(axis=1)])
     return None if logs.empty else (float(np.exp(logs.iloc[:, 0].mean())), float(np.exp(logs.iloc[:, 1].mean())))
 
@@ -168,7 +168,7 @@ QUANTITIES: dict[str, Quantity] = {
     "train_psnr": Quantity("PSNR of training views", _of_each(_train_psnr), higher=True, digits=2, unit=" dB"),
     "overfit": Quantity("PSNR of training − test views", _of_each(_overfit), digits=2, unit=" dB"),
     "depth_abs_rel": Quantity("depth error", _of_each(partial(_score, metric="depth_abs_rel")), ratio=True),
-    "depth_consistency": Quantity("depth inconsistency", _consistency, ratio=True),
+    "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True),
     "train_hours": Quantity("training time", _of_each(_seconds), ratio=True, timed=True),
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
