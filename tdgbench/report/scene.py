@@ -65,11 +65,12 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
 
 
 def _pictures(folder: Path, view: str) -> dict[str, Any]:
-    truth_picture, truth = views.thermal_picture(folder / views.FILES.targets / f"{view}.png")
-    picture, image = views.thermal_picture(folder / views.FILES.renders / f"{view}.png")
-    valid = views.stored_mask(folder, view, truth.shape)
-    error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
-    pictures = {"truth": views.grayed(truth_picture, valid), "render": picture, "error": error}
+    stored = views.stored_view(folder, view)
+    pictures = {
+        "truth": views.grayed(views.in_colour(stored.truth), stored.valid),
+        "render": views.in_colour(stored.render),
+        "error": views.colored(stored.error, views.ERROR, 0, views.ERROR_RANGE),
+    }
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
 

@@ -13,8 +13,7 @@ from typing import Any
 from tdgbench.bench.record import Record
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
-from tdgbench.scoring.measure import Measure
-from tdgbench.scoring.metric import metric_name
+from tdgbench.scoring.metric import Measure, metric_name
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]

@@ -29,7 +29,7 @@ from tdgbench.tables.measures import (
     measure,
 )
 from tdgbench.tables.published import published_main
-from tdgbench.tables.statistics import half_width
+from tdgbench.tables.statistics import mean_interval
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
 SHOWN = (*PUBLISHED, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
@@ -39,7 +39,6 @@ SCORES = (
     *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
-COVERAGE = 0.95
 CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]
 
 
@@ -186,20 +185,11 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
             datasets = wide.columns.get_level_values(0).unique()
             places.append((datasets[0] if len(datasets) == 1 else "", AVERAGE if len(datasets) == 1 else OVERALL, wide))
         for dataset, scene, values in places:
-            mean, low, high = _interval(values.mean(axis=1).to_numpy())
+            mean, low, high = mean_interval(values.mean(axis=1).to_numpy())
             kind = "ratio" if measure(str(metric)).ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
     return pd.DataFrame(rows, columns=CHANGES)
-
-
-def _interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Return the mean, and its 95 % Student interval; NaN for fewer than two values."""
-    mean = float(values.mean())
-    if len(values) < 2:
-        return mean, float("nan"), float("nan")
-    half = float(half_width(values.std(ddof=1), len(values), (1 - COVERAGE) / 2))
-    return mean, mean - half, mean + half
 
 
 def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:

@@ -11,7 +11,7 @@ from rich.text import Text
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.long_table import initial_points, mask_notes, split_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, measure
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
@@ -42,8 +42,6 @@ def show_tables(tables: Tables, console: Console) -> None:
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
             _say(console, f"{text}; {verdicts_in_words(group)}")
-    if tables.papers is not None:
-        show_papers(tables.papers, console)
 
 
 def show_claims(claims: pd.DataFrame, console: Console) -> None:
@@ -58,19 +56,6 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
         ]
         table.add_row(Text(str(row["said"])), *sides)
     console.print(table)
-
-
-def show_papers(papers: pd.DataFrame, console: Console) -> None:
-    """Print the median and largest spread between papers by method and score. papers: from `between_papers`."""
-    for (method, metric), group in papers[papers["scenes"] == 1].groupby(["method", "metric"], sort=False):
-        widest = group.loc[group["spread"].idxmax()]
-        places = digits(str(metric), widest["scene"])
-        median, most = f"{group['spread'].median():.{places}f}", f"{widest['spread']:.{places}f} at {widest['scene']}"
-        text = f"  {metric} of {method} differs between papers by {median} in the median scene, by {most}"
-        _say(console, text)
-    for note in dict.fromkeys(papers["note"]):
-        if note:
-            _say(console, f"  {note}")
 
 
 def show_findings(findings: list[str]) -> None:

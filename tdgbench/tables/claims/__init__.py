@@ -60,7 +60,7 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[Claim]:
 
 
 def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Check one claim. A claim with `gain` names the gain that is compared with the spread between papers."""
+    """Check one claim. With `gain`, the average gain is compared with the spread between papers."""
     check = CHECKS[claim["check"]]
     try:
         finding = check(claim, evidence)
@@ -71,7 +71,7 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
         parts.append(evidence.note)
     if "gain" in claim:
         metrics = claim["metrics"] if "metrics" in claim else [claim["metric"]]
-        parts.append(gain_against_spread(evidence.main, metrics, claim["gain"]))
+        parts.append(gain_against_spread(evidence.main, metrics))
     return Finding(finding.verdict, "; ".join(part for part in parts if part))
 
 
