@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from tdgbench.bench import masks
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.failures import message
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.tables import methods
@@ -60,7 +61,7 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
         try:
             shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
-            problems.append(f"{cell.record.title}: {error_text(error)}")
+            problems.append(f"{cell.record.title}: {message(error)}")
     return shown
 
 
@@ -112,12 +113,3 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
-
-
-def error_text(error: Exception) -> str:
-    """Return an error in words, for the page.
-
-    >>> error_text(ValueError("it is a FIFO")), error_text(KeyError("a"))
-    ('it is a FIFO', "KeyError: 'a'")
-    """
-    return str(error) if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {error}"

@@ -35,11 +35,6 @@ class Measure:
     in_main_table: bool = False  # column of the main table
 
     @property
-    def sign(self) -> int:
-        """1 where higher is better, else −1."""
-        return 1 if self.higher_is_better else -1
-
-    @property
     def arrow(self) -> str:
         """The better direction."""
         return "↑" if self.higher_is_better else "↓"

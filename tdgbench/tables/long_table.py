@@ -102,20 +102,6 @@ def split_notes(main: pd.DataFrame) -> list[str]:
     return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
 
 
-def mask_notes(records: Iterable[Record]) -> list[str]:
-    """Return a line with the share of masked test pixels of each scene that has some; none if no scene has.
-
-    >>> lion = Record("tdg", "ThermalMix", "Lion", "colmap", 0, "", "", masked={"train": 0.1, "test": 0.125})
-    >>> mask_notes([lion, Record("tdg", "synthetic", "orbit", "colmap", 0, "", "")])
-    ['test pixels without a thermal value, which no score counts: Lion 12.5 %']
-    """
-    shares = {(r.dataset, r.scene): r.masked["test"] for r in records if r.masked.get("test")}
-    if not shares:
-        return []
-    of_scenes = ", ".join(f"{scene} {100 * share:.1f} %" for (_, scene), share in shares.items())
-    return [f"test pixels without a thermal value, which no score counts: {of_scenes}"]
-
-
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows and their averages per data set and overall; an average over a missing number is n/a."""
     parts = []

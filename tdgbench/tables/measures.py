@@ -107,4 +107,4 @@ def gain(name: str, new: Any, old: Any) -> Any:
     >>> gain("lpips", 0.25, 0.5)
     0.25
     """
-    return MEASURES[name].sign * (new - old)
+    return new - old if MEASURES[name].higher_is_better else old - new

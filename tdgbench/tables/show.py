@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.long_table import initial_points, mask_notes, split_notes
+from tdgbench.tables.long_table import initial_points, split_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, measure
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
@@ -30,8 +30,6 @@ def show_tables(tables: Tables, console: Console) -> None:
         _show_main(tables, console)
         for note in split_notes(tables.main):
             _say(console, note)
-    for note in mask_notes(tables.records):
-        _say(console, note)
     _show_reasons(tables, console)
     show_problems(tables.problems, console)
     if tables.difference is not None:

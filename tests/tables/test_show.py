@@ -41,14 +41,3 @@ def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):
     score, time = r" *[\d.]+ ± [\d.]+ │", r" +\d:\d\d:\d\d "  # the paper has no scores of right halves
     assert all(re.fullmatch(f"{score} +n/a │({score}){{2}}{time}", numbers) for _, numbers in rows)
     assert run.stdout.splitlines()[-1] == "found: 102 of 102 published scores reproduced"
-
-
-def test_masked_test_pixels_are_named_in_one_line(tmp_path):
-    for method in ("tdg", "msmg"):
-        write(tmp_path, method, "Lion", "ThermalMix", masked={"train": 0.2, "test": 0.125})
-        write(tmp_path, method, "Truck", masked={"train": 0.0, "test": 0.0})
-    tables = build_tables(tmp_path)
-    out = StringIO()
-    show_tables(tables, Console(file=out, width=120))
-    assert out.getvalue().count("test pixels without a thermal value, which no score counts: Lion 12.5 %\n") == 1
-    assert not any("masked" in path.read_text() for path in (tmp_path / "tables").glob("*.csv"))

@@ -25,7 +25,6 @@ OF_TABLES: tuple[Check, ...] = (
     main_table.better_scenes,
     main_table.mixed,
     main_table.minutes_saved,
-    main_table.percent_saved,
     main_table.within,
     main_table.ablation_agrees,
     main_table.averages_follow,

@@ -45,7 +45,7 @@ def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
 
 def _gain(new: float, old: float, metric: str) -> float:
     """Return by how many percent the new value is better."""
-    return measures.measure(metric).sign * 100 * (new - old) / old
+    return 100 * measures.gain(metric, new, old) / old
 
 
 def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) -> tuple[float, float]:
@@ -93,15 +93,6 @@ def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
     tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim["minutes"])
     saved = 60 * (old - new)
     return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
-
-
-def percent_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Check that training takes `percent` less time on average."""
-    new, old = _pair(evidence, evidence.overall, HOURS.name)
-    low, high = _gain_range(evidence, HOURS.name, new, old)
-    half = printed_half_unit(claim["percent"])
-    fits = low <= float(claim["percent"]) + half and high >= float(claim["percent"]) - half
-    return Finding(HOLDS if fits else FAILS, f"{_gain(new, old, HOURS.name):.1f} %")
 
 
 def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:

@@ -79,17 +79,9 @@ def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float
     return None if logs.empty else (float(np.exp(logs.iloc[:, 0].mean())), float(np.exp(logs.iloc[:, 1].mean())))
 
 
-def _seconds(cell: Cell, _claim: Claim) -> float | None:
-    return cell.record.seconds.get("train")
-
-
 def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
     done = cell.record.parts.get("thermal")
     return None if done is None else float(sum(done[name] for name in names))  # type: ignore[literal-required]
-
-
-def _gaussians(cell: Cell, _claim: Claim) -> float | None:
-    return cell.record.gaussians.get("thermal")
 
 
 def _metric(metric: str) -> Quantity:
@@ -169,10 +161,14 @@ QUANTITIES: dict[str, Quantity] = {
     "overfit": Quantity("PSNR of training − test views", _of_each(_overfit), digits=2, unit=" dB"),
     "depth_abs_rel": Quantity("depth error", _of_each(partial(_score, metric="depth_abs_rel")), ratio=True),
     "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True),
-    "train_hours": Quantity("training time", _of_each(_seconds), ratio=True, timed=True),
+    "train_hours": Quantity(
+        "training time", _of_each(lambda cell, _: cell.record.seconds.get("train")), ratio=True, timed=True
+    ),
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
-    "gaussians": Quantity("Gaussians at the end", _of_each(_gaussians), ratio=True),
+    "gaussians": Quantity(
+        "Gaussians at the end", _of_each(lambda cell, _: cell.record.gaussians.get("thermal")), ratio=True
+    ),
     "iterations_to_level": Quantity("iterations to the level", partial(time_to_level, column="iteration"), ratio=True),
     "seconds_to_level": Quantity(
         "seconds to the level", partial(time_to_level, column="seconds"), ratio=True, timed=True
