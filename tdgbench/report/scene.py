@@ -17,7 +17,7 @@ from tdgbench.report.figures import any_font, plain
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import measure
+from tdgbench.tables.measures import MEASURES
 
 CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
 
@@ -49,7 +49,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
 
 def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> dict[str, Any]:
     """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
-    psnr, described = cell.record.scores.get("psnr"), measure("psnr")
+    psnr, described = cell.record.scores.get("psnr"), MEASURES["psnr"]
     shown = {
         **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""),
         **dict.fromkeys(("depth_range", "train_views"), "n/a"),

@@ -10,7 +10,7 @@ import pandas as pd
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import initial_points, split_notes
-from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, OVERALL, PUBLISHED, digits, measure
+from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, MEASURES, OVERALL, PUBLISHED, digits
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
@@ -78,7 +78,7 @@ def main_table(rows: pd.DataFrame) -> str:
     heads = [
         f"Dataset & {' & '.join(titles)} \\\\",
         "".join(rules),
-        f" & {' & '.join(measure(metric).latex_column for _ in columns for metric in PUBLISHED)} \\\\",
+        f" & {' & '.join(MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED)} \\\\",
     ]
     lines = []
     single = rows[rows["scene"] != OVERALL]
@@ -104,7 +104,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
     rows: method, init, metric, value, bold, points.
     """
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
-    parts = " & ".join(measure(psnr).images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
+    parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
     for method, group in rows.groupby("method", sort=False):
         lines.append(r"\midrule")

@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL, TRAINING, RecordMeasure, digits, measure
+from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure, digits
 
 SPLITS = {
     "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",
@@ -39,7 +39,7 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """Return the value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, record.why_failed
-    described = measure(metric)
+    described = MEASURES[metric]
     if isinstance(described, RecordMeasure):
         return described.of_record(record), record.missing.get(metric, "")
     if metric in TRAINING:
@@ -127,7 +127,7 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
         [rows["dataset"], rows["scene"], rows["metric"]], sort=False
     ):
         known = group.dropna()
-        best = known.max() if measure(str(metric)).higher_is_better else known.min()
+        best = known.max() if MEASURES[str(metric)].higher_is_better else known.min()
         winners = known.index[known == best]
         if len(known) > 1 and len(winners) == 1:
             rows.loc[winners, "bold"] = True

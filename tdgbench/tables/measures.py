@@ -57,15 +57,6 @@ ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  
 ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
 
 
-def measure(name: str) -> Measure:
-    """Return the description of a number by its name on disk.
-
-    >>> measure("ssim").title, measure("train_psnr").digits
-    ('SSIM ↑', 2)
-    """
-    return MEASURES[name]
-
-
 def digits(name: str, scene: str = "") -> int:
     """Return digits after the decimal point, as the paper prints them: its overall average of SSIM has four.
 

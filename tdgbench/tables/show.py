@@ -11,7 +11,7 @@ from rich.text import Text
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.long_table import initial_points, split_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
@@ -83,7 +83,7 @@ def _show_main(tables: Tables, console: Console) -> None:
     columns = list(dict.fromkeys(main["method"]))
     table = Table("scene", "method")
     for metric in COLUMNS:
-        table.add_column(measure(metric).column, justify="right")
+        table.add_column(MEASURES[metric].column, justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
     for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
         for method in columns:
@@ -100,7 +100,7 @@ def _show_main(tables: Tables, console: Console) -> None:
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:
-    described = [measure(metric) for metric in ABLATION]
+    described = [MEASURES[metric] for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
     table = Table("method", "initial points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
@@ -117,7 +117,7 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 
     Single scenes are in readings.csv and effects.csv.
     """
-    table = Table("method", "iterations", "scene", *(measure(m).column for m in SHOWN))
+    table = Table("method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN))
     for (method, iterations, scene), group in with_setup(widest_average(readings), "method").groupby(
         ["method", "iterations", "scene"], sort=False
     ):
@@ -135,5 +135,5 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 def _show_reasons(tables: Tables, console: Console) -> None:
     missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
     for reason, group in missing.groupby("reason", sort=False):
-        metrics = ", ".join(measure(metric).label for metric in dict.fromkeys(group["metric"]))
+        metrics = ", ".join(MEASURES[metric].label for metric in dict.fromkeys(group["metric"]))
         _say(console, f"n/a ({len(group)} × {metrics}): {reason}")

@@ -1,4 +1,4 @@
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, TRAINING, gain, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, TRAINING, gain
 from tdgbench.tables.published import published_ablation, published_main
 
 
@@ -7,7 +7,7 @@ def test_the_paper_s_columns():
         list(PUBLISHED) == list(dict.fromkeys(published_main()["metric"])) == ["psnr", "ssim", "lpips", "train_hours"]
     )
     assert list(ABLATION[:2]) == list(dict.fromkeys(published_ablation()["metric"]))
-    assert [measure(name).title for name in PUBLISHED] == ["PSNR, dB ↑", "SSIM ↑", "LPIPS ↓", "time, h:mm:ss ↓"]
+    assert [MEASURES[name].title for name in PUBLISHED] == ["PSNR, dB ↑", "SSIM ↑", "LPIPS ↓", "time, h:mm:ss ↓"]
 
 
 def test_the_order_of_rows_on_disk():
@@ -20,9 +20,9 @@ def test_the_order_of_rows_on_disk():
 
 
 def test_headings():
-    hours = measure("train_hours")
+    hours = MEASURES["train_hours"]
     assert (hours.column, hours.latex_column, hours.change) == ("time↓", r"Time [h] $\downarrow$", "time ×")
-    assert measure("psnr").change == "PSNR, dB" and measure("ssim").latex_column == r"SSIM $\uparrow$"
+    assert MEASURES["psnr"].change == "PSNR, dB" and MEASURES["ssim"].latex_column == r"SSIM $\uparrow$"
 
 
 def test_a_gain_is_positive_where_it_is_better():

@@ -32,10 +32,8 @@ def _pair(evidence: ClaimEvidence, scene: str, metric: str) -> tuple[float, floa
     return new, old
 
 
-def _labels() -> tuple[str, str]:
-    """Return the paper's method and its baseline, as they are printed."""
-    new, old = (methods.label(method) for method in methods.paper_pair())
-    return new, old
+def _label() -> str:
+    return methods.label(methods.paper_pair().method)
 
 
 def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
@@ -83,7 +81,10 @@ def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
-    return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_labels()[0]} is better by {grounds}")
+    return Finding(
+        FAILS if min(gains.values()) <= 0 else HOLDS,
+        f"{_label()} is better by {grounds}",
+    )
 
 
 def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -131,7 +132,7 @@ def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     better, equal, total = _wins(claim, evidence)
     worse = total - len(better) - len(equal)
     counts = f"better in {len(better)}, worse in {worse}, equal in {len(equal)}"
-    return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_labels()[0]} is {counts}")
+    return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_label()} is {counts}")
 
 
 def within(claim: Claim, evidence: ClaimEvidence) -> Finding:

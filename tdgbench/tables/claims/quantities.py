@@ -15,7 +15,7 @@ import pandas as pd
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import Claim
-from tdgbench.tables.measures import measure
+from tdgbench.tables.measures import MEASURES
 
 OneOf = Callable[[Cell, Claim], float | None]
 PairOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
@@ -85,7 +85,7 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
 
 
 def _metric(metric: str) -> Quantity:
-    described, of = measure(metric), _of_each(partial(_score, metric=metric))
+    described, of = MEASURES[metric], _of_each(partial(_score, metric=metric))
     places = described.digits if described.unit else 4
     return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
