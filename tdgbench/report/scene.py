@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tdgbench.bench import masks
+from tdgbench.bench import colours, masks
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.failures import message
 from tdgbench.report import views
@@ -40,7 +40,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "methods": shown,
         "masked": masks.masked_in_words(record.masked),
         "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
-        "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
+        "ramp": views.embedded(colours.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), colours.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
         "curves": curves_as_svg(cells, problems),
         "problems": problems,
@@ -68,9 +68,9 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
 def _pictures(folder: Path, view: str) -> dict[str, Any]:
     stored = views.stored_view(folder, view)
     pictures = {
-        "truth": views.grayed(views.in_colour(stored.truth), stored.valid),
-        "render": views.in_colour(stored.render),
-        "error": views.colored(stored.error, views.ERROR, 0, views.ERROR_RANGE),
+        "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
+        "render": colours.in_colour(stored.render),
+        "error": colours.colored(stored.error, views.ERROR, 0, views.ERROR_RANGE),
     }
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
@@ -82,9 +82,9 @@ def _depth(folder: Path, view: str) -> dict[str, Any]:
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
-        "depth": views.embedded(views.colored(depth, views.DEPTH, low, high)),
+        "depth": views.embedded(colours.colored(depth, views.DEPTH, low, high)),
         "depth_range": f"{low:.3g} to {high:.3g}",
-        "coverage": views.embedded(views.colored(covered, views.COVERAGE, 0, len(others))),
+        "coverage": views.embedded(colours.colored(covered, views.COVERAGE, 0, len(others))),
         "train_views": len(others),
     }
 

@@ -5,30 +5,24 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
-import torch
 from PIL import Image
 
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.colours import UNKNOWN, expected_depth
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scenes import Camera
 from tdgbench.splats.ply import load_ply
-from tdgbench.splats.view import Render
 
 FILES = files_of("thermal")  # the report shows thermal images
-THERMAL, ERROR, DEPTH, COVERAGE = "inferno", "magma", "viridis", "cividis"
+ERROR, DEPTH, COVERAGE = "magma", "viridis", "cividis"
 ERROR_RANGE = 0.15  # upper end of the colour scale of errors
-MIN_ALPHA = 0.5  # below, a pixel shows no surface
-UNKNOWN = 128  # gray of pixels without a value
-LEVELS = 256
 
 
 class StoredView(NamedTuple):
@@ -49,39 +43,11 @@ def middle_view(folders: Iterable[Path]) -> str:
     return names[len(names) // 2] if names else ""
 
 
-@cache
-def lookup_table(name: str) -> np.ndarray:
-    """Return the colours (256, 3) uint8 of one of matplotlib's colour maps."""
-    return (matplotlib.colormaps[name](np.linspace(0, 1, LEVELS))[:, :3] * 255 + 0.5).astype(np.uint8)
-
-
-def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
-    """Return values (H, W) in a perceptual colour map from `low` to `high`: (H, W, 3) uint8; gray where they are NaN.
-
-    >>> colored(np.array([[-1.0, 0.5, 2.0, np.nan]], np.float32), "gray", 0, 1)[0, :, 0].tolist()
-    [0, 128, 255, 128]
-    """
-    scaled = np.asarray(values, np.float32) - np.float32(low)
-    scaled *= np.float32(LEVELS / max(high - low, 1e-12))
-    np.clip(scaled, 0, LEVELS - 1, out=scaled)
-    unknown = np.isnan(scaled) if np.isnan(scaled.sum()) else None
-    with np.errstate(invalid="ignore"):
-        picture = lookup_table(name).take(scaled.astype(np.uint8), axis=0)
-    if unknown is not None:
-        picture[unknown] = UNKNOWN
-    return picture
-
-
 def embedded(pixels: np.ndarray) -> str:
     """Return a picture (H, W, 3) uint8 as a data URI."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def in_colour(picture: np.ndarray) -> np.ndarray:
-    """Return a stored picture (H, W, 1 or 3) uint8 in colour, (H, W, 3)."""
-    return picture if picture.shape[2] == 3 else lookup_table(THERMAL)[picture[..., 0]]
 
 
 def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
@@ -104,11 +70,6 @@ def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
     camera = read_cameras(folder)["test"][view]
     gaussians = load_ply(folder / FILES.model)
     return expected_depth(render_model(gaussians, camera, depth=True)), camera
-
-
-def expected_depth(render: Render) -> np.ndarray:
-    """Return the expected z (H, W) of a render with depth, NaN where there is no surface."""
-    return torch.where(render.alpha > MIN_ALPHA, render.requested_depth / render.alpha, torch.nan).numpy()
 
 
 def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:

@@ -10,7 +10,7 @@ import viser
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from tdgbench.report.views import in_colour
+from tdgbench.bench.colours import in_colour
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import ViewedCell
 

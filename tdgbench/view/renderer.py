@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from tdgbench.bench.colours import colored, expected_depth
 from tdgbench.bench.renders import background_of
-from tdgbench.report.views import colored, expected_depth
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import to_8bit
