@@ -27,7 +27,8 @@ from tdgbench.scenes.synthetic.drifting import drifting, in_degC
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
-from tdgbench.thermal.accuracy import normalized_truth
+from tdgbench.thermal.camera import normalized_truth
+from tdgbench.thermal.maps import evaluate, line_map
 
 BOUNDS = {"offset": 0.1, "gain": 0.02, "vignette": 0.2, "clean": 0.02}  # °C; of gains, a share of 1
 
@@ -48,8 +49,8 @@ def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
     return ThermalCameraErrors(
         camera.offsets - true.response.offsets,
         camera.gains - true.response.gains,
-        camera.map(width, height) - true.vignette,
-        camera.pattern(width, height) - true.pattern,
+        evaluate(camera.vignette, width, height) - true.vignette,
+        line_map(camera.columns, camera.rows, width, height) - true.pattern,
     )
 
 
@@ -131,7 +132,7 @@ def _drifting(
     """Errors of the estimate of a camera; true and estimated numbers of each view. own: what drifted before."""
     scene, truth = drifting(clean, errors, seed)
     if own is not None:
-        vignette = truth.camera.vignette + own.map(*reversed(truth.camera.vignette.shape))
+        vignette = truth.camera.vignette + evaluate(own.vignette, *reversed(truth.camera.vignette.shape))
         truth = replace(truth, camera=replace(truth.camera, vignette=vignette))
     start = time.perf_counter()
     camera = _estimated(scene)

@@ -224,11 +224,9 @@ class CellRun(SetupObserver):
             record.notes.append(f"backend: {auto().line}")
 
     def _describe_images(self, scene: Scene) -> None:
-        """Put the temperature range and the contrast of the images into the record. scene: as it is scored."""
-        span, contrast = scene.temperature, self.cfg.contrast.training
+        """Put the temperature range of the images into the record. scene: as it is scored."""
+        span = scene.temperature
         self.record.temperature_range = None if span is None or scene.channels != 1 else [span.min, span.max]
-        if contrast != "none":
-            self.record.notes.append(f"contrast: images are trained on and scored with contrast.training={contrast}")
 
     def _describe_training(self, trained: TrainedCell, skips: Skips) -> None:
         """Put facts about the finished training into the record."""

@@ -31,7 +31,6 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "metrics": metrics,
         "skip": plain["skip"],
         "thermal_camera": plain["thermal_camera"],
-        "contrast": plain["contrast"],
         "seed": plain["seed"],
     }
 

@@ -21,7 +21,6 @@ from tdgbench.bench.signature import (
     pydantic_problems,
     signature_problems,
 )
-from tdgbench.scenes.options import Contrast
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
 from tdgbench.training.skips import RULES, SWITCHES
@@ -185,10 +184,6 @@ class _Data(_Group):
     fillers: Any
 
 
-class _Contrast(_Group):
-    training: Contrast
-
-
 class _Options(_Group):
     """`conf/config.yaml`."""
 
@@ -201,7 +196,6 @@ class _Options(_Group):
     metrics: dict[str, Any]
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
     thermal_camera: _ThermalCamera
-    contrast: _Contrast
     study: dict[str, Any]
     name: Annotated[str, AfterValidator(_folder_name)]
     table: Literal["main", "ablation", "readings"]

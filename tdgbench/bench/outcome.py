@@ -76,7 +76,7 @@ def scores_in_words(record: Record) -> str:
     parts = []
     for name, metric in METRICS.items():
         value = record.scores.get(name)
-        if metric.published:
+        if metric.in_main_table:
             parts.append(f"{metric.label} " + ("n/a" if value is None else f"{value:.{metric.digits}f}{metric.suffix}"))
     made = record.made_elsewhere
     return ", ".join([*parts, made["summary"] if made else f"trained in {duration(record.seconds['train'])}"])

@@ -17,8 +17,6 @@ from tdgbench.bench.init import InitialPoints
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
-from tdgbench.thermal.contrast import with_contrast
-from tdgbench.thermal.correct import in_one_range
 from tdgbench.thermal.maps import evaluate
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
@@ -70,7 +68,7 @@ def set_up(
     observer: SetupObserver | None = None,
     compiles: bool = True,
 ) -> Training:
-    """Make a method ready to train on a scene, whose images `thermal_camera` and `contrast` change first.
+    """Make a method ready to train on a scene, whose training images `thermal_camera` corrects first.
 
     method: instance to set up, by default the configured one. skips: by default all are allowed. prior_cache: folder
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
@@ -88,12 +86,11 @@ def set_up(
         raise SceneError(
             f"thermal_camera= changes what is trained on, and {method.name} does not train; use thermal_camera=ideal"
         )
-    scored, is_changed = scene, cfg.contrast.training != "none"
-    corrected_scene, response = _correct_thermal_camera(scene, thermal_camera, is_changed, observer)
-    scene = with_contrast(corrected_scene, cfg.contrast.training)  # what it cannot change fails before priors
+    scored = scene
+    scene, response = _correct_thermal_camera(scene, thermal_camera, observer)
     priors = {}
     if method.needs_prior:
-        priors = _estimate_priors(cfg, corrected_scene, skips, prior_cache, observer)
+        priors = _estimate_priors(cfg, scene, skips, prior_cache, observer)
     backend = training_backend(cfg.backend.name)
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
@@ -113,7 +110,7 @@ def set_up(
     context.learns_rig = trial.pays if thermal_camera.rig == "auto" else thermal_camera.rig
     with observer.phase("init"):
         trainer = Trainer(method, context)
-    return Training(trainer, scene if is_changed else scored, response)
+    return Training(trainer, scored, response)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
@@ -155,12 +152,11 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
 
 
 def _correct_thermal_camera(
-    scene: Scene, options: ThermalCameraOptions, contrast_changes: bool, observer: SetupObserver
+    scene: Scene, options: ThermalCameraOptions, observer: SetupObserver
 ) -> tuple[Scene, ImageResponse]:
     """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
 
-    Where the camera cannot be estimated, images stay as they are. Where the contrast is changed as well, renders are
-    those of an ideal camera: the camera never showed such images.
+    Where the camera cannot be estimated, images stay as they are.
     """
     if not options.estimate:
         return scene, IDEAL
@@ -172,8 +168,6 @@ def _correct_thermal_camera(
         else:
             scene, response = corrected(scene, estimate)
             facts, notes = _estimated(estimate), list(scene.notes[before:])
-        if contrast_changes:
-            scene, response = in_one_range(scene, response), IDEAL
     if response != IDEAL:
         facts["response"] = response.as_json()
     observer.note("thermal_camera", {"estimated": facts}, [f"thermal camera: {note}" for note in notes])

@@ -33,8 +33,7 @@ from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import say
-from tdgbench.thermal.accuracy import normalized_truth
-from tdgbench.thermal.camera import ViewResponses, normalized
+from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate
 
 SCORES = (

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tdgbench.bench import masks
+from tdgbench.bench import colours, masks
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.failures import message
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import measure
+from tdgbench.tables.measures import MEASURES
 
 CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
 
@@ -39,7 +40,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "methods": shown,
         "masked": masks.masked_in_words(record.masked),
         "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
-        "ramp": views.embedded(views.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), views.THERMAL, 0, 1)),
+        "ramp": views.embedded(colours.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), colours.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
         "curves": curves_as_svg(cells, problems),
         "problems": problems,
@@ -48,7 +49,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
 
 def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> dict[str, Any]:
     """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
-    psnr, described = cell.record.scores.get("psnr"), measure("psnr")
+    psnr, described = cell.record.scores.get("psnr"), MEASURES["psnr"]
     shown = {
         **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""),
         **dict.fromkeys(("depth_range", "train_views"), "n/a"),
@@ -60,16 +61,17 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
         try:
             shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
-            problems.append(f"{cell.record.title}: {error_text(error)}")
+            problems.append(f"{cell.record.title}: {message(error)}")
     return shown
 
 
 def _pictures(folder: Path, view: str) -> dict[str, Any]:
-    truth_picture, truth = views.thermal_picture(folder / views.FILES.targets / f"{view}.png")
-    picture, image = views.thermal_picture(folder / views.FILES.renders / f"{view}.png")
-    valid = views.stored_mask(folder, view, truth.shape)
-    error = views.colored(views.error_map(image, truth, valid), views.ERROR, 0, views.ERROR_RANGE)
-    pictures = {"truth": views.grayed(truth_picture, valid), "render": picture, "error": error}
+    stored = views.stored_view(folder, view)
+    pictures = {
+        "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
+        "render": colours.in_colour(stored.render),
+        "error": colours.colored(stored.error, views.ERROR, 0, views.ERROR_RANGE),
+    }
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
 
@@ -80,9 +82,9 @@ def _depth(folder: Path, view: str) -> dict[str, Any]:
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
-        "depth": views.embedded(views.colored(depth, views.DEPTH, low, high)),
+        "depth": views.embedded(colours.colored(depth, views.DEPTH, low, high)),
         "depth_range": f"{low:.3g} to {high:.3g}",
-        "coverage": views.embedded(views.colored(covered, views.COVERAGE, 0, len(others))),
+        "coverage": views.embedded(colours.colored(covered, views.COVERAGE, 0, len(others))),
         "train_views": len(others),
     }
 
@@ -111,12 +113,3 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
-
-
-def error_text(error: Exception) -> str:
-    """Return an error in words, for the page.
-
-    >>> error_text(ValueError("it is a FIFO")), error_text(KeyError("a"))
-    ('it is a FIFO', "KeyError: 'a'")
-    """
-    return str(error) if isinstance(error, (ValueError, OSError)) else f"{type(error).__name__}: {error}"

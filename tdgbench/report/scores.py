@@ -14,7 +14,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import initial_points, split_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits, measure
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
 SOURCES = {  # of depth priors, in words
@@ -84,7 +84,7 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
     known = judged[judged["difference"].notna()]
     verdicts = [
         {
-            "metric": measure(str(metric)).title,
+            "metric": MEASURES[str(metric)].title,
             "margin": f"{margins[str(metric)]:g}",
             "counts": verdicts_in_words(group),
         }
@@ -105,7 +105,7 @@ def _papers(papers: pd.DataFrame) -> dict[str, Any]:
             cells.append({"text": "n/a" if row is None else row["values"], "spread": spread})
         rows.append({"head": [dataset, LABELS.get(str(scene), scene), methods.label(str(method))], "cells": cells})
     notes = [note for note in dict.fromkeys(papers["note"]) if note]
-    return {"metrics": [measure(metric).title for metric in metrics], "rows": rows, "notes": notes}
+    return {"metrics": [MEASURES[metric].title for metric in metrics], "rows": rows, "notes": notes}
 
 
 def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...
         keys = [(method, dataset, scene_name, metric) for metric in metrics]
         cells = [_number(values[key], published.get(key)) for key in keys]
         rows.append({"head": [dataset, scene_name, methods.label(method)], "cells": cells})
-    return {"heads": ["data set", "scene", "method"], "metrics": [measure(m).title for m in metrics], "rows": rows}
+    return {"heads": ["data set", "scene", "method"], "metrics": [MEASURES[m].title for m in metrics], "rows": rows}
 
 
 def _ablation(tables: Tables) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _ablation(tables: Tables) -> dict[str, Any]:
         by_metric = {row.metric: row for row in group.itertuples()}
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in ABLATION]
         rows.append({"head": [methods.label(str(method)), init], "cells": cells})
-    titles = [measure(m).title for m in ABLATION]
+    titles = [MEASURES[m].title for m in ABLATION]
     notes = initial_points(tables.main)
     return {"heads": ["method", "initial points"], "metrics": titles, "rows": rows, "notes": notes}
 

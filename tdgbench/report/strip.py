@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tdgbench.bench.colours import in_colour
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, FILES, THERMAL, error_map, middle_view, stored_mask
+from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view, stored_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 
@@ -49,14 +48,14 @@ def draw_cell(axes: tuple[Axes, Axes, Axes], record: Record, folder: Path, name:
     title = f"{plain(record.method)} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
     on_render.set_title(title, fontsize=8)
     try:
-        truth, render, error = _pictures(folder)
+        stored = stored_view(folder, middle_view([folder]))
     except (OSError, ValueError):
         on_render.set_title(f"{title}: picture n/a", fontsize=8)
         return
-    on_truth.imshow(truth, vmin=0, vmax=1, cmap=THERMAL)
+    on_truth.imshow(grayed(in_colour(stored.truth), stored.valid))
     on_truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
-    on_render.imshow(render, vmin=0, vmax=1, cmap=THERMAL)
-    on_error.imshow(error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
+    on_render.imshow(in_colour(stored.render))
+    on_error.imshow(stored.error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
     on_error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", fontsize=8)
 
 
@@ -68,19 +67,3 @@ def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str
     'orbit (folder)'
     """
     return f"{place[1]} ({place[2]})" if len({split for *_, split in places}) > 1 else place[1]
-
-
-def _pictures(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return ground truth, render and error of a cell's middle test view; masked pixels are white.
-
-    Raises ValueError where a picture is missing or unusable.
-    """
-    view = middle_view([folder])
-    truth, image = (read_picture(folder / sub / f"{view}.png") / 255 for sub in (FILES.targets, FILES.renders))
-    if truth.shape != image.shape:
-        raise ValueError(f"{folder}: {FILES.targets} and {FILES.renders} of {view} differ in size")
-    valid = stored_mask(folder, view, truth.shape)
-    error = error_map(image, truth, valid)
-    if valid is not None:
-        truth[~valid] = np.nan if truth.shape[2] == 1 else 1.0
-    return truth.squeeze(), image.squeeze(), error

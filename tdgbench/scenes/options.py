@@ -13,7 +13,6 @@ WIDEST = 16384  # px, of resized images
 Split = Literal["eighty_twenty", "every_8th", "folder"]
 SPLITS: tuple[str, ...] = get_args(Split)
 FolderPath = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$")]  # of a data set; no control characters
-Contrast = Literal["none", "percentile", "sequence", "clahe", "bbhe", "cdf"]  # `tdgbench.thermal.contrast`
 DegC = Annotated[float, Field(ge=-273.15, le=1e5)]
 
 

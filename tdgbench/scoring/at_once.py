@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -22,20 +23,10 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
     pixels: of the largest view; it limits the views in memory. torch uses one thread per view. An exception of the
     function is raised.
     """
-    results: dict[int, R] = {}
-    waiting = iter(enumerate(views))
-
-    def work() -> None:
-        torch.set_num_threads(1)  # a setting of each thread
-        for number, view in waiting:
-            results[number] = function(view)
-
     in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
-    workers = min(in_memory, pool.get_threads(), len(views))
-    if workers > 0:
-        with one_torch_thread():
-            pool.run(work, [()] * workers)
-    return [results[number] for number in range(len(views))]
+    workers = max(1, min(in_memory, pool.get_threads(), len(views)))
+    with one_torch_thread(), ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
+        return list(executor.map(function, views))
 
 
 @contextmanager

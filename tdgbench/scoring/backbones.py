@@ -26,14 +26,13 @@ class TrunkSpec:
 
     file: str  # in torch's cache and hub
     ends: tuple[int, ...]  # numbers of layers before each set of features
-    channels: tuple[int, ...]
 
 
 HUB = "https://download.pytorch.org/models/"
 SPECS = {
-    "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30), (64, 128, 256, 512, 512)),
-    "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12), (64, 192, 384, 256, 256)),
-    "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13), (64, 128, 256, 384, 384, 512, 512)),
+    "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30)),
+    "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12)),
+    "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13)),
 }
 
 

@@ -1,16 +1,71 @@
-"""Base classes of metrics: a description, and a function of one rendered test view."""
+"""Numbers that tables print, and metrics: a number's description, and a function of one rendered test view."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 from tdgbench.scenes.modalities import LABELS, THERMAL
-from tdgbench.scoring.measure import Measure
 from tdgbench.scoring.scored_view import ImagePair, ScoredView
 
 AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """One number of a cell, as tables, LaTeX, terminal, report, statistics, verdicts and claims describe it.
+
+    >>> Measure(name="psnr", label="PSNR", unit="dB", digits=2, higher_is_better=True).title
+    'PSNR, dB ↑'
+    """
+
+    name: str  # column or key on disk
+    label: str  # in print
+    meaning: str = ""  # one line for the report
+    digits: int = 3  # after the decimal point
+    overall_digits: int | None = None  # of the average over all scenes; None: `digits`
+    unit: str = ""
+    higher_is_better: bool = False
+    limits: tuple[float, float] = (0.0, math.inf)
+    images: str = ""  # the images that the number is of; empty: thermal test views
+    latex: str = ""  # label in LaTeX; empty: `label`
+    ratio: bool = False  # two values are compared by their ratio, else by their difference
+    in_main_table: bool = False  # column of the main table
+
+    @property
+    def arrow(self) -> str:
+        """The better direction."""
+        return "↑" if self.higher_is_better else "↓"
+
+    @property
+    def suffix(self) -> str:
+        """The unit, ready to follow a number."""
+        return f" {self.unit}" if self.unit else ""
+
+    @property
+    def column(self) -> str:
+        """Heading on the terminal."""
+        return self.label + self.arrow
+
+    @property
+    def title(self) -> str:
+        """Heading in the report."""
+        name = f"{self.label} of the {self.images}" if self.images else self.label
+        return f"{name}{f', {self.unit}' if self.unit else ''} {self.arrow}"
+
+    @property
+    def latex_column(self) -> str:
+        """Heading in LaTeX."""
+        return rf"{self.latex or self.label} $\{'uparrow' if self.higher_is_better else 'downarrow'}$"
+
+    @property
+    def change(self) -> str:
+        """Heading of a column of changes."""
+        if self.ratio:
+            return f"{self.label} ×"
+        return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +101,13 @@ class ImageMetric(Metric):
         return replace(
             self, name=metric_name(self.name, modality), images=f"{label} model", modality=modality,
             order=self.order + AFTER_THERMAL, needs=f"{label} model of the method, {label} test images",
-            of_every_modality=False, published=False, on_training_views=False,
+            of_every_modality=False, in_main_table=False, on_training_views=False,
         )  # fmt: skip
 
     def of_training_views(self) -> Measure:
         """Return the description of the mean over the training views."""
         described = {field.name: getattr(self, field.name) for field in fields(Measure)}
-        return Measure(**described | {"name": f"train_{self.name}", "images": "training views", "published": False})
+        return Measure(**described | {"name": f"train_{self.name}", "images": "training views", "in_main_table": False})
 
 
 @dataclass(frozen=True, kw_only=True)

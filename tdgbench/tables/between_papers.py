@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.tables.long_table import with_averages
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, digits, gain
 from tdgbench.tables.methods import paper_pair
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
 
@@ -52,38 +52,30 @@ def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     return merged
 
 
-def against_others(main: pd.DataFrame) -> pd.DataFrame:
-    """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
-    std, seeds, difference (ours − published). Averages are left out: papers average over different scenes.
+def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
+    """Return the paper's average gain over its baseline against the spread between papers on the baseline, in words.
+
+    main: a main table. Empty where the table has no gain, or lacks the scenes that papers share, over which both are
+    compared.
     """
-    others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
-    ours = main[[*PLACE, "value", "std", "seeds"]].rename(columns={"value": "ours"})
-    merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
-    return merged.assign(difference=merged["ours"] - merged["published"])
-
-
-def gain_against_spread(main: pd.DataFrame, metrics: list[str], over: str) -> str:
-    """Return the paper's gains over its baseline against the spread between papers on the baseline, in words.
-
-    main: a main table. over: `overall` (the average gain) or `scenes` (every scene's). Empty where the table has no
-    gain, or lacks the scenes that papers share.
-    """
-    if over not in ("overall", "scenes"):
-        raise ValueError(f"a claim's gain is over {over!r}; it must be overall or scenes")
     spreads = between_papers()
     sentences = []
     for metric in metrics:
         group = spreads[(spreads["method"] == paper_pair().baseline) & (spreads["metric"] == metric)]
-        if group.empty:  # hours, for one: only one paper prints them
+        gains, places = _gains(main, metric), group.loc[group["scene"] != SHARED, "scene"]
+        # of hours, for one, there is no spread: only one paper prints them
+        if group.empty or not set(places) <= set(gains.index) or not gains.get(OVERALL, np.nan) > 0:
             continue
-        gains, places = _gains(main, metric), group[group["scene"] != SHARED]
-        if not set(places["scene"]) <= set(gains.index):
-            continue
-        if over == "overall":
-            sentences.append(_overall(gains, group, metric))
-        else:
-            sentences.append(_by_scene(gains, places, metric))
-    return "; ".join(text for text in sentences if text)
+        shared = group[group["scene"] == SHARED].iloc[0]
+        mean = gains.reindex(places).mean()
+        numbers = (gains[OVERALL], mean, shared.spread)
+        total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{MEASURES[metric].suffix}" for value in numbers)
+        compared = "larger than" if mean > shared.spread else "smaller than"
+        sentences.append(
+            f"the gain in {metric} is {total}; over the {shared.scenes} scenes that papers share it is {there}, "
+            f"{'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
+        )
+    return "; ".join(sentences)
 
 
 def check_averages(table: pd.DataFrame) -> pd.DataFrame:
@@ -140,33 +132,3 @@ def _gains(main: pd.DataFrame, metric: str) -> pd.Series:
     if not set(pair) <= set(wide):
         return pd.Series(dtype=float)
     return gain(metric, wide[pair.method], wide[pair.baseline]).dropna()
-
-
-def _overall(gains: pd.Series, group: pd.DataFrame, metric: str) -> str:
-    """Return the average gain, and that over the scenes that papers share, which alone compares with the spread."""
-    if not gains.get(OVERALL, np.nan) > 0:
-        return ""
-    shared = group[group["scene"] == SHARED].iloc[0]
-    mean = gains.reindex(group.loc[group["scene"] != SHARED, "scene"]).mean()
-    numbers = (gains[OVERALL], mean, shared.spread)
-    total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{measure(metric).suffix}" for value in numbers)
-    return (
-        f"the gain in {metric} is {total}; over the {shared.scenes} scenes that papers share it is {there}, "
-        f"{_compared(mean, shared.spread)} the {spread} between papers"
-    )
-
-
-def _by_scene(gains: pd.Series, places: pd.DataFrame, metric: str) -> str:
-    spread = places.set_index("scene")["spread"]
-    shared = gains.reindex(spread.index)
-    widest, form, unit = spread.idxmax(), f".{digits(metric)}f", measure(metric).suffix
-    return (
-        f"{metric}: {int((shared > spread).sum())} of {len(spread)} gains are larger than the spread between papers "
-        f"({widest}: gain {shared[widest]:+{form}}{unit}, spread {spread[widest]:{form}}{unit})"
-    )
-
-
-def _compared(value: float, spread: float) -> str:
-    if np.isclose(value, spread):
-        return "equal to"
-    return "larger than" if value > spread else "smaller than"

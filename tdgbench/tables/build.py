@@ -17,7 +17,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
-from tdgbench.tables.between_papers import against_others, between_papers, with_other_papers
+from tdgbench.tables.between_papers import between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_splits
@@ -25,7 +25,7 @@ from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
-from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
+from tdgbench.tables.statistics import MethodComparison, intervals, over_seeds, paired_tests, speed_table
 from tdgbench.tables.verdicts import ScoreVerdict, verdict
 
 INITS = ("random", "colmap")  # of the paper's Table 2
@@ -71,7 +71,9 @@ def _main(results: Results, experiment: Path) -> Tables:
     main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-    comparisons = [compare_methods(main, pair) for pair in methods.pairs()]
+    comparisons = [
+        MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in methods.pairs()
+    ]
     cells = reading_cells(records) if plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
@@ -105,8 +107,6 @@ def _write(tables: Tables) -> None:
         files["difference.csv"] = to_csv(tables.difference)
     if tables.papers is not None:
         files["between_papers.csv"] = to_csv(tables.papers)
-        if tables.kind != "ablation":
-            files["others.csv"] = to_csv(against_others(tables.main))
     for pair, paired, speed in tables.comparisons:
         suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
         files |= {f"{name}{suffix}.csv": to_csv(t) for name, t in (("paired", paired), ("speed", speed)) if not t.empty}

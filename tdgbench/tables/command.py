@@ -13,14 +13,13 @@ import pandas as pd
 
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.between_papers import between_papers
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.claims import check_all, load_claims
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show_claims, show_findings, show_papers, show_problems, show_tables
+from tdgbench.tables.show import show_claims, show_findings, show_problems, show_tables
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -51,7 +50,6 @@ def _claims(experiments: list[Path]) -> int:
     except (ValueError, OSError) as error:
         return _refused(error)
     show_claims(claims, console())
-    show_papers(between_papers(), console())
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems, console())
     show_findings(claims_in_words(claims))

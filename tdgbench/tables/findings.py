@@ -14,7 +14,7 @@ from tdgbench.tables.claims import THE_PAPER
 from tdgbench.tables.claims.evidence import FAILS, HOLDS
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.long_table import NO_RECORD
-from tdgbench.tables.measures import ABLATION, AVERAGE, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text, measure
+from tdgbench.tables.measures import ABLATION, AVERAGE, MEASURES, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
@@ -103,7 +103,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[st
         yield f"{method} against {baseline}: {_why_not(both, 'no scene has results of both')}"
         return
     counts = [
-        f"{row.better} of {row.scenes}{' scenes' * (row is rows[0])} in {measure(row.metric).label}{_p(row.p)}"
+        f"{row.better} of {row.scenes}{' scenes' * (row is rows[0])} in {MEASURES[row.metric].label}{_p(row.p)}"
         for row in rows
     ]
     notes = ["p: Wilcoxon's signed-rank test over the scenes"] if any(_p(row.p) for row in rows) else []
@@ -128,7 +128,7 @@ def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
     known = widest_average(both).dropna(subset="value")
     texts = {(r.method, r.metric): as_text(r.metric, r.value, r.scene) for r in known.itertuples()}
     parts = [
-        f"{measure(metric).label} {texts[pair.method, metric]} against {texts[pair.baseline, metric]}"
+        f"{MEASURES[metric].label} {texts[pair.method, metric]} against {texts[pair.baseline, metric]}"
         for metric in PUBLISHED
         if {(method, metric) for method in pair} <= set(texts)
     ]
@@ -144,7 +144,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
             values = group[group["metric"] == metric].dropna(subset="value").sort_values("value", ascending=False)
             if len(values):
                 texts = (f"{as_text(metric, r.value, OVERALL)} with {r.init}" for r in values.itertuples())
-                parts.append(f"{measure(metric).label} {', '.join(texts)}")
+                parts.append(f"{MEASURES[metric].label} {', '.join(texts)}")
         label = methods.label(str(method))
         what = f", best points first: {'; '.join(parts)}" if parts else f": {_why_not(group, 'scenes lack results')}"
         yield f"{label}{what}"
@@ -155,7 +155,7 @@ def _effects(effects: pd.DataFrame) -> Iterable[str]:
     metric = PUBLISHED_SCORES[0]
     rows = with_setup(widest_average(effects), "effect")
     rows = rows[rows["metric"] == metric]
-    label = measure(metric).change
+    label = MEASURES[metric].change
     for words, chosen in (
         (f"{label}, rises with", rows["ci95_low"] > 0),
         (f"{label}, falls with", rows["ci95_high"] < 0),

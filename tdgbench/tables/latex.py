@@ -10,7 +10,7 @@ import pandas as pd
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import initial_points, split_notes
-from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, OVERALL, PUBLISHED, digits, measure
+from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, MEASURES, OVERALL, PUBLISHED, digits
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
@@ -43,11 +43,6 @@ def _escaped(c: str) -> str:
     return " " if c.isspace() else rf"\texttt{{U+{ord(c):04X}}}"
 
 
-def comment(text: str) -> str:
-    """Return a line of LaTeX that is not printed."""
-    return f"% {one_line(text)}"
-
-
 def tabular(columns: str, heads: Sequence[str], body: Sequence[str], notes: Sequence[str] = ()) -> str:
     r"""Return a `tabular`, which needs the package booktabs. heads, body: lines. notes: comments before it.
 
@@ -61,7 +56,7 @@ def tabular(columns: str, heads: Sequence[str], body: Sequence[str], notes: Sequ
     \end{tabular}
     """
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
-    lines = [*map(comment, notes), *begin, *heads, *body, r"\bottomrule", r"\end{tabular}", ""]
+    lines = [*(f"% {one_line(note)}" for note in notes), *begin, *heads, *body, r"\bottomrule", r"\end{tabular}", ""]
     return "\n".join(lines)
 
 
@@ -78,12 +73,12 @@ def main_table(rows: pd.DataFrame) -> str:
         return f"{label} & {' & '.join(values)} \\\\"
 
     width, per_method = 1 + len(columns) * len(PUBLISHED), len(PUBLISHED)
-    titles = [rf"\multicolumn{{{per_method}}}{{c}}{{{_method(m)}}}" for m in columns]
+    titles = [rf"\multicolumn{{{per_method}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
     rules = [rf"\cmidrule(lr){{{2 + i * per_method}-{1 + (i + 1) * per_method}}}" for i in range(len(columns))]
     heads = [
         f"Dataset & {' & '.join(titles)} \\\\",
         "".join(rules),
-        f" & {' & '.join(measure(metric).latex_column for _ in columns for metric in PUBLISHED)} \\\\",
+        f" & {' & '.join(MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED)} \\\\",
     ]
     lines = []
     single = rows[rows["scene"] != OVERALL]
@@ -109,7 +104,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
     rows: method, init, metric, value, bold, points.
     """
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
-    parts = " & ".join(measure(psnr).images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
+    parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
     for method, group in rows.groupby("method", sort=False):
         lines.append(r"\midrule")
@@ -119,7 +114,7 @@ def ablation_table(rows: pd.DataFrame) -> str:
             random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
             pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
-            lines.append(f"{_method(str(method))} & {marks} & {pairs} \\\\")
+            lines.append(f"{escape(methods.label(str(method)))} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
     return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(rows))
 
@@ -128,10 +123,6 @@ def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:
     """Return PSNR / SSIM of a model and its views; bold if either is best."""
     text = " / ".join(_number(values.loc[name, "value"], digits(name, OVERALL), False) for name in names)
     return rf"\textbf{{{text}}}" if bool(values.loc[list(names), "bold"].any()) else text
-
-
-def _method(column: str) -> str:
-    return escape(methods.label(column))
 
 
 def _number(value: float, places: int, bold: bool) -> str:

@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL, TRAINING, RecordMeasure, digits, measure
+from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure, digits
 
 SPLITS = {
     "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",
@@ -39,7 +39,7 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """Return the value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, record.why_failed
-    described = measure(metric)
+    described = MEASURES[metric]
     if isinstance(described, RecordMeasure):
         return described.of_record(record), record.missing.get(metric, "")
     if metric in TRAINING:
@@ -102,20 +102,6 @@ def split_notes(main: pd.DataFrame) -> list[str]:
     return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
 
 
-def mask_notes(records: Iterable[Record]) -> list[str]:
-    """Return a line with the share of masked test pixels of each scene that has some; none if no scene has.
-
-    >>> lion = Record("tdg", "ThermalMix", "Lion", "colmap", 0, "", "", masked={"train": 0.1, "test": 0.125})
-    >>> mask_notes([lion, Record("tdg", "synthetic", "orbit", "colmap", 0, "", "")])
-    ['test pixels without a thermal value, which no score counts: Lion 12.5 %']
-    """
-    shares = {(r.dataset, r.scene): r.masked["test"] for r in records if r.masked.get("test")}
-    if not shares:
-        return []
-    of_scenes = ", ".join(f"{scene} {100 * share:.1f} %" for (_, scene), share in shares.items())
-    return [f"test pixels without a thermal value, which no score counts: {of_scenes}"]
-
-
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows and their averages per data set and overall; an average over a missing number is n/a."""
     parts = []
@@ -141,7 +127,7 @@ def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
         [rows["dataset"], rows["scene"], rows["metric"]], sort=False
     ):
         known = group.dropna()
-        best = known.max() if measure(str(metric)).higher_is_better else known.min()
+        best = known.max() if MEASURES[str(metric)].higher_is_better else known.min()
         winners = known.index[known == best]
         if len(known) > 1 and len(winners) == 1:
             rows.loc[winners, "bold"] = True

@@ -13,8 +13,7 @@ from typing import Any
 from tdgbench.bench.record import Record
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
-from tdgbench.scoring.measure import Measure
-from tdgbench.scoring.metric import metric_name
+from tdgbench.scoring.metric import Measure, metric_name
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
@@ -30,7 +29,7 @@ class RecordMeasure(Measure):
 
 HOURS = RecordMeasure(
     name="train_hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True,
-    published=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
+    in_main_table=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
     name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
@@ -44,27 +43,18 @@ MEMORY = RecordMeasure(
     name="memory_mb", label="memory", meaning="largest memory of the process that ran the cell", unit="MB", digits=0,
     ratio=True, of_record=lambda record: nan if record.peak_rss_mb is None else record.peak_rss_mb,
 )  # fmt: skip
-OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `published` are columns of the main table
+OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `in_main_table` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
 MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 
-PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.published)
-PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.published))  # columns of the main table
+PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
+PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
 TRAINING = tuple(measure.name for measure in _TRAIN)  # of the training views, where overfitting shows
 COLUMNS = (PUBLISHED[0], "psnr_right_half", *PUBLISHED[1:])  # where tables are read, not compared with the paper's
 EXTRA = (*(name for name in METRICS if name not in COLUMNS), *TRAINING)
 _OF_MODELS = tuple(tuple(metric_name(name, modality) for name in ("psnr", "ssim")) for modality in OTHERS)
 ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  # columns of Table 2
 ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
-
-
-def measure(name: str) -> Measure:
-    """Return the description of a number by its name on disk.
-
-    >>> measure("ssim").title, measure("train_psnr").digits
-    ('SSIM ↑', 2)
-    """
-    return MEASURES[name]
 
 
 def digits(name: str, scene: str = "") -> int:
@@ -108,4 +98,4 @@ def gain(name: str, new: Any, old: Any) -> Any:
     >>> gain("lpips", 0.25, 0.5)
     0.25
     """
-    return MEASURES[name].sign * (new - old)
+    return new - old if MEASURES[name].higher_is_better else old - new

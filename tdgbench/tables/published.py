@@ -20,8 +20,7 @@ PAPER = "tdg"  # the source whose tables are reproduced
 class PublishedSource:
     """A paper or page with numbers.
 
-    selected_on: what chose the models that were scored. methods: by printed name, our method (`as`), whether the source
-    settles it (`sure`), and a `note`.
+    methods: by printed name, our method (`as`), whether the source settles it (`sure`), and a `note`.
     """
 
     title: str
@@ -29,7 +28,6 @@ class PublishedSource:
     where: str
     file: str
     note: str = ""
-    selected_on: str = "not known here"
     methods: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
@@ -53,11 +51,10 @@ def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSou
 
 
 def published_elsewhere() -> pd.DataFrame:
-    """Read numbers of other papers for the same scenes.
+    """Read other papers' numbers for the same scenes: source, method, dataset, group, scene, metric, value, printed_as.
 
-    Columns: source, method, dataset, group, scene, metric, value, printed_as, selected_on.
-    method is our name where sources.yaml has one, else the printed name (printed_as).
-    Averages are rows with the scene `Average`. Raises ValueError for a source that sources.yaml lacks.
+    method is our name where sources.yaml has one, else the printed name (printed_as). Averages are rows with the scene
+    `Average`. Raises ValueError for a source that sources.yaml lacks.
     """
     table = pd.read_csv(FOLDER / "others.csv", keep_default_na=False, dtype=str)
     sources = load_sources()
@@ -70,9 +67,7 @@ def published_elsewhere() -> pd.DataFrame:
         sources[source].methods.get(method, {}).get("as", method)
         for source, method in zip(table["source"], table["method"], strict=True)
     ]
-    table["selected_on"] = [sources[source].selected_on for source in table["source"]]
-    columns = ["source", "method", "dataset", "group", "scene", "metric", "value", "printed_as", "selected_on"]
-    return table.assign(group="")[columns]
+    return table.assign(group="")[["source", "method", "dataset", "group", "scene", "metric", "value", "printed_as"]]
 
 
 def printed_half_unit(printed: str) -> float:

@@ -19,6 +19,7 @@ from tdgbench.tables.long_table import metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
+    MEASURES,
     MEMORY,
     OF_RECORDS,
     OVERALL,
@@ -26,20 +27,18 @@ from tdgbench.tables.measures import (
     PUBLISHED,
     PUBLISHED_SCORES,
     digits,
-    measure,
 )
 from tdgbench.tables.published import published_main
-from tdgbench.tables.statistics import half_width
+from tdgbench.tables.statistics import mean_interval
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
-SHOWN = (*PUBLISHED, "depth_consistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
+SHOWN = (*PUBLISHED, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
     *PUBLISHED_SCORES,
     *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed"]
-COVERAGE = 0.95
 CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]
 
 
@@ -174,7 +173,7 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
 
 def _changes(both: pd.DataFrame) -> pd.DataFrame:
     """Return changes by scene, and over all scenes that every seed has."""
-    ratio = both["metric"].map(lambda name: measure(name).ratio)
+    ratio = both["metric"].map(lambda name: MEASURES[name].ratio)
     before, after = both["value_before"], both["value_after"]
     logs = np.log((after / before).where(ratio, 1.0))
     both = both.assign(change=(after - before).where(~ratio, logs))
@@ -186,25 +185,16 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
             datasets = wide.columns.get_level_values(0).unique()
             places.append((datasets[0] if len(datasets) == 1 else "", AVERAGE if len(datasets) == 1 else OVERALL, wide))
         for dataset, scene, values in places:
-            mean, low, high = _interval(values.mean(axis=1).to_numpy())
-            kind = "ratio" if measure(str(metric)).ratio else "difference"
+            mean, low, high = mean_interval(values.mean(axis=1).to_numpy())
+            kind = "ratio" if MEASURES[str(metric)].ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
     return pd.DataFrame(rows, columns=CHANGES)
 
 
-def _interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Return the mean, and its 95 % Student interval; NaN for fewer than two values."""
-    mean = float(values.mean())
-    if len(values) < 2:
-        return mean, float("nan"), float("nan")
-    half = float(half_width(values.std(ddof=1), len(values), (1 - COVERAGE) / 2))
-    return mean, mean - half, mean + half
-
-
 def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     """Return heads and rows for a reader: each change of the widest average with its interval. changes: `effects`."""
-    heads = ["change", "iterations", "scene", *(measure(name).change for name in COMPARED)]
+    heads = ["change", "iterations", "scene", *(MEASURES[name].change for name in COMPARED)]
     rows = []
     shown = with_setup(widest_average(changes), "effect")
     for place, group in shown.groupby(["effect", "iterations", "scene"], sort=False):

@@ -10,8 +10,8 @@ from rich.text import Text
 
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.long_table import initial_points, mask_notes, split_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, OVERALL, PUBLISHED, as_text, digits, measure
+from tdgbench.tables.long_table import initial_points, split_notes
+from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import say
@@ -30,8 +30,6 @@ def show_tables(tables: Tables, console: Console) -> None:
         _show_main(tables, console)
         for note in split_notes(tables.main):
             _say(console, note)
-    for note in mask_notes(tables.records):
-        _say(console, note)
     _show_reasons(tables, console)
     show_problems(tables.problems, console)
     if tables.difference is not None:
@@ -42,8 +40,6 @@ def show_tables(tables: Tables, console: Console) -> None:
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
             _say(console, f"{text}; {verdicts_in_words(group)}")
-    if tables.papers is not None:
-        show_papers(tables.papers, console)
 
 
 def show_claims(claims: pd.DataFrame, console: Console) -> None:
@@ -58,19 +54,6 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
         ]
         table.add_row(Text(f"{row['paper']}: {row['said']}"), *sides)
     console.print(table)
-
-
-def show_papers(papers: pd.DataFrame, console: Console) -> None:
-    """Print the median and largest spread between papers by method and score. papers: from `between_papers`."""
-    for (method, metric), group in papers[papers["scenes"] == 1].groupby(["method", "metric"], sort=False):
-        widest = group.loc[group["spread"].idxmax()]
-        places = digits(str(metric), widest["scene"])
-        median, most = f"{group['spread'].median():.{places}f}", f"{widest['spread']:.{places}f} at {widest['scene']}"
-        text = f"  {metric} of {method} differs between papers by {median} in the median scene, by {most}"
-        _say(console, text)
-    for note in dict.fromkeys(papers["note"]):
-        if note:
-            _say(console, f"  {note}")
 
 
 def show_findings(findings: list[str]) -> None:
@@ -100,7 +83,7 @@ def _show_main(tables: Tables, console: Console) -> None:
     columns = list(dict.fromkeys(main["method"]))
     table = Table("scene", "method")
     for metric in COLUMNS:
-        table.add_column(measure(metric).column, justify="right")
+        table.add_column(MEASURES[metric].column, justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
     for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
         for method in columns:
@@ -117,7 +100,7 @@ def _show_main(tables: Tables, console: Console) -> None:
 
 
 def _show_ablation(tables: Tables, console: Console) -> None:
-    described = [measure(metric) for metric in ABLATION]
+    described = [MEASURES[metric] for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
     table = Table("method", "initial points", *heads)
     for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
@@ -134,7 +117,7 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 
     Single scenes are in readings.csv and effects.csv.
     """
-    table = Table("method", "iterations", "scene", *(measure(m).column for m in SHOWN))
+    table = Table("method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN))
     for (method, iterations, scene), group in with_setup(widest_average(readings), "method").groupby(
         ["method", "iterations", "scene"], sort=False
     ):
@@ -152,5 +135,5 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
 def _show_reasons(tables: Tables, console: Console) -> None:
     missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
     for reason, group in missing.groupby("reason", sort=False):
-        metrics = ", ".join(measure(metric).label for metric in dict.fromkeys(group["metric"]))
+        metrics = ", ".join(MEASURES[metric].label for metric in dict.fromkeys(group["metric"]))
         _say(console, f"n/a ({len(group)} × {metrics}): {reason}")

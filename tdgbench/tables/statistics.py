@@ -34,6 +34,13 @@ def half_width(std: Any, count: Any, tail: float) -> Any:
     return stats.t.isf(tail, np.asarray(count) - 1) * std / np.sqrt(count)
 
 
+def mean_interval(values: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean of values (N,) and the ends of its 95 % Student interval; NaN for fewer than two values."""
+    mean = float(values.mean())
+    half = float(half_width(values.std(ddof=1), len(values), (1 - COVERAGE) / 2)) if len(values) > 1 else float("nan")
+    return mean, mean - half, mean + half
+
+
 def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
     """Return KEYS, seeds, std: the sample standard deviation over seeds, averages included (NaN below two)."""
     seeds = sorted({record.seed for record in records})
@@ -72,7 +79,7 @@ def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
 def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
     """Return every number of a cell: scores by view, hours as one value."""
     values_by_name = {
-        described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.published
+        described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.in_main_table
     }
     try:
         rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
@@ -105,11 +112,6 @@ class MethodComparison(NamedTuple):
     pair: MethodPair
     paired: pd.DataFrame
     speed: pd.DataFrame
-
-
-def compare_methods(main: pd.DataFrame, pair: MethodPair) -> MethodComparison:
-    """Compare the two methods of a main table."""
-    return MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair))
 
 
 def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:

@@ -23,7 +23,7 @@ import pandas as pd
 from omegaconf import OmegaConf
 from scipy import stats
 
-from tdgbench.tables.measures import HOURS, half_unit, measure
+from tdgbench.tables.measures import HOURS, MEASURES, half_unit
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.statistics import half_width
 
@@ -123,7 +123,7 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
         return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     rounding = half_unit(metric, scene)
     low, high = (float(end) for end in seeds_interval(ours, std, seeds))
-    word = str(judge_score(low, high, published, rounding, margin, measure(metric).higher_is_better))
+    word = str(judge_score(low, high, published, rounding, margin, MEASURES[metric].higher_is_better))
     if word != UNDECIDED:
         return ScoreVerdict(word, margin, low, high, "", "")
     needed = seeds_needed(abs(ours - published), std, rounding, margin)

@@ -8,12 +8,13 @@ of 1, and vignette and pattern have a mean of 0 over the image, which keeps the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.maps import evaluate, line_map
 
 
@@ -65,25 +66,17 @@ class ThermalCamera:
         """The unit, ready to follow a number."""
         return "" if self.unit == "image" else f" {self.unit}"
 
-    def map(self, width: int, height: int) -> np.ndarray:
-        """Return the vignette (height, width) of an image."""
-        return evaluate(self.vignette, width, height)
-
-    def pattern(self, width: int, height: int) -> np.ndarray:
-        """Return fixed pattern (height, width) of an image; 0 where there is none.
-
-        Raises ValueError for an image of another size than those that it was estimated from.
-        """
-        return line_map(self.columns, self.rows, width, height)
-
     def shared(self, width: int, height: int) -> np.ndarray:
-        """Return vignette plus fixed pattern (height, width), which all views share."""
-        return self.map(width, height) + self.pattern(width, height)
+        """Return vignette plus fixed pattern (height, width), which all views share.
+
+        Raises ValueError where the fixed pattern was estimated from images of another size.
+        """
+        return evaluate(self.vignette, width, height) + line_map(self.columns, self.rows, width, height)
 
     @property
     def summary(self) -> str:
         """One line for notes and reports."""
-        unit, corners = self.suffix, self.map(64, 48)
+        unit, corners = self.suffix, evaluate(self.vignette, 64, 48)
         lines = [name for name in ("columns", "rows") if getattr(self, name) is not None]
         pattern = f", a fixed pattern by {' and '.join(lines)}" if lines else ""
         return (
@@ -109,3 +102,20 @@ def normalized(response: ViewResponses) -> ViewResponses:
     """
     gains = response.gains / response.gains.mean()
     return ViewResponses(response.offsets - gains * response.offsets.mean(), gains)
+
+
+class Truth(NamedTuple):
+    """The true camera, normalized as an estimated one is: offsets and gains (V,), what is shared (H, W), in °C."""
+
+    response: ViewResponses
+    vignette: np.ndarray
+    pattern: np.ndarray
+
+
+def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
+    """Return the true response in some views, with mean offset 0 and mean gain 1 at a reference temperature."""
+    true, index = truth.camera, truth.index(list(views))
+    gains = true.gains[index]
+    offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
+    response = normalized(ViewResponses(offsets + true.pattern.mean(), gains))
+    return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())

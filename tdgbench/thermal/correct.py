@@ -45,8 +45,11 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
             f"{scene.name}: the thermal camera was estimated without training view {unknown[0]}; estimate it again"
         )
     _, scale, zero = units(scene)
-    values = {view.name: (_corrected_values(view, camera, scale, zero) - zero) / scale for view in scene.train}
-    low, high = _range([_measured(values[view.name], view) for view in scene.train])
+    values = {}
+    for view in scene.train:
+        shown = scale * view.thermal.mean(axis=2, dtype=np.float64) + zero
+        values[view.name] = (correct_values(shown, view.name, camera) - zero) / scale
+    low, high = _range([values[view.name][... if view.valid is None else view.valid] for view in scene.train])
     span, notes = scene.temperature, [f"training views are corrected for their thermal camera: {camera.summary}"]
     if (low, high) != (0.0, 1.0):
         if span is not None:
@@ -63,18 +66,6 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
     return Corrected(changed, _response(camera, scale, zero, (low, high)))
 
 
-def in_one_range(scene: Scene, response: ImageResponse) -> Scene:
-    """Bring the test views of a corrected scene into the range of its training views, for steps that change both."""
-    if (response.low, response.high) == (0.0, 1.0):
-        return scene
-
-    def moved(view: View) -> View:
-        image = (view.thermal - response.low) / (response.high - response.low)
-        return view.with_thermal(image.astype(np.float32))
-
-    return replace(scene, test=[moved(view) for view in scene.test])
-
-
 def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[float, float]) -> ImageResponse:
     def rounded(values: np.ndarray | None) -> tuple[float, ...]:
         return () if values is None or not values.any() else tuple(np.round(values / scale, DIGITS).tolist())
@@ -89,10 +80,6 @@ def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[floa
     )  # fmt: skip
 
 
-def _measured(values: np.ndarray, view: View) -> np.ndarray:
-    return values if view.valid is None else values[view.valid]
-
-
 def _range(values: list[np.ndarray]) -> tuple[float, float]:
     """Return the image values that become 0 and 1: 0 and 1, or the extremes of the values (N,) if these lie outside."""
     known = [array for array in values if array.size]
@@ -104,11 +91,6 @@ def _fingerprint(scene: Scene, camera: ThermalCamera) -> str:
     arrays = (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows)
     parts = (b"none" if array is None else array.tobytes() for array in arrays)
     return scene.fingerprint_with(str(camera.reference).encode(), *parts)
-
-
-def _corrected_values(view: View, camera: ThermalCamera, scale: float, zero: float) -> np.ndarray:
-    """Return corrected values (H, W) of a training view in the camera's unit."""
-    return correct_values(scale * view.thermal.mean(axis=2, dtype=np.float64) + zero, view.name, camera)
 
 
 def _image(values: np.ndarray, view: View, scene: Scene) -> np.ndarray:

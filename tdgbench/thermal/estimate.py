@@ -25,7 +25,6 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
 
     In °C where the scene has a range of temperatures, else in image units. Test views are not read.
     """
-    unit, scale, zero = units(scene)
     if scene.points is None:
         return Unknown(
             f"{scene.name} has no sparse points, from which the thermal camera is estimated; add a COLMAP model that "
@@ -46,7 +45,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
             f"{scene.name}: {np.count_nonzero(counts)} training views see {FEWEST_OBSERVATIONS} or more points that "
             f"{FEWEST_VIEWS} views share; a camera needs {FEWEST_TRAINING_VIEWS}: add points, or raise data.width"
         )
-    return _estimate(scene, seen, (unit, scale, zero))
+    return _estimate(scene, seen)
 
 
 def units(scene: Scene) -> tuple[str, float, float]:
@@ -66,8 +65,8 @@ def _well_seen(seen: Observations, views: int) -> Observations:
         seen = seen.select(keep)
 
 
-def _estimate(scene: Scene, seen: Observations, unit: tuple[str, float, float]) -> ThermalCamera:
-    (name, scale, zero), train = unit, scene.train
+def _estimate(scene: Scene, seen: Observations) -> ThermalCamera:
+    (name, scale, zero), train = units(scene), scene.train
     data = _data(train, seen, scale, zero)
     counts = np.bincount(seen.view, minlength=len(train))
     stds = ExpectedErrors.of(name, float(np.std(data.value)) or 1.0)

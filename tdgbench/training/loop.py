@@ -74,7 +74,7 @@ def train(
             log.iterations += 1
             log.ended = ends_stage and trainer.is_last_stage
             if before_update is not None:
-                clock.stop()
+                clock.write_times()
                 before_update(log)
                 clock = Clock(log)
             if not ends_stage:
@@ -82,14 +82,14 @@ def train(
             every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
             if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
                 _check_parameters(trainer.parts, iteration)
-                clock.stop()
+                clock.write_times()
                 line = _line(log, step, loss, trainer)
                 log.lines.append(line)
                 if on_log_line is not None:
                     on_log_line(line)
             if ends_stage:
                 trainer.advance(iteration)
-            clock.stop()
+            clock.write_times()
             if after_iteration is not None:
                 after_iteration(log)
                 clock = Clock(log)
@@ -123,7 +123,7 @@ class Clock:
         self._start = time.perf_counter() - log.seconds
         self._processor_start = time.process_time() - log.processor_seconds
 
-    def stop(self) -> None:
+    def write_times(self) -> None:
         """Write the times so far to the log."""
         self._log.seconds = time.perf_counter() - self._start
         self._log.processor_seconds = time.process_time() - self._processor_start

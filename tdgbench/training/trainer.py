@@ -103,13 +103,13 @@ class Trainer:
         """Make the rule of the budget that may end the stage early; None if there is none."""
         budget, context = self.context.budget, self.context
         if budget.settling is not None:
-            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self.error_image)
+            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self.render_errors)
         if budget.plateau is not None:
             return Plateau(budget.plateau, len(context.scene.train))
         return None
 
     @torch.no_grad()
-    def error_image(self, view: View) -> np.ndarray:
+    def render_errors(self, view: View) -> np.ndarray:
         """Return render minus image, in the stage's modality, at the pixels that count: (n, C)."""
         images = MODALITIES[self.stage.modality]
         image, valid = images.array(view), images.valid(view)

@@ -47,7 +47,7 @@ def try_rig(method: Method, whole: Context) -> RigTrial:
         context = replace(whole, scene=scene, budget=budget, skips=deepcopy(whole.skips), learns_rig=learns_rig)
         trainer = Trainer(method, context)
         train(trainer)
-        psnrs.append([psnr_of_error(trainer.error_image(view)) for view in held_out])
+        psnrs.append([psnr_of_error(trainer.render_errors(view)) for view in held_out])
     gains = np.array(psnrs[0]) - np.array(psnrs[1])
     mean, error = float(gains.mean()), float(gains.std(ddof=1)) / len(gains) ** 0.5
     reason = f"{mean:+.2f} ± {error:.2f} dB at {len(gains)} held-out training views"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
+from typing import NamedTuple
 
 from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.read_files import read_table, read_text
-from tdgbench.bench.record import FILE, Record, schema_problems
+from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import finite_field, read_views
 from tdgbench.bench.stored import cell_files, file_problems
 from tdgbench.verify import facts
@@ -21,30 +20,11 @@ from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 
 
-@dataclass(frozen=True)
-class StoredCell:
-    """A cell's folder, the text of its record, and its record."""
+class StoredCell(NamedTuple):
+    """The text of a cell's record, and the record."""
 
-    folder: Path
     text: str
     record: Record
-
-    @property
-    def is_finished(self) -> bool:
-        return self.record.status == "ok"
-
-    def schema_problems(self) -> Iterator[str]:
-        """Yield what does not fit the schema, and numbers that are none in JSON."""
-        yield from (f"{FILE}: {problem}" for problem in schema_problems(self.text))
-        constants: list[str] = []
-        json.loads(self.text, parse_constant=constants.append)
-        yield from (f"{FILE} holds {name}, which is no number in JSON" for name in dict.fromkeys(constants))
-
-    def place_problems(self) -> Iterator[str]:
-        """Yield the folder that the record belongs to, if it lies in another one."""
-        place = cell_folder_of(Path(), self.record)
-        if self.folder.absolute().parts[-len(place.parts) :] != place.parts:
-            yield f"{FILE} is of another cell: its folder is {place.as_posix()}; move it there, or run the cell again"
 
 
 def read_cell(folder: Path) -> StoredCell:
@@ -57,7 +37,7 @@ def read_cell(folder: Path) -> StoredCell:
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
     known = {f.name for f in fields(Record)}
-    return StoredCell(folder, text, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}}))
+    return StoredCell(text, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}}))
 
 
 def read_log(folder: Path) -> list[dict[str, float]]:
@@ -76,7 +56,7 @@ def verify_cell(folder: Path) -> list[str]:
     if cell is None:
         return problems.all
     record = cell.record
-    problems.check(f"fields of {FILE}", cell.schema_problems)
+    problems.check(f"fields of {FILE}", facts.field_problems, cell.text)
     problems.check("the key", facts.key_problems, record)
     if record.status == "failed":
         return problems.all

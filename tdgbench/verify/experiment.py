@@ -12,6 +12,7 @@ from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import read_cell, verify_cell
+from tdgbench.verify.facts import place_problems
 from tdgbench.verify.problems import Problems
 
 OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
@@ -59,8 +60,8 @@ def verify(experiment: Path) -> Verification:
         found = Problems()
         cell = found.read(FILE, read_cell, folder)
         if cell is not None:
-            finished += cell.is_finished
-            found.check("its folder", cell.place_problems)
+            finished += cell.record.status == "ok"
+            found.check("its folder", place_problems, folder, cell.record)
             found.all += [problem for problem in verify_cell(folder) if problem not in found.all]
         name = folder.relative_to(experiment / "cells").as_posix()
         problems += [f"{name}: {problem}" for problem in found.all]
@@ -71,8 +72,7 @@ def verify(experiment: Path) -> Verification:
 def _without_record(experiment: Path) -> list[Path]:
     """Return folders with files of a cell but no record, hidden folders excepted."""
     cells = experiment / "cells"
-    folders = {
-        path.parent for name in OF_A_CELL for path in cells.glob(f"*/*/*/*/*/{name}")
-    }  # a method may be `renders`
+    # at this depth alone, as a method may be `renders`
+    folders = {path.parent for name in OF_A_CELL for path in cells.glob(f"*/*/*/*/*/{name}")}
     visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]
     return [folder for folder in visible if not (folder / FILE).exists() and not (folder / FILE).is_symlink()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.key import cell_key
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.record import FILE, Record
+from tdgbench.bench.paths import cell_folder_of, files_of
+from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import Row
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import TRAIN_METRICS
@@ -50,6 +51,21 @@ def metric_settings(record: Record) -> MetricSettings:
         first = error.errors(include_url=False)[0]
         place = ".".join(["config.metrics", *(str(part) for part in first["loc"])])
         raise ValueError(f"{FILE}: {place}: {first['msg']}") from error
+
+
+def field_problems(text: str) -> Iterator[str]:
+    """Yield what does not fit the schema in the text of a record, and numbers that are none in JSON."""
+    yield from (f"{FILE}: {problem}" for problem in schema_problems(text))
+    constants: list[str] = []
+    json.loads(text, parse_constant=constants.append)
+    yield from (f"{FILE} holds {name}, which is no number in JSON" for name in dict.fromkeys(constants))
+
+
+def place_problems(folder: Path, record: Record) -> Iterator[str]:
+    """Yield the folder that the record belongs to, if it lies in another one."""
+    place = cell_folder_of(Path(), record)
+    if folder.absolute().parts[-len(place.parts) :] != place.parts:
+        yield f"{FILE} is of another cell: its folder is {place.as_posix()}; move it there, or run the cell again"
 
 
 def key_problems(record: Record) -> Iterator[str]:

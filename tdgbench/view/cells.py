@@ -115,16 +115,12 @@ def _finished_record(folder: Path) -> Record:
     record = read_record(folder)
     if record is None:
         state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
-        raise ValueError(f"{folder} {state}; name the folder of a cell{_example(folder)}")
+        cells = record_files(folder) if folder.is_dir() else []
+        example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
+        raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
     if record.status != "ok":
         raise ValueError(f"{folder} has no model: it {record.why_failed}")
     return record
-
-
-def _example(folder: Path) -> str:
-    """Name one of the cells below an experiment's folder, to name in a message."""
-    cells = record_files(folder) if folder.is_dir() else []
-    return f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
 
 
 def short_names(records: Sequence[Record]) -> list[str]:

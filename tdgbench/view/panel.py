@@ -1,19 +1,18 @@
-"""The controls of one browser: what is shown, the value of a pixel, a colour bar, the record's numbers."""
+"""The controls of one browser: what is shown, the value of a pixel, and a colour bar."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import timedelta
 from html import escape
 
 import numpy as np
 import viser
 from PIL import Image
 
+from tdgbench.bench.colours import in_colour, lookup_table
 from tdgbench.scenes.modalities import LABELS
-from tdgbench.scoring import METRICS
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.renderer import COLOR_MAPS, GEOMETRY, QUANTITIES, Look, RenderedLook, as_rgb, lookup_table
+from tdgbench.view.renderer import COLOR_MAPS, GEOMETRY, QUANTITIES, Look, RenderedLook
 
 STOPS = 12  # colours of a colour bar
 STYLE = "font-size:0.8em;padding:0 0.75em 0.5em"
@@ -65,34 +64,6 @@ def color_bar(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
     )
 
 
-def numbers_table(cells: Mapping[str, ViewedCell]) -> str:
-    """Return a table of the cells' numbers: scores over the test views, Gaussians, training time."""
-    columns = {name: _numbers_of(cell) for name, cell in cells.items()}
-    rows = list(dict.fromkeys(row for column in columns.values() for row in column))
-    head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-    lines = [[row, *(column.get(row, "") for column in columns.values())] for row in rows]
-    body = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in line)}</tr>" for line in lines)
-    return (
-        f'<div style="{STYLE}"><table style="width:100%;text-align:left"><tr><th></th>{head}</tr>{body}</table></div>'
-    )
-
-
-def _numbers_of(cell: ViewedCell) -> dict[str, str]:
-    """Return the numbers of a cell by their titles."""
-    record, facts = cell.record, {}
-    for name, measure in METRICS.items():
-        if name in record.scores:
-            value = record.scores[name]
-            facts[measure.title] = "n/a" if value is None else f"{value:.{measure.digits}f}"
-    facts |= {f"Gaussians, {name}": f"{count:,}" for name, count in record.gaussians.items()}
-    if record.made_elsewhere is not None:
-        return facts | {"training": record.made_elsewhere["summary"]}
-    return facts | {
-        "iterations": f"{record.iterations:,}",
-        "training": str(timedelta(seconds=round(record.seconds["train"]))),
-    }
-
-
 class Panel:
     """Controls of a client. on_look and on_view are called when a look or a view is chosen, on_step with −1 or 1."""
 
@@ -113,8 +84,6 @@ class Panel:
         self._title = title
         self._add_look(gui)
         self._add_views(gui)
-        with gui.add_folder("Numbers"):
-            gui.add_html(numbers_table(cells))
 
     def look(self) -> Look:
         """Return what is chosen to be shown."""
@@ -198,4 +167,4 @@ def _line(title: str, text: str = "") -> str:
 def _fitted(picture: np.ndarray) -> np.ndarray:
     """Return a picture (H, W, 1 or 3) uint8 in colour, as wide as the panel."""
     height = max(1, round(picture.shape[0] * PICTURE_WIDTH / picture.shape[1]))
-    return np.asarray(Image.fromarray(as_rgb(picture, "inferno")).resize((PICTURE_WIDTH, height)))
+    return np.asarray(Image.fromarray(in_colour(picture)).resize((PICTURE_WIDTH, height)))

@@ -10,9 +10,9 @@ import viser
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from tdgbench.bench.colours import in_colour
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import ViewedCell
-from tdgbench.view.renderer import as_rgb
 
 ROOT = "/cameras"
 TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
@@ -124,7 +124,7 @@ def thumbnails(cell: ViewedCell) -> dict[str, np.ndarray]:
     for view in cell.test:
         picture = cell.pictures(view).get("thermal")
         if picture is not None:
-            image = Image.fromarray(as_rgb(picture, "inferno"))
+            image = Image.fromarray(in_colour(picture))
             image.thumbnail((THUMBNAIL_WIDTH, THUMBNAIL_WIDTH))
             images[view] = np.asarray(image)
     return images

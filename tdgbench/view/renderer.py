@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from tdgbench.bench.colours import colored, expected_depth
 from tdgbench.bench.renders import background_of
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
@@ -21,40 +20,9 @@ from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.view.cells import ViewedCell
 
 COLOR_MAPS = ("inferno", "gray", "viridis", "magma", "plasma", "turbo", "coolwarm")
-UNKNOWN = 128  # gray of pixels without a value
-LEVELS = 256
 GEOMETRY = ("depth", "alpha")
 QUANTITIES = (THERMAL, "depth", *OTHERS, "alpha")  # what a look may show: the image of a modality, or geometry
-MIN_ALPHA = 0.5  # below, a pixel shows no surface
 DEPTH_VIEWS, DEPTH_WIDTH, DEPTH_TAILS = 5, 96, (2, 98)  # cameras, px, percentiles that the depth range is found from
-
-
-@cache
-def lookup_table(name: str) -> np.ndarray:
-    """Return the colours (256, 3) uint8 of one of matplotlib's colour maps."""
-    return (matplotlib.colormaps[name](np.linspace(0, 1, LEVELS))[:, :3] * 255 + 0.5).astype(np.uint8)
-
-
-def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarray:
-    """Return values (H, W) float32 in a colour map from `low` to `high`: (H, W, 3) uint8; gray where they are NaN.
-
-    >>> colored(np.array([[-1.0, 0.5, 2.0, np.nan]], np.float32), "gray", 0, 1)[0, :, 0].tolist()
-    [0, 128, 255, 128]
-    """
-    scaled = values - np.float32(low)
-    scaled *= np.float32(LEVELS / max(high - low, 1e-12))
-    np.clip(scaled, 0, LEVELS - 1, out=scaled)
-    unknown = np.isnan(scaled) if np.isnan(scaled.sum()) else None
-    with np.errstate(invalid="ignore"):
-        picture = lookup_table(name).take(scaled.astype(np.uint8), axis=0)
-    if unknown is not None:
-        picture[unknown] = UNKNOWN
-    return picture
-
-
-def as_rgb(picture: np.ndarray, name: str = "gray") -> np.ndarray:
-    """Return a stored picture (H, W, 1 or 3) uint8 as (H, W, 3); gray in a colour map."""
-    return picture if picture.shape[2] == 3 else lookup_table(name)[picture[..., 0]]
 
 
 def wiped(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
@@ -187,8 +155,7 @@ class Renderer:
         if quantity == "alpha":
             return render.alpha[..., None].numpy()
         if quantity == "depth":
-            alpha = render.alpha
-            return torch.where(alpha > MIN_ALPHA, render.requested_depth / alpha, torch.nan)[..., None].numpy()
+            return expected_depth(render)[..., None]
         image: np.ndarray = render.image.numpy()
         return cell.response.temperatures(image) if modality == THERMAL else image
 

@@ -5,7 +5,7 @@ from tdgbench.bench.record import Record
 from tdgbench.experiments.thermal_camera import camera_errors
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.thermal.accuracy import normalized_truth
+from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import TERMS, legendre_basis
 
 NAMES = [f"view{index}" for index in range(12)]

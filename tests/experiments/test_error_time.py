@@ -68,19 +68,6 @@ def test_a_curve_is_sampled_along_a_training(data_root):
     assert found["psnr"].between(5, 60).all() and found["depth_abs_rel"].between(0, 1).all()
 
 
-def test_views_are_scored_with_the_contrast_that_is_trained_on(data_root, monkeypatch):
-    original, scored = error_time.score_views, []
-
-    def watched(method, scene, *rest):
-        scored.append(scene)
-        return original(method, scene, *rest)
-
-    monkeypatch.setattr(error_time, "score_views", watched)
-    cfg = experiment(data_root, "contrast.training=percentile")
-    sample_curve(cfg, "turntable", runs_of(cfg)[-1], 2)
-    assert scored[0].temperature is None  # percentile loses it
-
-
 def test_views_are_scored_as_the_camera_shows_them(data_root, monkeypatch):
     ready, original, shown = error_time.set_up, error_time.score_views, ImageResponse(offsets={"view000": 0.1})
     monkeypatch.setattr(error_time, "set_up", lambda *args, **named: ready(*args, **named)._replace(response=shown))

@@ -13,7 +13,7 @@ import pytest
 
 from tdgbench.report.scores import difference_note, further_scores, legend, main_scores, published_section
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.measures import measure
+from tdgbench.tables.measures import MEASURES
 from tdgbench.text import duration
 from tests.helpers.paths import ROOT
 from tests.helpers.records import write
@@ -150,9 +150,9 @@ def test_nothing_is_said_where_there_is_nothing(tables):
 
 def test_the_section(tables):
     found = published_section(tables)
-    psnr = next(v for v in found["verdicts"] if v["metric"] == measure("psnr").title)
+    psnr = next(v for v in found["verdicts"] if v["metric"] == MEASURES["psnr"].title)
     assert psnr["margin"] == "0.2" and psnr["counts"] == "1 reproduced, 1 worse, 1 undecided (unknown for 1)"
-    assert measure("train_hours").title not in [v["metric"] for v in found["verdicts"]]
+    assert MEASURES["train_hours"].title not in [v["metric"] for v in found["verdicts"]]
     parterre = next(r for r in found["rows"] if r["head"][1] == "Parterre")
     assert parterre["cells"][0] == {"text": "tdg 24.06; thermosplat-2601 26.16", "spread": "2.10"}
     assert len(found["rows"]) == 8 and len(found["notes"]) == 1

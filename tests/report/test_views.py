@@ -1,6 +1,7 @@
 import numpy as np
 
-from tdgbench.report.views import colored, coverage, embedded
+from tdgbench.bench.colours import colored
+from tdgbench.report.views import coverage, embedded
 from tdgbench.scenes import Camera
 
 

@@ -9,7 +9,7 @@ from skimage.metrics import structural_similarity
 
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import METRICS, RenderedImages, to_8bit
-from tdgbench.scoring.metrics.depth_consistency import depth_consistency
+from tdgbench.scoring.metrics.depth_inconsistency import depth_inconsistency
 from tdgbench.scoring.metrics.ssim import ssim
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 from tests.helpers.configs import config
@@ -102,8 +102,8 @@ def test_depths_at_masked_pixels_are_not_compared(small_gray_scene):
     one, other = scene.test
     scores = instantiate(config("metrics.lpips.download=false").metrics).score(scene, renders)
     depths = [np.where(view.valid, renders[view.name].depth, 0) for view in (one, other)]
-    expected = depth_consistency(depths[0], one.camera, depths[1], other.camera)
-    assert scores[one.name]["depth_consistency"] == expected is not None
+    expected = depth_inconsistency(depths[0], one.camera, depths[1], other.camera)
+    assert scores[one.name]["depth_inconsistency"] == expected is not None
 
 
 def test_lpips_sees_no_difference_at_masked_pixels(small_gray_scene, squeeze_weights):

@@ -8,7 +8,7 @@ from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredV
 def test_the_rgb_model_is_described_like_the_thermal_one():
     psnr, rgb = METRICS["psnr"], METRICS["rgb_psnr"]
     assert (rgb.digits, rgb.unit, rgb.higher_is_better) == (psnr.digits, psnr.unit, True)
-    assert rgb.title == "PSNR of the RGB model, dB ↑" and psnr.published and not rgb.published
+    assert rgb.title == "PSNR of the RGB model, dB ↑" and psnr.in_main_table and not rgb.in_main_table
     train = psnr.of_training_views()
     assert train.name == "train_psnr" and train.title == "PSNR of the training views, dB ↑"
 

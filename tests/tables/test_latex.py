@@ -2,7 +2,7 @@ import re
 
 import pytest
 
-from tdgbench.tables.latex import comment, escape
+from tdgbench.tables.latex import escape, tabular
 from tests.helpers.names import NAMES
 
 # What compiles in the text of a row: plain characters, escaped ones, and the commands that `escape` writes.
@@ -22,4 +22,5 @@ def test_escape():
 def test_every_name_compiles(name):
     text = escape(name)
     assert COMPILES.fullmatch(text) and not text.startswith(("[", "*"))
-    assert comment(name).startswith("% ") and len(comment(name).splitlines()) == 1
+    note, begin, *_ = tabular("l", [], [], [name]).splitlines()
+    assert note.startswith("% ") and begin == r"\begin{tabular}{l}"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tdgbench.thermal.camera import ViewResponses, normalized
+from tdgbench.thermal.maps import evaluate
 
 
 def test_normalization_changes_no_value():
@@ -20,9 +21,9 @@ def test_normalization_changes_no_value():
 def test_pattern_and_vignette_are_added(drifting_camera):
     columns = np.linspace(-1, 1, 96)
     camera = replace(drifting_camera, columns=columns, rows=None)
-    assert np.allclose(camera.shared(96, 72) - camera.map(96, 72), columns)
+    assert np.allclose(camera.shared(96, 72) - evaluate(camera.vignette, 96, 72), columns)
     with pytest.raises(ValueError, match="32×48"):
-        camera.pattern(32, 48)
+        camera.shared(32, 48)
     assert "a fixed pattern by columns;" in camera.summary and "a fixed pattern" not in drifting_camera.summary
 
 

@@ -7,7 +7,8 @@ from benchmarks.thermal import errors_of
 from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
 from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
-from tdgbench.thermal.accuracy import normalized_truth
+from tdgbench.thermal.camera import normalized_truth
+from tdgbench.thermal.maps import evaluate
 from tests.helpers.layouts import celsius
 
 
@@ -51,7 +52,7 @@ def test_columns_of_a_fixed_pattern_are_found(make_scene):
     scene = make_scene(pattern_degC=0.5, walk_degC=2.0)
     camera = estimate_camera(scene)
     pattern = read_truth(scene.folder).camera.pattern
-    smooth = camera.map(96, 72).mean(axis=0)
+    smooth = evaluate(camera.vignette, 96, 72).mean(axis=0)
     assert camera.columns is not None
     assert np.corrcoef(camera.columns + smooth, pattern.mean(axis=0))[0, 1] > 0.8
 

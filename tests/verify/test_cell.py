@@ -173,7 +173,7 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "a number without weights": (field("lpips", "0.1"), "lpips cannot be computed again: no vgg backbone", True),
     "temperature error": (field("mae_degC", "0.1"), f"mae_degC of {VIEW} is 0.1, its pictures give", True),
     "temperatures": (edit(temperature_range=[14.0, 15.0]), "mae_degC is 3.", True),
-    "depth inconsistency": (field("depth_consistency", "0.01"), f"depth_consistency of {VIEW} is 0.01, its", True),
+    "depth inconsistency": (field("depth_inconsistency", "0.01"), f"depth_inconsistency of {VIEW} is 0.01, its", True),
     "depth error": (field("depth_abs_rel", "0.01"), "depth_abs_rel is 0.2", True),
     "no column": (rows(lambda t: [row.pop(2) for row in t]), "views.csv has no column ssim", True),
     "not a number": (field("psnr", "high"), "psnr of view000 is 'high', which is no finite number", True),

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from tdgbench.bench.colours import colored
 from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
 from tdgbench.view.poses import camera_of, pose_of
-from tdgbench.view.renderer import Look, Renderer, colored, labelled, wiped
+from tdgbench.view.renderer import Look, Renderer, labelled, wiped
 
 
 @pytest.fixture(scope="module")

@@ -158,10 +158,6 @@ def test_a_picture_that_is_lost_meanwhile_is_told(session, cells, monkeypatch):
     assert not any(image.visible for image in session.panel._images.values())
 
 
-def test_names_from_records_are_text(client, cells, monkeypatch):
-    from tdgbench.view.panel import numbers_table
-
-    monkeypatch.setattr(cells["tdg"].record, "notes", [])
-    content = numbers_table({"<b>tdg": cells["tdg"]})
-    assert "&lt;b&gt;tdg" in content and "<b>" not in content
-    assert f"{cells['tdg'].record.scores['psnr']:.2f}" in content and "PSNR, dB" in content
+def test_names_are_text(session):
+    session.panel.show_value("<b>tdg")
+    assert "&lt;b&gt;tdg" in session.panel.readout.content and "<b>tdg" not in session.panel.readout.content

@@ -105,7 +105,7 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     chain = np.array([link for _, link in links])
     total = gain_interval(scenes, chain.sum(axis=1))
     times = f"time TDg / MSMG {_ratio(total)}, {counts_in_words(total)}"
-    if total.low <= 0:
+    if not total.low > 0:
         return Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
     named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
     shares = [

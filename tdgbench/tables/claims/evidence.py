@@ -31,7 +31,7 @@ class Claim(TypedDict, total=False):
     said: str
     where: str
     check: str
-    gain: Literal["overall", "scenes"]  # of the paper's method, compared with the spread between papers
+    gain: Literal["overall"]  # compare it with the spread between papers
     metric: str
     metrics: list[str]
     dataset: str | None

@@ -10,9 +10,7 @@ import pandas as pd
 
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
-from tdgbench.tables.statistics import half_width
-
-COVERAGE = 0.95
+from tdgbench.tables.statistics import mean_interval
 
 
 class Side(NamedTuple):
@@ -30,7 +28,7 @@ class Pair(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval (infinite for one pair) over a number of pairs in a number of scenes."""
+    """A mean and its 95 % interval (NaN for one pair) over a number of pairs in a number of scenes."""
 
     mean: float
     low: float
@@ -66,11 +64,7 @@ def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> 
     values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(scenes)), dtype=float)
     by_scene = values.groupby(level=[0, 1]).mean()
     units = (by_scene if len(by_scene) > 1 else values).to_numpy()
-    mean = float(units.mean())
-    if len(units) < 2:
-        return Interval(mean, -np.inf, np.inf, len(values), len(by_scene))
-    half = float(half_width(units.std(ddof=1), len(units), (1 - COVERAGE) / 2))
-    return Interval(mean, mean - half, mean + half, len(values), len(by_scene))
+    return Interval(*mean_interval(units), len(values), len(by_scene))
 
 
 def judge_gain(gain: Interval, margin: float) -> str:

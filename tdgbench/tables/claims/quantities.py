@@ -15,7 +15,7 @@ import pandas as pd
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import Claim
-from tdgbench.tables.measures import measure
+from tdgbench.tables.measures import MEASURES
 
 OneOf = Callable[[Cell, Claim], float | None]
 PairOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
@@ -64,8 +64,8 @@ def _overfit(cell: Cell, _claim: Claim) -> float | None:
     return None if train is None or test is None else train - test
 
 
-def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
-    """Return the geometric mean of the depth consistency over the views that have one in both cells.
+def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
+    """Return the geometric mean of the depth inconsistency over the views that have one in both cells.
 
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
@@ -74,13 +74,9 @@ def _consistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] 
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
     if known or tables[0] is None or tables[1] is None:
         return None
-    both = tables[0].merge(tables[1], on="view")[["depth_consistency_x", "depth_consistency_y"]].dropna()
+    both = tables[0].merge(tables[1], on="view")[["depth_inconsistency_x", "depth_inconsistency_y"]].dropna()
     logs = np.log(both[(both > 0).all(axis=1)])
     return None if logs.empty else (float(np.exp(logs.iloc[:, 0].mean())), float(np.exp(logs.iloc[:, 1].mean())))
-
-
-def _seconds(cell: Cell, _claim: Claim) -> float | None:
-    return cell.record.seconds.get("train")
 
 
 def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
@@ -88,12 +84,8 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
     return None if done is None else float(sum(done[name] for name in names))  # type: ignore[literal-required]
 
 
-def _gaussians(cell: Cell, _claim: Claim) -> float | None:
-    return cell.record.gaussians.get("thermal")
-
-
 def _metric(metric: str) -> Quantity:
-    described, of = measure(metric), _of_each(partial(_score, metric=metric))
+    described, of = MEASURES[metric], _of_each(partial(_score, metric=metric))
     places = described.digits if described.unit else 4
     return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
 
@@ -168,11 +160,15 @@ QUANTITIES: dict[str, Quantity] = {
     "train_psnr": Quantity("PSNR of training views", _of_each(_train_psnr), higher=True, digits=2, unit=" dB"),
     "overfit": Quantity("PSNR of training − test views", _of_each(_overfit), digits=2, unit=" dB"),
     "depth_abs_rel": Quantity("depth error", _of_each(partial(_score, metric="depth_abs_rel")), ratio=True),
-    "depth_consistency": Quantity("depth inconsistency", _consistency, ratio=True),
-    "train_hours": Quantity("training time", _of_each(_seconds), ratio=True, timed=True),
+    "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True),
+    "train_hours": Quantity(
+        "training time", _of_each(lambda cell, _: cell.record.seconds.get("train")), ratio=True, timed=True
+    ),
     "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
     "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
-    "gaussians": Quantity("Gaussians at the end", _of_each(_gaussians), ratio=True),
+    "gaussians": Quantity(
+        "Gaussians at the end", _of_each(lambda cell, _: cell.record.gaussians.get("thermal")), ratio=True
+    ),
     "iterations_to_level": Quantity("iterations to the level", partial(time_to_level, column="iteration"), ratio=True),
     "seconds_to_level": Quantity(
         "seconds to the level", partial(time_to_level, column="seconds"), ratio=True, timed=True

@@ -22,7 +22,7 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     record.config = {"method": {"method": {"decay_end": 0.5}}, "budget": {"iterations": iterations}}
     record.scores = {
         "psnr": 30 + 3 * gain, "ssim": 1 - 0.1 * less, "lpips": 0.1 * less, "rgb_psnr": 30 + 3 * gain,
-        "depth_abs_rel": 0.1 * less, "floaters": 0.4 - 0.1 * gain, "depth_consistency": None,
+        "depth_abs_rel": 0.1 * less, "floaters": 0.4 - 0.1 * gain, "depth_inconsistency": None,
     }  # fmt: skip
     record.train_scores = {"psnr": 40.0}
     record.seconds = {"train": 100 * less}
@@ -32,7 +32,7 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
         setattr(record, name, value)
     place = Path(tempfile.mkdtemp(dir=folder))
     write_log(place, gain, iterations)
-    views = pd.DataFrame({"view": ["v1", "v2"], "depth_consistency": [0.1 * less, "n/a"]})
+    views = pd.DataFrame({"view": ["v1", "v2"], "depth_inconsistency": [0.1 * less, "n/a"]})
     views.to_csv(place / "views.csv", index=False)
     return Cell(record, place)
 

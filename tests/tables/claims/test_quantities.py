@@ -41,21 +41,21 @@ def test_numbers_of_both_cells(tmp_path, name, better, other):
 
 def test_consistency_counts_where_there_is_no_truth(tmp_path):
     cells = cell(tmp_path, gain=1.0), cell(tmp_path, gain=0.0)
-    assert QUANTITIES["depth_consistency"].of(*cells, CLAIM) is None
+    assert QUANTITIES["depth_inconsistency"].of(*cells, CLAIM) is None
     for one in cells:
         one.record.scores["depth_abs_rel"] = None
-    assert QUANTITIES["depth_consistency"].of(*cells, CLAIM) == pytest.approx((0.05, 0.1))
+    assert QUANTITIES["depth_inconsistency"].of(*cells, CLAIM) == pytest.approx((0.05, 0.1))
 
 
 def test_consistency_is_over_views_that_both_cells_have(tmp_path):
     cells = cell(tmp_path), cell(tmp_path)
     for one, values in zip(cells, ([0.1, 0.3, "n/a", 0.2, 1.2], ["n/a", 0.5, 0.7, 0.0, 0.5]), strict=True):
         one.record.scores["depth_abs_rel"] = None
-        table = pd.DataFrame({"view": list("abcde"), "depth_consistency": values})
+        table = pd.DataFrame({"view": list("abcde"), "depth_inconsistency": values})
         table.to_csv(one.folder / "views.csv", index=False)
-    assert QUANTITIES["depth_consistency"].of(*cells, CLAIM) == pytest.approx((0.6, 0.5))  # views b and e
+    assert QUANTITIES["depth_inconsistency"].of(*cells, CLAIM) == pytest.approx((0.6, 0.5))  # views b and e
     other = replace(cells[1], folder=tmp_path / "nothing")
-    assert QUANTITIES["depth_consistency"].of(cells[0], other, CLAIM) is None
+    assert QUANTITIES["depth_inconsistency"].of(cells[0], other, CLAIM) is None
 
 
 def test_training_curves(tmp_path):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera
-from tdgbench.scoring.metrics.depth_consistency import depth_consistency
+from tdgbench.scoring.metrics.depth_inconsistency import depth_inconsistency
 
 
 def plane_depth(camera: Camera, distance: float) -> np.ndarray:
@@ -23,12 +23,12 @@ def looking(angle: float, shift: float) -> Camera:
 def test_one_plane_is_consistent_between_views():
     one, other = looking(0.0, 0.0), looking(0.15, -0.3)
     a, b = plane_depth(one, 5.0), plane_depth(other, 5.0)
-    assert depth_consistency(a, one, b, other) < 0.005  # half a pixel of a slanted plane
-    assert depth_consistency(a * 1.1, one, b, other) == pytest.approx(0.1, abs=0.02)
+    assert depth_inconsistency(a, one, b, other) < 0.005  # half a pixel of a slanted plane
+    assert depth_inconsistency(a * 1.1, one, b, other) == pytest.approx(0.1, abs=0.02)
 
 
 def test_views_that_do_not_overlap_say_nothing():
     one, away = looking(0.0, 0.0), looking(np.pi, 0.0)
     depth = np.full((48, 64), 5.0)
-    assert depth_consistency(depth, one, depth, away) is None
-    assert depth_consistency(np.zeros((48, 64)), one, depth, one) is None
+    assert depth_inconsistency(depth, one, depth, away) is None
+    assert depth_inconsistency(np.zeros((48, 64)), one, depth, one) is None

@@ -11,7 +11,9 @@ from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 MIN_OVERLAP = 0.05  # share of a view's pixels that must fall into the other view
 
 
-def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray, other_camera: Camera) -> float | None:
+def depth_inconsistency(
+    depth: np.ndarray, camera: Camera, other_depth: np.ndarray, other_camera: Camera
+) -> float | None:
     """Return the median relative difference of a view's depth (H, W), projected into another view, and the depth there.
 
     0: both views show one surface. The median ignores what only one of them shows. None where too few pixels of the
@@ -33,11 +35,11 @@ def depth_consistency(depth: np.ndarray, camera: Camera, other_depth: np.ndarray
 
 
 def _against_nearest(shown: ScoredView) -> float:
-    """Return the depth consistency with the nearest other test view."""
+    """Return the depth inconsistency with the nearest other test view."""
     nearest = shown.nearest_test_view()
     depth = _known(shown.rendered.known_depth, shown.view)
     other = _known(shown.renders[nearest.name].known_depth, nearest)
-    error = depth_consistency(depth, shown.view.camera, other, nearest.camera)
+    error = depth_inconsistency(depth, shown.view.camera, other, nearest.camera)
     if error is None:
         raise NotApplicableError(f"view {shown.view.name} and its neighbour hardly overlap")
     return error
@@ -49,7 +51,7 @@ def _known(depth: np.ndarray, view: View) -> np.ndarray:
 
 
 METRIC = ViewMetric(
-    name="depth_consistency",
+    name="depth_inconsistency",
     label="depth inconsistency",
     meaning="median relative difference of the depths of neighbouring test views",
     order=110,
