@@ -52,6 +52,17 @@ def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     return merged
 
 
+def against_others(main: pd.DataFrame) -> pd.DataFrame:
+    """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
+    std, seeds, difference (ours − published). Averages are left out: papers average over different scenes.
+    """
+    others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
+    others["selected_on"] = others["source"].map({name: source.selected_on for name, source in load_sources().items()})
+    ours = main[[*PLACE, "value", "std", "seeds"]].rename(columns={"value": "ours"})
+    merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
+    return merged.assign(difference=merged["ours"] - merged["published"])
+
+
 def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
     """Return the paper's average gain over its baseline against the spread between papers on the baseline, in words.
 

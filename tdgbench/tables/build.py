@@ -17,7 +17,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
-from tdgbench.tables.between_papers import between_papers, with_other_papers
+from tdgbench.tables.between_papers import against_others, between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_splits
@@ -107,6 +107,8 @@ def _write(tables: Tables) -> None:
         files["difference.csv"] = to_csv(tables.difference)
     if tables.papers is not None:
         files["between_papers.csv"] = to_csv(tables.papers)
+        if tables.kind != "ablation":
+            files["others.csv"] = to_csv(against_others(tables.main))
     for pair, paired, speed in tables.comparisons:
         suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
         files |= {f"{name}{suffix}.csv": to_csv(t) for name, t in (("paired", paired), ("speed", speed)) if not t.empty}

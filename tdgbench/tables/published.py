@@ -20,7 +20,8 @@ PAPER = "tdg"  # the source whose tables are reproduced
 class PublishedSource:
     """A paper or page with numbers.
 
-    methods: by printed name, our method (`as`), whether the source settles it (`sure`), and a `note`.
+    selected_on: what chose the models that were scored. methods: by printed name, our method (`as`), whether the source
+    settles it (`sure`), and a `note`.
     """
 
     title: str
@@ -28,6 +29,7 @@ class PublishedSource:
     where: str
     file: str
     note: str = ""
+    selected_on: str = "not known here"
     methods: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 

@@ -16,7 +16,9 @@ from tdgbench.tables.between_papers import (
     gain_against_spread,
     with_other_papers,
 )
-from tdgbench.tables.published import published_main
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.published import published_elsewhere, published_main
+from tests.helpers.records import write
 
 
 def spread_of(scene, metric):
@@ -105,3 +107,14 @@ def test_a_coarser_row_widens_the_tolerance():
     assert check_averages(rows)["tolerance"].item() == pytest.approx(0.001)
     rows.loc[0, "half_unit"] = 0.005
     assert check_averages(rows)["tolerance"].item() == pytest.approx(0.0005 + 0.00275)
+
+
+def test_our_numbers_stand_beside_those_of_other_papers(tmp_path):
+    write(tmp_path, "mmone", "Truck", scores={"psnr": 25.0})
+    build_tables(tmp_path)
+    table = pd.read_csv(tmp_path / "tables" / "others.csv")
+    row = table[(table["method"] == "mmone") & (table["metric"] == "psnr") & (table["scene"] == "Truck")]
+    (printed,) = published_elsewhere().query("method == 'mmone' and scene == 'Truck' and metric == 'psnr'")["value"]
+    assert row["difference"].tolist() == pytest.approx([25.0 - printed])
+    assert row["source"].tolist() == ["thermosplat-2601"]
+    assert set(table["selected_on"]) == {"not known here"} and "Average" not in set(table["scene"])
