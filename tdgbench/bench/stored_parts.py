@@ -32,8 +32,8 @@ def write_parts(trainer: Trainer, folder: Path) -> None:
     is_filtered = any(model.filter is not None for model in trainer.gaussians.values())
     if trainer.method.renders_plain_gaussians and not states and not is_filtered:
         return
-    with whole_file(folder / FILE) as path:
-        torch.save(states, path)
+    with whole_file(folder / FILE) as path, path.open("wb") as file:  # of a path, torch would store the name
+        torch.save(states, file)
 
 
 class StoredMethod:

@@ -10,6 +10,7 @@ from rich.console import Console
 from methods.thermal3dgs import corner_loss, in_sight, transmitted
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
+from tdgbench.bench.stored_parts import write_parts
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
@@ -93,3 +94,14 @@ def test_a_long_training_on_the_cpu_is_announced(data_root, tmp_path, monkeypatc
     said = StringIO()
     assert run_cell(cfg, "", CellProgress(Console(file=said, width=300), 2)).status == "ok"
     assert ("its networks alone will take at least" in said.getvalue()) == (method != "3dgs")
+
+
+def test_equal_parts_are_stored_in_equal_bytes(small_gray_scene, tmp_path):
+    trainer = ready_to_train(small_gray_scene, "thermal3dgs", 30)
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_parts(trainer, tmp_path / name)
+    assert (tmp_path / "a/parts.pt").read_bytes() == (tmp_path / "b/parts.pt").read_bytes()
+    assert (
+        b"parts" not in (tmp_path / "a/parts.pt").read_bytes()
+    )  # the name of the file, which has a number of the process
