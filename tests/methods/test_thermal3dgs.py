@@ -104,4 +104,4 @@ def test_equal_parts_are_stored_in_equal_bytes(small_gray_scene, tmp_path):
     assert (tmp_path / "a/parts.pt").read_bytes() == (tmp_path / "b/parts.pt").read_bytes()
     assert (
         b"parts" not in (tmp_path / "a/parts.pt").read_bytes()
-    )  # the name of the file, which has a number of the process
+    )
