@@ -74,13 +74,19 @@ class TrainingState:
 
     def split(self, rows: Tensor) -> Gaussians:
         """Return rows (n, columns) as Gaussians; they share memory and gradients."""
+        sizes = [3, 4, 3, 1, self.bases * self.channels, *(math.prod(shape) for _, shape in self._extra.values())]
+        # One split for all: its backward pass is one concatenation, where each slice's would fill all columns.
+        means, quats, log_scales, opacity, sh, *extra, _ = rows.split([*sizes, rows.shape[1] - sum(sizes)], dim=1)
         return Gaussians(
-            means=rows[:, MEANS],
-            log_scales=rows[:, SCALES],
-            quats=rows[:, QUATS],
-            opacity_logits=rows[:, OPACITY_AT],
-            sh=rows[:, self.columns_of("sh")].unflatten(1, (self.bases, self.channels)),
-            extra_fields={name: rows[:, at].unflatten(1, shape) for name, (at, shape) in self._extra.items()},
+            means=means,
+            log_scales=log_scales,
+            quats=quats,
+            opacity_logits=opacity.squeeze(1),
+            sh=sh.unflatten(1, (self.bases, self.channels)),
+            extra_fields={
+                name: columns.unflatten(1, shape)
+                for (name, (_, shape)), columns in zip(self._extra.items(), extra, strict=True)
+            },
         )
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
