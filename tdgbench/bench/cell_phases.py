@@ -217,8 +217,8 @@ class CellRun(SetupObserver):
     def _describe_scene(self, scene: Scene, scorer: Scorer) -> None:
         """Put facts about the scene, its metrics and its backend into the record."""
         record = self.record
-        record.split, record.channels, record.notes = scene.split, scene.channels, list(scene.notes)
-        record.convention = scorer.convention
+        record.split, record.convention, record.notes = scene.split, scorer.convention, list(scene.notes)
+        record.channels = scene.channels  # type: ignore[assignment]
         record.views = {"train": len(scene.train), "test": len(scene.test)}
         if self.cfg.backend.name == "auto" and auto().line:
             record.notes.append(f"backend: {auto().line}")

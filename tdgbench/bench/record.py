@@ -103,7 +103,7 @@ class Record:
     convention: str = ""
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
-    channels: Annotated[int, Field(ge=0, le=3)] = 0  # of the thermal images; 0: not loaded
+    channels: Literal[0, 1, 3] = 0  # of the thermal images; 0: not loaded
     temperature_range: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
     masked: dict[str, Share] = field(default_factory=dict)  # share of the pixels without a thermal value, as `views`

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.thermal.maps import evaluate, line_map
+
+if TYPE_CHECKING:
+    from tdgbench.scenes.synthetic.truth import CameraTruth
 
 
 class ViewResponses(NamedTuple):

@@ -4,7 +4,6 @@ from rich.console import Console
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.bench.run_cell import run_cell
-from tdgbench.bench.setup import correct_scene
 from tests.helpers.configs import SMALL, config
 
 STILL = (
@@ -49,11 +48,6 @@ def test_what_cannot_be_estimated_is_a_note(record_of):
     assert "pseudo-coloured" in record.thermal_camera["estimated"]["unknown"]
     (note,) = (note for note in record.notes if note.startswith("thermal camera: "))
     assert note.startswith("thermal camera: images stay as they are: ")
-
-
-def test_images_stay_where_the_camera_is_unknown(small_scene):
-    found = correct_scene(small_scene)
-    assert found.scene is small_scene and "pseudo-colour" in found.facts["unknown"]
 
 
 def test_a_capture_without_drift_keeps_its_offsets(record_of, tmp_path):

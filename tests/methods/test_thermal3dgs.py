@@ -102,6 +102,4 @@ def test_equal_parts_are_stored_in_equal_bytes(small_gray_scene, tmp_path):
         (tmp_path / name).mkdir()
         write_parts(trainer, tmp_path / name)
     assert (tmp_path / "a/parts.pt").read_bytes() == (tmp_path / "b/parts.pt").read_bytes()
-    assert (
-        b"parts" not in (tmp_path / "a/parts.pt").read_bytes()
-    )
+    assert b"parts" not in (tmp_path / "a/parts.pt").read_bytes()

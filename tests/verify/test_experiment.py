@@ -88,7 +88,7 @@ def test_edited_scores(spoiled):
         ({"key": "0123"}, "$.key: String should match pattern"),
         ({"iterations": -1}, "$.iterations: Input should be greater than or equal to 0, not -1"),
         ({"resumed": [0]}, "$.resumed.0: Input should be greater than or equal to 1, not 0"),
-        ({"channels": 2}, "$.channels: must be 0 or 1 or 3, not 2"),
+        ({"channels": 2}, "$.channels: Input should be 0, 1 or 3, not 2"),
         ({"temperature_range": [20.0]}, "$.temperature_range: List should have at least 2 items"),
         ({"views": {"train": 1.5}}, "$.views.train: Input should be a valid integer, not 1.5"),
         ({"scores": {"psnr": 20.0}}, "scores lacks ssim, which views.csv has"),
