@@ -111,6 +111,21 @@ def read_thermogram(path: Path) -> Thermogram:
         ) from error
 
 
+def dji_counts(path: Path) -> np.ndarray | None:
+    """Return the raw counts (H, W) of a radiometric JPEG of DJI, little-endian in its APP3 segments; None of others.
+
+    What they mean in °C only DJI's SDK says. Raises SceneError if there are not as many as pixels.
+    """
+    with opened_image(path) as image:
+        if image.format == "TIFF" or _maker(image) != "DJI":
+            return None
+        (width, height), segments = image.size, getattr(image, "applist", [])
+    raw = np.frombuffer(b"".join(data for name, data in segments if name == "APP3"), "<u2")
+    if len(raw) != width * height:
+        raise SceneError(f"{path} has {len(raw)} raw counts for {width}×{height} pixels; copy it again from the camera")
+    return raw.reshape(height, width)
+
+
 def _decode_flir(content: bytes, path: Path) -> Thermogram:
     from flyr.embedded_image import parse_embedded_image
     from flyr.picture_in_picture import parse_pip_info

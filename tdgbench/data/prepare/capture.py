@@ -13,26 +13,32 @@ from PIL import Image
 
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
-from tdgbench.data.prepare.sources import ViewFiles, find_sources
+from tdgbench.data.prepare.sources import ViewFiles, find_sources, find_thermal
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import COUNT_MODES, read_image, whole_image, with_channels
+from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, whole_image, with_channels
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.radiometric import PhotoMapping, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, is_radiometric, read_celsius, read_thermogram
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 JPEG = (".jpg", ".jpeg")
 
 
 class Kind(NamedTuple):
-    """What the files of all views of one scene must have in common. Sizes are (width, height) in px."""
+    """What the files of all views of one scene must have in common. Sizes are (width, height) in px.
+
+    rgb: of the images that COLMAP sees; of thermal images alone, theirs.
+    """
 
     rgb: Size
     thermal: Size
     is_celsius: bool
     is_one_file: bool  # the RGB image is the photo inside the thermal file
+    is_thermal_alone: bool = False
 
     def __str__(self) -> str:
+        if self.is_thermal_alone:
+            return f"{self.thermal[0]}×{self.thermal[1]}" + ("" if self.is_celsius else " without temperatures")
         sizes = f"RGB {self.rgb[0]}×{self.rgb[1]} and thermal {self.thermal[0]}×{self.thermal[1]}"
         return sizes + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
 
@@ -42,11 +48,12 @@ class ViewContent:
     """Content of a view's files.
 
     thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
-    float32 in [0, 1]. mapping: as a FLIR file states it, of its own photo. settings: of the camera, in words.
+    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. settings: of the
+    camera, in words.
     """
 
     thermal: np.ndarray
-    rgb: np.ndarray
+    rgb: np.ndarray | None
     mapping: PhotoMapping | None = None
     settings: str = ""
 
@@ -63,22 +70,25 @@ class Capture:
     names: dict[str, str] = field(default_factory=dict)
     mappings: dict[str, PhotoMapping] = field(default_factory=dict)
 
-    def rgb(self, view: str) -> np.ndarray:
-        """Return the RGB image (h, w, 3), float32 in [0, 1]."""
-        return with_channels(read_image(self.folder / self.names[view]), 3)
+    def rgb(self, view: str) -> np.ndarray | None:
+        """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
+        return None if self.kind.is_thermal_alone else with_channels(read_image(self.folder / self.names[view]), 3)
 
     def thermal(self, view: str) -> np.ndarray:
         """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
         return np.load(self.folder / f"{self.names[view]}.npy", allow_pickle=False)
 
 
-def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale: CountScale, report: Report) -> Capture:
+def read_capture(
+    folder: Path, work: Path, pairs: tuple[str, str] | None, scale: CountScale, thermal_alone: bool, report: Report
+) -> Capture:
     """Read all files, and store their content in `work`.
 
-    scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. Files that cannot be read are
-    reported. Raises SceneError if none can, and for views of several kinds.
+    scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. thermal_alone: RGB images are
+    not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
+    kinds.
     """
-    sources = find_sources(folder, pairs)
+    sources = find_thermal(folder, pairs and pairs[0]) if thermal_alone else find_sources(folder, pairs)
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     radiometry = read_radiometry(folder / FILE)
     if not scale.is_known and radiometry is not None:
@@ -88,17 +98,20 @@ def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale:
     settings = Counter[str]()
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
-            rgb = "inside" if files.rgb is None else str(files.rgb)
+            rgb = "" if thermal_alone else "inside" if files.rgb is None else str(files.rgb)
             entry = FileReport(str(files.thermal), rgb, files.view, "written")
             report.files.append(entry)
             try:
-                content = read_view(files, scale)
+                content = read_thermal(files.thermal, scale) if thermal_alone else read_view(files, scale)
             except SceneError as error:
                 entry.status, entry.reason = "not read", str(error)
             else:
                 _store(capture, files, content, index)
-                sizes = content.rgb.shape[1::-1], content.thermal.shape[1::-1]
-                kinds.setdefault(Kind(*sizes, content.thermal.ndim == 2, files.rgb is None), []).append(files.view)
+                thermal = content.thermal.shape[1::-1]
+                rgb_size = thermal if content.rgb is None else content.rgb.shape[1::-1]
+                is_one_file = files.rgb is None and not thermal_alone
+                kind = Kind(rgb_size, thermal, content.thermal.ndim == 2, is_one_file, thermal_alone)
+                kinds.setdefault(kind, []).append(files.view)
                 settings[content.settings] += 1
             count(index + 1)
     if not kinds:
@@ -110,10 +123,11 @@ def read_capture(folder: Path, work: Path, pairs: tuple[str, str] | None, scale:
         ]
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
-            "pair of cameras in one orientation: prepare each kind from a folder of its own"
+            "camera, or pair of them, in one orientation: prepare each kind from a folder of its own"
         )
     (capture.kind,) = kinds
-    report.rgb_size, report.thermal_size = capture.kind.rgb, capture.kind.thermal
+    report.rgb_size = None if thermal_alone else capture.kind.rgb
+    report.thermal_size = capture.kind.thermal
     if not capture.kind.is_celsius:
         known = f"whose °C {folder / FILE} gives" if is_there(folder / FILE) else "without °C: errors need a range"
         report.assumptions.append(f"thermal images show values {known}")
@@ -135,6 +149,21 @@ def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
     if holds_celsius(files.thermal, scale):
         return ViewContent(read_celsius(files.thermal, scale), with_channels(read_image(files.rgb), 3))
     return ViewContent(read_image(files.thermal), with_channels(read_image(files.rgb), 3))
+
+
+def read_thermal(path: Path, scale: CountScale) -> ViewContent:
+    """Read a view of thermal images alone; counts without a scale stay counts. Raises SceneError naming the file."""
+    counts = dji_counts(path)
+    if counts is not None:
+        return ViewContent((counts[:, :, None] / MOST_COUNTS).astype(np.float32), None)
+    with whole_image(path) as image:
+        is_scaled = scale.is_known or image.mode not in COUNT_MODES
+    if not (is_scaled and holds_celsius(path, scale)):
+        return ViewContent(read_image(path), None)
+    if path.suffix.lower() in JPEG:
+        thermogram = read_thermogram(path)
+        return ViewContent(thermogram.celsius, None, None, _in_words(thermogram.settings))
+    return ViewContent(read_celsius(path, scale), None)
 
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:
@@ -160,7 +189,7 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
     name = f"{index:06d}{'.jpg' if is_jpeg else '.png'}"  # without spaces, which lists of pairs cannot have
     if is_jpeg and files.rgb is not None:
         shutil.copyfile(files.rgb, capture.folder / name)
-    else:
+    elif content.rgb is not None:
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
     capture.names[files.view] = name

@@ -27,10 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=_positive, metavar="PX", help="of the output; default: the thermal resolution")
     parser.add_argument("--range", nargs=2, type=_number, metavar=("MIN", "MAX"),
                         help="°C of image values 0 and 1; default: percentiles 0.1 and 99.9")  # fmt: skip
+    parser.add_argument("--sfm", choices=("rgb", "thermal"), default="rgb",
+                        help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
+    parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
     parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     parser.add_argument("--matching", choices=("exhaustive", "sequential"), default="exhaustive",
                         help="sequential: neighbours by name, for videos")  # fmt: skip
-    parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of the RGB camera")
+    parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of these images")
     parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
     parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
 
@@ -53,7 +56,13 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
     if arguments.range is not None and not arguments.range[0] < arguments.range[1]:
         raise SceneError("--range: MIN must be below MAX")
-    sfm = SfmOptions(arguments.matching, arguments.camera_model, arguments.seed, arguments.threads)
+    if arguments.focal is not None and arguments.focal <= 0:
+        raise SceneError("--focal must be positive: the focal length in px")
+    if arguments.sfm == "thermal" and (arguments.no_sfm or arguments.mapping or arguments.homography):
+        raise SceneError("--sfm thermal has no RGB images: --no-sfm, --mapping and --homography are about them")
+    sfm = SfmOptions(
+        arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads
+    )
     return PrepareOptions(
         pairs=None if arguments.pairs is None else (arguments.pairs[0], arguments.pairs[1]),
         counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),

@@ -1,4 +1,4 @@
-"""Make a scene in the RGBT-Scenes layout of the files of a thermal and an RGB camera."""
+"""Make a scene in the RGBT-Scenes layout of the files of a thermal and an RGB camera, or of a thermal one alone."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from PIL import Image
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
+from tdgbench.data.prepare.contrast import write_pictures
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
@@ -61,22 +62,29 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) -> None:
     work = part / "work"
     work.mkdir()
-    capture = read_capture(folder, work, options.pairs, options.counts, report)
+    thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
+    capture = read_capture(folder, work, options.pairs, options.counts, thermal_alone, report)
     if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     mapping, own = _choose_mapping(capture, options)
     structure = None
+    if thermal_alone:
+        write_pictures(capture)
     if options.sfm is not None:
         structure = reconstruct(work, list(capture.names.values()), work, options.sfm)
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
-    report.assumptions += [
-        mapping.assumption,
-        "lens distortion is the RGB camera's, removed from both images alike"
-        if structure is not None
-        else "images are not undistorted, and there is no model: run COLMAP on rgb/, into sparse/0",
-    ]
+    if thermal_alone:
+        report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
+    elif structure is not None:
+        report.assumptions += [
+            mapping.assumption, "lens distortion is the RGB camera's, removed from both images alike"
+        ]  # fmt: skip
+    else:
+        report.assumptions += [
+            mapping.assumption, "images are not undistorted, and there is no model: run COLMAP on rgb/, into sparse/0"
+        ]  # fmt: skip
     report.size = grid.size
     views = _write_views(part, capture, (grid, mapping, own), report)
     views.temperature(options.range or _known_range(folder, capture), report)
@@ -133,16 +141,17 @@ def _write_views(
     pairs: list[ViewPair] = []
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
-            rgb = grid.rgb(capture.rgb(one.view))
+            photo = capture.rgb(one.view)
+            rgb = None if photo is None else grid.rgb(photo)
             thermal, valid = grid.thermal(capture.thermal(one.view), own.get(one.view, mapping))
             if not valid.any():
-                raise SceneError(f"{one.file}: no temperature lies inside the RGB image; leave the view out")
+                raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
             writer.view(one.view, rgb, thermal, valid)
-            if index in sampled:
+            if index in sampled and rgb is not None:
                 pairs.append(ViewPair(rgb, np.atleast_3d(thermal).astype(np.float32), valid))
             count(index + 1)
-    offset = edge_offset(pairs)
+    offset = "no RGB images" if capture.kind.is_thermal_alone else edge_offset(pairs)
     report.edge_offset = {**offset._asdict(), "px": offset.px} if isinstance(offset, Offset) else offset
     return writer
 
@@ -164,16 +173,18 @@ class SceneWriter:
         self.folder, self.is_celsius = folder, is_celsius
         self.names: list[str] = []  # of the views
         self._samples: list[np.ndarray] = []  # of the views' temperatures
-        for name in ("rgb", "thermal"):
-            (folder / name).mkdir()
+        (folder / "thermal").mkdir()
 
-    def view(self, name: str, rgb: np.ndarray, thermal: np.ndarray, valid: np.ndarray) -> None:
-        """Write a view. rgb: (H, W, 3) in [0, 1]. thermal: (H, W) °C or (H, W, C) in [0, 1]. valid: (H, W) bool.
+    def view(self, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
+        """Write a view. rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C or (H, W, C) in [0, 1]. valid: bool.
 
         A mask is written where a pixel is invalid: 255 for measured pixels, else 0.
         """
         self.names.append(name)
-        Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)).save(self.folder / "rgb" / f"{name}.png")
+        if rgb is not None:
+            (self.folder / "rgb").mkdir(exist_ok=True)
+            picture = Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8))
+            picture.save(self.folder / "rgb" / f"{name}.png")
         self._thermal(name, thermal, valid)
         if not valid.all():
             (self.folder / "masks").mkdir(exist_ok=True)

@@ -68,9 +68,10 @@ class Report:
 
     def _facts(self) -> list[str]:
         lines = []
-        if self.rgb_size and self.thermal_size and self.size:
-            sizes = ["×".join(map(str, size)) for size in (self.rgb_size, self.thermal_size, self.size)]
-            lines.append(f"  RGB {sizes[0]} px, thermal {sizes[1]} px, output {sizes[2]} px")
+        sizes = {"RGB": self.rgb_size, "thermal": self.thermal_size, "output": self.size}
+        if self.size:
+            named = (f"{name} {size[0]}×{size[1]} px" for name, size in sizes.items() if size)
+            lines.append(f"  {', '.join(named)}")
         if self.temperature is not None:
             low, high = self.temperature
             clipped = "" if not self.clipped else f"; {100 * self.clipped:.2g} % of the pixels are outside"

@@ -1,4 +1,4 @@
-"""Structure from motion on the RGB images: COLMAP through pycolmap, on the CPU, from one seed."""
+"""Structure from motion: COLMAP through pycolmap, on the CPU, from one seed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 import pycolmap
+from PIL import Image
 from pydantic import Field
 
 from tdgbench.data.progress import step
@@ -21,13 +22,21 @@ CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "O
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
+FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
+KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
 
 
 @dataclass(frozen=True)
 class SfmOptions:
-    """Options of COLMAP. One camera is shared by all images. threads: None for all processors."""
+    """Options of COLMAP. One camera is shared by all images.
 
+    images: which ones COLMAP sees. focal: focal length in px, which is kept; None: estimated. threads: None for all
+    processors.
+    """
+
+    images: Literal["rgb", "thermal"] = "rgb"
+    focal: Annotated[float, Field(gt=0)] | None = None
     matching: Literal["exhaustive", "sequential"] = "exhaustive"
     camera_model: CameraModel = "SIMPLE_RADIAL"
     seed: Annotated[int, Field(ge=0)] = 0
@@ -65,10 +74,16 @@ def reconstruct(images: Path, names: list[str], work: Path, options: SfmOptions)
     features, matches = _counts(database)
     sizes = sorted((model.num_reg_images() for model in models), reverse=True)
     if not sizes or sizes[0] < FEWEST_IMAGES:
-        raise SceneError(_no_model(names, features, matches, sizes))
+        raise SceneError(_no_model(names, features, matches, sizes, options.images))
     best = max(models, key=lambda model: model.num_reg_images())
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
     (camera,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
+    focal = camera.mean_focal_length()
+    if not FOCALS[0] < focal / camera.width < FOCALS[1]:
+        raise SceneError(
+            f"COLMAP finds a focal length of {focal:.0f} px for images {camera.width} px wide, as no lens has: views "
+            "in one direction on a flat field do not settle it. Say it: --focal PX"
+        )
     error = best.compute_mean_reprojection_error()
     return Structure(camera, poses, _cloud(best), error, sizes, features, matches)
 
@@ -78,6 +93,10 @@ def _extract(database: Path, images: Path, names: list[str], options: SfmOptions
     settings.num_threads = options.threads or -1
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = options.camera_model
+    if options.focal is not None:
+        width, height = Image.open(images / names[0]).size
+        camera = pycolmap.Camera.create_from_model_name(1, options.camera_model, options.focal, width, height)
+        reader.camera_params = ",".join(map(str, camera.params))
     with step("features of images", len(names)) as count:
         pycolmap.extract_features(
             database, images, names, pycolmap.CameraMode.SINGLE, reader, settings, pycolmap.Device.cpu
@@ -120,6 +139,7 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
+    settings.ba_refine_focal_length = options.focal is None
     folder.mkdir()
     with step("images to register", total) as count:
         done = itertools.count(3)  # the first pair counts as two
@@ -148,13 +168,13 @@ def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:
     return features, matches
 
 
-def _no_model(names: list[str], features: Counter[str], matches: Counter[str], sizes: list[int]) -> str:
+def _no_model(names: list[str], features: Counter[str], matches: Counter[str], sizes: list[int], images: str) -> str:
     counts, verified = [features[name] for name in names], [matches[name] for name in names]
     found = f"models of {', '.join(map(str, sizes))} images" if sizes else "no model"
     return (
-        f"COLMAP finds {found} in {len(names)} RGB images, and a scene needs one of {FEWEST_IMAGES}: the images have "
-        f"{min(counts)} to {max(counts)} features and {min(verified)} to {max(verified)} verified matches each. Take "
-        "more pictures that overlap by two thirds, from moving positions, of something with texture"
+        f"COLMAP finds {found} in {len(names)} {KINDS[images]} images, and a scene needs one of {FEWEST_IMAGES}: the "
+        f"images have {min(counts)} to {max(counts)} features and {min(verified)} to {max(verified)} verified matches "
+        "each. Take more pictures that overlap by two thirds, from moving positions, of something with texture"
     )
 
 

@@ -1,4 +1,4 @@
-"""Find the camera's files of each view: a radiometric file with its own photo, or a thermal and an RGB file."""
+"""Find the camera's files of each view: a radiometric file with its own photo, a thermal and an RGB file, or one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXAMPLE = "--pairs '*_T.tiff' '*_V.jpg'"
 
 @dataclass(frozen=True)
 class ViewFiles:
-    """Files of one view. rgb: None if the photo is inside the thermal file."""
+    """Files of one view. rgb: None if the photo is inside the thermal file, or not looked for."""
 
     view: str
     thermal: Path
@@ -30,6 +30,22 @@ class Sources:
 
     views: list[ViewFiles]
     left_out: dict[Path, str] = field(default_factory=dict)
+
+
+def find_thermal(folder: Path, pattern: str | None = None) -> Sources:
+    """Find the thermal images in a folder, for captures without RGB images: all in it, or in its thermal/.
+
+    pattern: as the first one of `find_sources`. Raises SceneError if there is no view.
+    """
+    if not is_folder(folder):
+        raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
+    if pattern is not None:
+        files = _matching(folder, pattern)
+    else:
+        files = find_files(folder / "thermal" if is_folder(folder / "thermal") else folder)[0]
+    if not files:
+        raise SceneError(f"{folder} holds no thermal image; say which files they are, as by {EXAMPLE}")
+    return Sources([ViewFiles(view, path, None) for view, path in files.items()])
 
 
 def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:

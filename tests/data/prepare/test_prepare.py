@@ -9,13 +9,14 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare import prepare as module
+from tdgbench.data.prepare.contrast import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
-from tdgbench.data.prepare.sfm import Structure
+from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
-from tdgbench.scenes.radiometric import PhotoMapping, read_celsius
+from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, read_celsius
 from tdgbench.scenes.temperature import CountScale
-from tests.helpers.flir import FlirCamera, write_flir
+from tests.helpers.flir import FlirCamera, with_segments, write_flir
 from tests.helpers.layouts import celsius
 from tests.helpers.paths import SHARED
 
@@ -234,3 +235,75 @@ def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
         )
         assert (((degC > 22) == (rgb < 110)) | ~inside).mean() > 0.99
         assert (degC > 22).sum() > 80
+
+
+THERMAL_ALONE = PrepareOptions(sfm=SfmOptions(images="thermal"))
+
+
+def structure_of_thermal(scene):
+    """Stands in for COLMAP: the scene's own cameras; the pictures that it is given are kept."""
+    pictures = {}
+
+    def reconstruct(images, names, work, options):
+        pictures.update({name: np.asarray(Image.open(images / name)) for name in names})
+        views = scene.views[: len(names)]
+        K, size = views[0].camera.K, (views[0].camera.width, views[0].camera.height)
+        camera = pycolmap.Camera(
+            model="PINHOLE", width=size[0], height=size[1], params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        )
+        poses = {name: view.camera.world_to_camera for name, view in zip(names, views, strict=True)}
+        return Structure(camera, poses, scene.points, 0.5, [len(poses)], Counter(), Counter())
+
+    return reconstruct, pictures
+
+
+def test_thermal_images_alone(tmp_path, small_gray_scene, monkeypatch):
+    """No RGB image is needed; COLMAP sees pictures with contrast, the scene holds what was measured."""
+    reconstruct, pictures = structure_of_thermal(small_gray_scene)
+    monkeypatch.setattr(module, "reconstruct", reconstruct)
+    (tmp_path / "camera").mkdir()
+    for view in small_gray_scene.views[:6]:
+        counts = np.round(5000 + 300 * view.thermal[..., 0]).astype(np.uint16)
+        Image.fromarray(counts).save(tmp_path / "camera" / f"{view.name}.tiff")
+    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", THERMAL_ALONE)
+    assert report.is_complete and report.rgb_size is None and report.size == (48, 36)
+    assert report.edge_offset == "no RGB images" and "RGB 48" not in report.text()
+    assert all(np.ptp(picture) > 200 for picture in pictures.values()) and len(pictures) == 6
+    scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
+    assert [view.name for view in scene.views] == [view.name for view in small_gray_scene.views[:6]]
+    assert not (tmp_path / "scene" / "rgb").exists() and scene.channels == 1
+    stored = np.asarray(Image.open(tmp_path / "scene" / "thermal" / f"{scene.views[0].name}.png"))
+    assert 4990 < stored.min() < stored.max() < 5310
+
+
+def write_dji(path, counts, height=None):
+    """Write a JPEG with DJI's maker name and raw counts, in several segments."""
+    Image.fromarray(np.zeros((height or len(counts), counts.shape[1]), np.uint8)).save(path, "JPEG")
+    raw = counts.tobytes()
+    pieces = [raw[first : first + 1000] for first in range(0, len(raw), 1000)]
+    segments = [b"\xff\xe1" + (40).to_bytes(2, "big") + b"Exif\0\0MM DJI".ljust(38, b"\0")]
+    segments += [b"\xff\xe3" + (len(piece) + 2).to_bytes(2, "big") + piece for piece in pieces]
+    path.write_bytes(with_segments(path.read_bytes(), segments))
+
+
+def test_raw_counts_of_dji(tmp_path):
+    rng = np.random.default_rng(0)
+    counts = rng.integers(5000, 5400, (36, 48)).astype("<u2")
+    write_dji(tmp_path / "a.jpg", counts)
+    assert np.array_equal(dji_counts(tmp_path / "a.jpg"), counts)
+    write_dji(tmp_path / "b.jpg", counts[:-1], height=36)
+    with pytest.raises(SceneError, match=r"b\.jpg has 1680 raw counts for 48×36 pixels"):
+        dji_counts(tmp_path / "b.jpg")
+    Image.fromarray(np.zeros((36, 48), np.uint8)).save(tmp_path / "c.jpg")
+    assert dji_counts(tmp_path / "c.jpg") is None
+
+
+def test_no_contrast_gives_a_picture(small_gray_scene):
+    flat = np.full((36, 48), 21.0)
+    flat[0, 0] = np.nan
+    assert picture(flat).shape == (36, 48) and picture(flat).dtype == np.uint8
+
+
+def test_nothing_thermal_is_one_error(tmp_path):
+    with pytest.raises(SceneError, match="holds no thermal image"):
+        prepare_scene(tmp_path, tmp_path / "scene", THERMAL_ALONE)
