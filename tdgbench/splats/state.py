@@ -16,7 +16,8 @@ from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
 QUATS = slice(QUATS_AT, QUATS_AT + 4)
-GROWTH = 3.0  # of the capacity, when it is used up; memory that was never written costs nothing
+GROWTH = 3.0  # of the capacity, when it is used up; on a CPU, memory that was never written costs nothing
+GROWTH_ON_GPU = 1.5  # where it does
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 CHUNK_ROWS = 100_000  # converted to double precision at once
@@ -176,7 +177,7 @@ class TrainingState:
         """Raise the capacity to `count` rows or more."""
         if count <= len(self._values):
             return
-        capacity = int(count * GROWTH)
+        capacity = capacity_for(count, self._values.device)
         for name in ROWS:
             old = getattr(self, name)
             larger = _allocate(old, (capacity, old.shape[1]))
@@ -194,6 +195,11 @@ def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tup
         found[name] = slice(first, first + math.prod(shape)), shape
         first += math.prod(shape)
     return found
+
+
+def capacity_for(count: int, device: torch.device) -> int:
+    """Return how many rows are allocated when `count` are needed."""
+    return int(count * (GROWTH if device.type == "cpu" else GROWTH_ON_GPU))
 
 
 def compact(tensor: Tensor) -> Tensor:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.splats.state import REORDER_AT, TrainingState
+from tdgbench.splats.state import REORDER_AT, TrainingState, capacity_for
 from tests.helpers.gaussians import model
 
 
@@ -80,3 +80,7 @@ def test_positions_that_are_not_finite_do_not_stop_it():
     given.means[1, 0] = torch.nan
     state = TrainingState(given)
     assert np.isnan(state.values[:, 0].numpy()).sum() == 1
+
+
+def test_memory_that_is_never_written_is_spared_on_a_gpu():
+    assert capacity_for(1000, torch.device("cpu")) == 3000 and capacity_for(1000, torch.device("cuda")) == 1500

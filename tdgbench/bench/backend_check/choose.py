@@ -76,12 +76,13 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
         return AutoBackend(AUTO["cpu"])
     backend = AUTO[GPU]
     models = {torch.cuda.get_device_name(i): i for i in reversed(range(torch.cuda.device_count()))}
+    version, lines = f"gsplat {installed_version()}", []
+    if installed_version() is not None:
+        note = "checking gsplat against the reference; its first use compiles kernels for minutes"
+        say(note, "note:", "yellow", stderr=True)
     reason = load_backend(backend).why_not()
     if reason is not None:
         return AutoBackend(AUTO["cpu"], f"the CPU trains, not {' and '.join(sorted(models))}: {reason}")
-    note = "checking gsplat against the reference; its first use compiles kernels for minutes"
-    say(note, "note:", "yellow", stderr=True)
-    version, lines = f"gsplat {installed_version()}", []
     for name, index in sorted(models.items()):
         with torch.cuda.device(index):
             verdict = run(backend)

@@ -3,9 +3,9 @@
 Constants of gsplat differ from those of the other backends (nerfstudio-project/gsplat, v1.5.3 and 1db12c01): before
 1.6, alpha is capped at 0.999 rather than 0.99 (RasterizeToPixels3DGSFwd.cu; changed by c5ff586b). A Gaussian's radius
 ends where its alpha falls below 1/255, not at 3 σ (ProjectionEWA3DGSFused.cu), so that density control may not count a
-faint one at the border as visible. The rest is the same: alpha below 1/255 is skipped, a pixel stops at transmittance
-1e-4, eps2d is added to the image covariance, depth is the accumulated z. Before 1.6, harmonics have three channels
-(rendering.py asserts it); others are filled up with zeros.
+faint one at the border as visible. gsplat hides NaN, which the adapter puts into the image. The rest is the same: alpha
+below 1/255 is skipped, a pixel stops at transmittance 1e-4, eps2d is added to the image covariance, depth is the
+accumulated z. Before 1.6, harmonics have three channels (rendering.py asserts it); others are filled up with zeros.
 """
 
 from __future__ import annotations
@@ -70,6 +70,9 @@ class CudaBackend(Backend):
         image = rendered[0, ..., :channels]
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)
+        # gsplat culls a Gaussian whose mean is NaN, and draws one whose opacity is; a training must notice both.
+        broken = torch.stack([torch.isnan(part).any() for part in (means, quats, scales, opacities, colors)]).any()
+        image = torch.where(broken, torch.nan, image)
         by_axis = meta["radii"][0]
         radii = by_axis.amax(dim=1) * (by_axis > 0).all(dim=1)
         absgrad = torch.zeros_like(meta["means2d"][0].detach()) if options.absgrad else None
@@ -80,12 +83,22 @@ class CudaBackend(Backend):
 
 @cache
 def _import_problem() -> str | None:
-    """Return why gsplat cannot be imported; None if it can."""
+    """Return why gsplat cannot be imported, or has no kernels; None if it can be used.
+
+    The import compiles the kernels, if nvcc is there. Without it, gsplat is imported all the same, with None in their
+    place (gsplat/cuda/_backend.py of v1.5.3).
+    """
     try:
         importlib.import_module("gsplat")
+        kernels = importlib.import_module("gsplat.cuda._backend")
     except Exception as error:  # of a build for another torch, too
         text = str(error).splitlines() or [""]
         return f"gsplat cannot be imported ({type(error).__name__}: {text[0]})"
+    if kernels._C is None:
+        return (
+            "gsplat finds no nvcc to compile its kernels with: install the CUDA toolkit "
+            f"{torch.version.cuda}, for which torch was built, and a C++ compiler"
+        )
     return None
 
 

@@ -82,6 +82,23 @@ def test_hands_over_and_takes_back(stand_in, degree, channels, depth, background
         assert torch.allclose(ours, theirs, atol=1e-12)
 
 
+@pytest.mark.parametrize("part", ["means", "opacities"])
+def test_a_nan_that_gsplat_hides_is_in_the_image(monkeypatch, part):
+    module = types.ModuleType("gsplat")
+
+    def without_nan(means, quats, scales, opacities, *rest, **options):
+        return gsplat_rasterization(means.nan_to_num(), quats, scales, opacities.nan_to_num(), *rest, **options)
+
+    module.rasterization = without_nan
+    monkeypatch.setitem(sys.modules, "gsplat", module)
+    given = GaussianTensors(*(p.double() for p in random_gaussians(5, 3, None, 3)))
+    (view,), (K,) = (t.double() for t in turned_camera(20, 15))
+    good = cuda.BACKEND.render(given, Pinhole(view, K, 20, 15), RenderOptions()).image
+    getattr(given, part)[2] = torch.nan
+    bad = cuda.BACKEND.render(given, Pinhole(view, K, 20, 15), RenderOptions()).image
+    assert torch.isfinite(good).all() and torch.isnan(bad).all()
+
+
 def test_other_constants_are_refused(stand_in):
     """Shortcuts concern only `cpu`, and do not matter here."""
     given = GaussianTensors(*(p.requires_grad_() for p in random_gaussians(5, 3, None, 1)))
@@ -119,16 +136,44 @@ def test_the_cap_of_alpha_follows_the_version(version, cap):
     assert constants == replace(AS_3DGS, max_alpha=cap)
 
 
-def test_gsplat_that_cannot_be_imported_is_a_reason(monkeypatch, tmp_path):
-    (tmp_path / "gsplat").mkdir()
-    (tmp_path / "gsplat" / "__init__.py").write_text("raise ImportError('undefined symbol: _ZN3c10\\nand more')\n")
+@pytest.fixture
+def gsplat_of(monkeypatch, tmp_path):
+    """Put a gsplat with these lines in its files in the place of an installed one: `gsplat_of(init, backend)`."""
+    names = ("gsplat", "gsplat.cuda", "gsplat.cuda._backend")
+
+    def put(init, backend):
+        (tmp_path / "gsplat" / "cuda").mkdir(parents=True)
+        (tmp_path / "gsplat" / "__init__.py").write_text(init)
+        (tmp_path / "gsplat" / "cuda" / "__init__.py").write_text("")
+        (tmp_path / "gsplat" / "cuda" / "_backend.py").write_text(backend)
+        for name in names:
+            monkeypatch.delitem(sys.modules, name, raising=False)
+
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     cuda._import_problem.cache_clear()
-    try:
-        assert cuda.BACKEND.why_not() == "gsplat cannot be imported (ImportError: undefined symbol: _ZN3c10)"
-    finally:
-        cuda._import_problem.cache_clear()
+    yield put
+    cuda._import_problem.cache_clear()
+    for name in names:
+        sys.modules.pop(name, None)
+
+
+def test_gsplat_that_cannot_be_imported_is_a_reason(gsplat_of):
+    gsplat_of("raise ImportError('undefined symbol: _ZN3c10\\nand more')\n", "_C = None\n")
+    assert cuda.BACKEND.why_not() == "gsplat cannot be imported (ImportError: undefined symbol: _ZN3c10)"
+
+
+def test_gsplat_without_kernels_names_the_compiler(gsplat_of, monkeypatch):
+    """As gsplat 1.5.3 is after its import on a machine without nvcc."""
+    monkeypatch.setattr(torch.version, "cuda", "12.8")
+    gsplat_of("", "_C = None\n")
+    reason = cuda.BACKEND.why_not()
+    assert "finds no nvcc" in reason and "CUDA toolkit 12.8" in reason and "C++ compiler" in reason
+
+
+def test_gsplat_with_kernels_can_be_used(gsplat_of):
+    gsplat_of("", "_C = object()\n")
+    assert cuda.BACKEND.why_not() is None
 
 
 def test_without_a_gpu_it_says_why():
