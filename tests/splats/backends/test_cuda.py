@@ -91,10 +91,11 @@ def test_a_nan_that_gsplat_hides_is_in_the_image(monkeypatch, part):
 
     module.rasterization = without_nan
     monkeypatch.setitem(sys.modules, "gsplat", module)
-    given = GaussianTensors(*(p.double() for p in random_gaussians(5, 3, None, 3)))
+    given = GaussianTensors(*(p.double().requires_grad_() for p in random_gaussians(5, 3, None, 3)))
     (view,), (K,) = (t.double() for t in turned_camera(20, 15))
     good = cuda.BACKEND.render(given, Pinhole(view, K, 20, 15), RenderOptions()).image
-    getattr(given, part)[2] = torch.nan
+    with torch.no_grad():
+        getattr(given, part)[2] = torch.nan
     bad = cuda.BACKEND.render(given, Pinhole(view, K, 20, 15), RenderOptions()).image
     assert torch.isfinite(good).all() and torch.isnan(bad).all()
 
