@@ -16,6 +16,7 @@ from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
 QUATS = slice(QUATS_AT, QUATS_AT + 4)
+GEOMETRY_SIZES = np.diff([MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT]).tolist()  # columns, in their order
 GROWTH = 3.0  # of the capacity, when it is used up; on a CPU, memory that was never written costs nothing
 GROWTH_ON_GPU = 1.5  # where it does
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
@@ -75,7 +76,7 @@ class TrainingState:
 
     def split(self, rows: Tensor) -> Gaussians:
         """Return rows (n, columns) as Gaussians; they share memory and gradients."""
-        sizes = [3, 4, 3, 1, self.bases * self.channels, *(math.prod(shape) for _, shape in self._extra.values())]
+        sizes = [*GEOMETRY_SIZES, self.bases * self.channels, *(math.prod(shape) for _, shape in self._extra.values())]
         # One split for all: its backward pass is one concatenation, where each slice's would fill all columns.
         means, quats, log_scales, opacity, sh, *extra, _ = rows.split([*sizes, rows.shape[1] - sum(sizes)], dim=1)
         return Gaussians(

@@ -76,8 +76,8 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
         return AutoBackend(AUTO["cpu"])
     backend = AUTO[GPU]
     models = {torch.cuda.get_device_name(i): i for i in reversed(range(torch.cuda.device_count()))}
-    version, lines = f"gsplat {installed_version()}", []
-    if installed_version() is not None:
+    version, lines = installed_version(), []
+    if version is not None:
         note = "checking gsplat against the reference; its first use compiles kernels for minutes"
         say(note, "note:", "yellow", stderr=True)
     reason = load_backend(backend).why_not()
@@ -87,12 +87,12 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
         with torch.cuda.device(index):
             verdict = run(backend)
         if verdict.reason:
-            line = f"the CPU trains, not {name}: {version} did not pass its check: {verdict.reason} (checked in "
+            line = f"the CPU trains, not {name}: gsplat {version} did not pass its check: {verdict.reason} (checked in "
             line += f"{verdict.seconds:g} s; backend={backend} trains with it all the same)"
             return AutoBackend(AUTO["cpu"], line)
         sums = "deterministic" if verdict.spread == 0 else f"not deterministic, by {verdict.spread:.0e}"
         lines.append(
-            f"{name} trains: {version} agrees with the reference (image within {verdict.image:.0e} of "
+            f"{name} trains: gsplat {version} agrees with the reference (image within {verdict.image:.0e} of "
             f"{IMAGE_TOLERANCE:g}, gradients within {verdict.gradients:.0e} of {GRADIENT_TOLERANCE:g}; {sums}; "
             f"checked in {verdict.seconds:g} s)"
         )

@@ -13,10 +13,10 @@ from PIL import Image
 
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
-from tdgbench.data.prepare.sources import ViewFiles, find_sources, find_thermal
+from tdgbench.data.prepare.sources import ViewFiles, find_sources
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, whole_image, with_channels
+from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, storage, whole_image, with_channels
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, is_radiometric, read_celsius, read_thermogram
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
@@ -88,7 +88,7 @@ def read_capture(
     not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
     kinds.
     """
-    sources = find_thermal(folder, pairs and pairs[0]) if thermal_alone else find_sources(folder, pairs)
+    sources = find_sources(folder, pairs, thermal_alone)
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     radiometry = read_radiometry(folder / FILE)
     if not scale.is_known and radiometry is not None:
@@ -156,8 +156,7 @@ def read_thermal(path: Path, scale: CountScale) -> ViewContent:
     counts = dji_counts(path)
     if counts is not None:
         return ViewContent((counts[:, :, None] / MOST_COUNTS).astype(np.float32), None)
-    with whole_image(path) as image:
-        is_scaled = scale.is_known or image.mode not in COUNT_MODES
+    is_scaled = scale.is_known or storage(path) != "16-bit"
     if not (is_scaled and holds_celsius(path, scale)):
         return ViewContent(read_image(path), None)
     if path.suffix.lower() in JPEG:

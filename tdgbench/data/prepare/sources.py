@@ -32,32 +32,19 @@ class Sources:
     left_out: dict[Path, str] = field(default_factory=dict)
 
 
-def find_thermal(folder: Path, pattern: str | None = None) -> Sources:
-    """Find the thermal images in a folder, for captures without RGB images: all in it, or in its thermal/.
-
-    pattern: as the first one of `find_sources`. Raises SceneError if there is no view.
-    """
-    if not is_folder(folder):
-        raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
-    if pattern is not None:
-        files = _matching(folder, pattern)
-    else:
-        files = find_files(folder / "thermal" if is_folder(folder / "thermal") else folder)[0]
-    if not files:
-        raise SceneError(f"{folder} holds no thermal image; say which files they are, as by {EXAMPLE}")
-    return Sources([ViewFiles(view, path, None) for view, path in files.items()])
-
-
-def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
+def find_sources(folder: Path, pairs: tuple[str, str] | None = None, thermal_alone: bool = False) -> Sources:
     """Find the views in a folder of camera files.
 
     pairs: patterns of the thermal and of the RGB files below the folder, in which `*` stands for the view's name. By
     default, files in thermal/ and rgb/ are paired by name, where these folders are; else radiometric files (in the
     folder or in raw_images/) with the RGB files of the same name, or with the photos inside them.
+    thermal_alone: RGB images are not looked for; all images in the folder, or in its thermal/, are thermal.
     Raises SceneError if there is no view.
     """
     if not is_folder(folder):
         raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
+    if thermal_alone:
+        return _thermal_alone(folder, pairs)
     if pairs is not None:
         sources = _pair(*(_matching(folder, pattern) for pattern in pairs))
     elif is_folder(folder / "thermal") and is_folder(folder / "rgb"):
@@ -67,6 +54,16 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None) -> Sources:
     if not sources.views:
         raise SceneError(_nothing_found(folder, pairs, sources))
     return sources
+
+
+def _thermal_alone(folder: Path, pairs: tuple[str, str] | None) -> Sources:
+    if pairs is not None:
+        files = _matching(folder, pairs[0])
+    else:
+        files = find_files(folder / "thermal" if is_folder(folder / "thermal") else folder)[0]
+    if not files:
+        raise SceneError(f"{folder} holds no thermal image; say which files they are, as by {EXAMPLE}")
+    return Sources([ViewFiles(view, path, None) for view, path in files.items()])
 
 
 def _matching(folder: Path, pattern: str) -> dict[str, Path]:
