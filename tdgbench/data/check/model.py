@@ -14,7 +14,7 @@ FAR = 0.05  # median error of a wrong view, × diagonal of the image; COLMAP dro
 def wrong_views(folder: Path) -> list[str]:
     """Return a problem per view of a COLMAP model whose points project far from where it shows them.
 
-    Models without 2-D points, and ones that pycolmap does not read, have none.
+    Models without 2-D points, and ones that pycolmap does not read, have none. Points may have been removed.
     """
     try:
         model = pycolmap.Reconstruction(folder)
@@ -22,7 +22,8 @@ def wrong_views(folder: Path) -> list[str]:
         return []
     problems = []
     for image in model.images.values():
-        shown = [(point.xy, model.points3D[point.point3D_id].xyz) for point in image.get_observation_points2D()]
+        observed = [point for point in image.get_observation_points2D() if point.point3D_id in model.points3D]
+        shown = [(point.xy, model.points3D[point.point3D_id].xyz) for point in observed]
         if len(shown) < FEWEST:
             continue
         seen = [(xy, image.project_point(xyz)) for xy, xyz in shown]

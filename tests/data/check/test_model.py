@@ -42,3 +42,10 @@ def test_another_focal_length_is_found_in_all_views(model, tmp_path):
 
 def test_what_pycolmap_does_not_read(tmp_path):
     assert wrong_views(tmp_path) == []
+
+
+def test_a_model_from_which_points_were_removed(model, tmp_path):
+    model.write_text(tmp_path)
+    points = tmp_path / "points3D.txt"
+    points.write_text("\n".join(points.read_text().splitlines()[:-5]) + "\n")
+    assert wrong_views(tmp_path) == []
