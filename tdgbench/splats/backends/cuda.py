@@ -94,7 +94,7 @@ def _import_problem() -> str | None:
     except Exception as error:  # of a build for another torch, too
         text = str(error).splitlines() or [""]
         return f"gsplat cannot be imported ({type(error).__name__}: {text[0]})"
-    if kernels._C is None:
+    if getattr(kernels, "_C", kernels) is None:  # a release without this name is left to the check of its results
         return (
             "gsplat finds no nvcc to compile its kernels with: install the CUDA toolkit "
             f"{torch.version.cuda}, for which torch was built, and a C++ compiler"
