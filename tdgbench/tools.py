@@ -29,6 +29,7 @@ TOOLS = {
         ),
         "tdgbench.tables.command",
     ),
+    "compare": Tool((("A B", "two result folders: scores, verdicts, what differs"),), "tdgbench.compare"),
     "data": Tool(
         (
             ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from tdgbench.bench.record import READ_PHASE, Record
 from tdgbench.files import write_text
@@ -27,11 +27,8 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
     for cell in cells:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
-    environment = Environment(
-        loader=PackageLoader("tdgbench.report", "."), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, finalize=_visible,
-    )  # fmt: skip
-    html = environment.get_template("page.html.j2").render(
+    template = environment("tdgbench.report").get_template("page.html.j2")
+    html = template.render(
         name=experiment.resolve().name,
         findings=tables.findings,
         table=main_scores(tables),
@@ -49,6 +46,15 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     path = experiment / FILE
     write_text(path, html)
     return path
+
+
+def environment(package: str) -> Environment:
+    """Return an environment of a package's templates, which may include page.css and page.js."""
+    folders = ChoiceLoader([PackageLoader(name, ".") for name in dict.fromkeys((package, "tdgbench.report"))])
+    return Environment(
+        loader=folders, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=_visible,
+    )  # fmt: skip
 
 
 def _visible(value: Any) -> Any:

@@ -1,0 +1,70 @@
+"""What differs between two experiments behind their scores: protocol, training, code, machine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from tdgbench.bench.record import Record
+from tdgbench.bench.signature import as_typed
+from tdgbench.compare.cells import Pair
+
+PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
+KINDS = {
+    PROTOCOL: "decides what a score means; numbers of two protocols are not comparable",
+    TRAINING: "decides what is trained",
+    MACHINE: "decides rounding and time",
+}
+OF_PROTOCOL = ("data", "split", "convention", "channels", "temperature_range", "views", "masked")  # fields of Record
+OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
+PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
+
+
+class Cause(NamedTuple):
+    """One setting that differs. values: A's and B's, the most frequent ones. cells: pairs in which it differs."""
+
+    kind: str
+    name: str
+    values: tuple[str, str]
+    cells: int
+
+    def sentence(self, pairs: int) -> str:
+        """Return `budget.iterations: 3000 → 1200`, and in how many of the pairs if not in all."""
+        some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
+        return f"{self.name}: {self.values[0]} → {self.values[1]}{some}"
+
+
+def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
+    """Return every setting that differs in a pair, by kind, most frequent ones first."""
+    found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
+    for pair in pairs:
+        a, b = settings(pair.a.record), settings(pair.b.record)
+        for key in {**a, **b}:
+            values = a.get(key, "n/a"), b.get(key, "n/a")
+            if values[0] != values[1]:
+                found.setdefault(key, Counter())[values] += 1
+    causes = [Cause(*key, counts.most_common(1)[0][0], counts.total()) for key, counts in found.items()]
+    kinds = list(KINDS)
+    return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
+
+
+def settings(record: Record) -> dict[tuple[str, str], str]:
+    """Return everything behind a cell's scores as text, by kind and dotted name."""
+    whole: dict[tuple[str, str], str] = {}
+    for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
+        whole |= {(kind, name): text for name, text in _flat({f: getattr(record, f) for f in fields})}
+    for group, options in record.config.items():
+        kind = PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING
+        whole |= {(kind, name): text for name, text in _flat({group: options})}
+    return whole | {(MACHINE, name): text for name, text in _flat(record.environment)}
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+    """Yield dotted names and values as text; `_target_` by the name of its group."""
+    for key, item in value.items():
+        name = prefix.rstrip(".") if key == "_target_" else f"{prefix}{key}"
+        if isinstance(item, Mapping) and item:
+            yield from _flat(item, f"{name}.")
+        else:
+            yield name, as_typed(item)

@@ -1,0 +1,140 @@
+"""Cells that two experiments share, and how far their scores are apart.
+
+A cell of A and one of B form a pair if they have the same method, data set, scene, initial points, variant and seed.
+Differences are B − A, and their intervals are over the seeds that both have. Where nothing but the run differs, the two
+cells of a pair are repeats of one training: their spread (of a GPU, whose sums have no fixed order) is kept apart from
+the spread over seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.measures import MEASURES, RecordMeasure, as_text
+from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
+
+IDENTICAL, EQUIVALENT = "identical", "equivalent"
+PLACE = ["dataset", "scene", "method", "init", "variant"]
+COLUMNS = [
+    *PLACE, "metric", "seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict", "repeat_std",
+    "seed_std",
+]  # fmt: skip
+
+Place = tuple[str, ...]  # values of PLACE
+
+
+class Pair(NamedTuple):
+    """The same cell of two experiments."""
+
+    a: Cell
+    b: Cell
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs by place and seed, and the titles of finished cells that only one experiment has."""
+
+    by_place: dict[Place, dict[int, Pair]]
+    only_a: list[str]
+    only_b: list[str]
+
+    def __iter__(self) -> Iterator[Pair]:
+        return (pair for seeds in self.by_place.values() for pair in seeds.values())
+
+    def __len__(self) -> int:
+        return sum(len(seeds) for seeds in self.by_place.values())
+
+
+def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
+    """Match the finished cells of two experiments."""
+    mine, theirs = ({_identity(cell): cell for cell in cells} for cells in (a, b))
+    by_place: dict[Place, dict[int, Pair]] = {}
+    for place, seed in sorted(mine.keys() & theirs.keys()):
+        by_place.setdefault(place, {})[seed] = Pair(mine[place, seed], theirs[place, seed])
+    alone = ([cells[key].record.title for key in sorted(cells.keys() - others.keys())]
+             for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
+    return Pairs(by_place, *alone)
+
+
+def _identity(cell: Cell) -> tuple[Place, int]:
+    record = cell.record
+    return (record.dataset, record.scene, record.method, record.init, record.variant), record.seed
+
+
+def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:
+    """Return COLUMNS: a row per place and number that both cells of all its pairs have.
+
+    are_repeats: what is trained and scored is the same in both, so that equal seeds show the spread of a repeat.
+
+    a, b, difference: means over the seeds. ci90: of the difference, by Student; NaN for one seed. verdict: `identical`
+    if every pair has equal numbers; else of the interval against the metric's margin, as for published numbers:
+    `equivalent`, `better` or `worse` (B than A), `undecided`; empty without a margin. repeat_std: of one training run
+    again, from the differences of equal seeds; NaN where they are no repeats. seed_std: over the seeds, mean of both.
+    """
+    rows = []
+    for place, by_seed in pairs.by_place.items():
+        for metric in MEASURES:
+            values = np.array([[_value(cell, metric) for cell in pair] for pair in by_seed.values()], dtype=float)
+            if not np.isnan(values).any():
+                rows.append([*place, metric, *_compared(metric, values, are_repeats)])
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object]:
+    """Return the columns after `metric`. values: (seeds, 2), of A and B."""
+    seeds, differences = len(values), values[:, 1] - values[:, 0]
+    mean, margin = float(differences.mean()), load_margins().get(metric, np.nan)
+    std = float(differences.std(ddof=1)) if seeds > 1 else np.nan
+    low, high = map(float, seeds_interval(mean, std, seeds)) if seeds > 1 else (np.nan, np.nan)
+    if not differences.any():
+        verdict = IDENTICAL
+    elif np.isnan(margin):
+        verdict = ""
+    elif np.isnan(low):
+        verdict = UNDECIDED
+    else:
+        verdict = str(judge_score(low, high, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
+        verdict = EQUIVALENT if verdict == REPRODUCED else verdict
+    repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else np.nan
+    over_seeds = float(values.std(axis=0, ddof=1).mean()) if seeds > 1 else np.nan
+    return [seeds, *values.mean(axis=0).tolist(), mean, low, high, margin, verdict, repeat, over_seeds]
+
+
+def _value(cell: Cell, metric: str) -> float:
+    """Return a number of a cell, NaN for n/a."""
+    described, record = MEASURES[metric], cell.record
+    if isinstance(described, RecordMeasure):
+        return described.of_record(record)
+    scores = record.scores if metric in record.scores else {f"train_{k}": v for k, v in record.train_scores.items()}
+    value = scores.get(metric)
+    return np.nan if value is None else value
+
+
+NUMBERS = {"a": "A", "b": "B", "difference": "B − A", "interval": "90 % interval", "repeat_std": "std of a repeat",
+           "seed_std": "std over seeds"}  # headings  # fmt: skip
+
+
+def numbers_as_text(row: Mapping[str, Any]) -> dict[str, str]:
+    """Return the texts of NUMBERS of a row of the score table."""
+    metric, signed = row["metric"], {"difference", "ci90_low", "ci90_high"}
+    forms = {"a": "", "b": "", **dict.fromkeys(signed, "+.3g"), "repeat_std": ".2g", "seed_std": ".2g"}
+    texts = {k: "n/a" if np.isnan(row[k]) else as_text(metric, row[k], form=form) for k, form in forms.items()}
+    texts["interval"] = "n/a" if texts["ci90_low"] == "n/a" else f"{texts['ci90_low']} to {texts['ci90_high']}"
+    return {name: texts[name] for name in NUMBERS}
+
+
+def verdicts_by_metric(table: pd.DataFrame) -> pd.DataFrame:
+    """Return metric, places, mean and largest difference, and counts of verdicts, of metrics with a margin."""
+    rows = []
+    for metric, group in table[table["margin"].notna()].groupby("metric", sort=False):
+        counts = group["verdict"].value_counts()
+        largest = group["difference"].iloc[group["difference"].abs().argmax()]
+        words = ", ".join(f"{number} {word}" for word, number in counts.items())
+        rows.append([metric, len(group), group["difference"].mean(), largest, words])
+    return pd.DataFrame(rows, columns=["metric", "places", "mean", "largest", "verdicts"])

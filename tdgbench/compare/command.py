@@ -1,0 +1,117 @@
+"""`tdgbench compare A B [--out DIR]`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from rich.table import Table
+
+from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
+from tdgbench.compare.cells import (
+    IDENTICAL,
+    NUMBERS,
+    Pairs,
+    find_pairs,
+    numbers_as_text,
+    score_table,
+    verdicts_by_metric,
+)
+from tdgbench.compare.page import write_page
+from tdgbench.files import write_text
+from tdgbench.scoring import METRICS
+from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
+from tdgbench.tables.records import read_results
+from tdgbench.terminal import console, say
+from tdgbench.text import one_line
+
+MOST_CAUSES = 12  # of a kind, on the terminal
+
+
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status: 0 if no verdict is `better` or `worse` and the protocol is one, else 1."""
+    parser = argparse.ArgumentParser(
+        prog="tdgbench compare", description="Compare two result folders, cell by cell: of two machines, versions, "
+        "backends, settings. Differences are B − A.",
+    )  # fmt: skip
+    parser.add_argument("a", type=Path, metavar="A", help="folder results/<experiment>")
+    parser.add_argument("b", type=Path, metavar="B", help="another one")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
+    options = parser.parse_args(arguments)
+    try:
+        return _compare(options.a, options.b, options.out)
+    except (ValueError, OSError) as error:
+        say(one_line(f"tdgbench compare: {error}"), stderr=True)
+        return 2
+
+
+def _compare(a: Path, b: Path, out: Path | None) -> int:
+    pairs = find_pairs(_cells(a), _cells(b))
+    if not len(pairs):
+        raise ValueError(
+            f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
+        )
+    causes = find_causes(pairs)
+    table = score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
+    findings = sentences(table, causes, pairs)
+    _show(table, causes, len(pairs))
+    for sentence in findings:
+        say(sentence, "found:", "bold")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / "compare.csv", as_csv(table, na_rep="n/a"))
+        write_page(out / "compare.html", (a.resolve().name, b.resolve().name), findings, table, causes, pairs)
+        say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
+    apart = table["verdict"].isin(["better", "worse"]).any()
+    return int(apart or any(cause.kind == PROTOCOL for cause in causes))
+
+
+def _cells(experiment: Path) -> list[Cell]:
+    """Return the finished cells of an experiment. Raises ValueError without any."""
+    results = read_results(experiment)
+    for problem in results.problems:
+        say(one_line(problem), "problem:")
+    cells = finished_cells(experiment, results.records)
+    if not cells:
+        raise ValueError(f"{experiment} holds no finished cell")
+    return cells
+
+
+def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
+    """Return what was found."""
+    found = []
+    if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
+        found.append(f"all scores of the {len(pairs)} cells that both have are identical")
+    else:
+        for row in verdicts_by_metric(table).itertuples():
+            mean, largest = (as_text(row.metric, value, form="+.3g") for value in (row.mean, row.largest))
+            found.append(f"{MEASURES[row.metric].label}: {row.verdicts}; B − A {mean} in the mean, {largest} at most")
+    kinds = [kind for kind in KINDS if any(cause.kind == kind for cause in causes)]
+    if PROTOCOL in kinds:
+        found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")
+    found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
+    for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
+        if alone:
+            more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
+            found.append(f"finished in {name} alone: {alone[0]}{more}")
+    return found
+
+
+def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
+    """Print the scores that tables print, and what differs."""
+    shown = Table("scene", "method", "score", *NUMBERS.values(), "verdict")
+    for row in table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])].to_dict("records"):
+        method = ", ".join(filter(None, (row["method"], row["init"], row["variant"])))
+        named = (one_line(row["scene"]), one_line(method), MEASURES[row["metric"]].label)
+        shown.add_row(*named, *numbers_as_text(row).values(), row["verdict"])
+    console().print(shown)
+    for kind, meaning in KINDS.items():
+        some = [cause for cause in causes if cause.kind == kind]
+        for cause in some[:MOST_CAUSES]:
+            say(one_line(cause.sentence(pairs)), f"{kind}:", "bold")
+        if len(some) > MOST_CAUSES:
+            say(f"{len(some) - MOST_CAUSES} more settings that differ ({meaning})", f"{kind}:", "bold")

@@ -1,0 +1,128 @@
+"""`tdgbench compare A B`: pairs of cells, verdicts on their differences, and what differs behind them."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from tdgbench.bench.record import read_record
+from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes
+from tdgbench.compare.cells import find_pairs, score_table
+from tdgbench.compare.command import main
+from tdgbench.tables.cell import finished_cells
+from tdgbench.tables.records import read_results
+from tests.helpers.records import write
+
+
+def pairs_of(a, b):
+    return find_pairs(*(finished_cells(folder, read_results(folder).records) for folder in (a, b)))
+
+
+def two_experiments(tmp_path, psnr_a, psnr_b, **extra):
+    """Folders A and B with a cell per seed, whose PSNR are given; `extra` changes records of B."""
+    for name, values, more in (("a", psnr_a, {}), ("b", psnr_b, extra)):
+        for seed, psnr in enumerate(values):
+            write(tmp_path / name, seed=seed, scores={"psnr": psnr}, **more)
+    return tmp_path / "a", tmp_path / "b"
+
+
+def psnr_row(a, b, are_repeats=True):
+    return score_table(pairs_of(a, b), are_repeats).set_index("metric").loc["psnr"]
+
+
+@pytest.mark.parametrize(
+    ("psnr_b", "verdict"),
+    [
+        ([20.0, 21.0, 22.0], "identical"), ([20.01, 20.99, 22.01], "equivalent"), ([21.0, 22.1, 23.0], "better"),
+        ([19.0, 19.9, 21.0], "worse"), ([20.0, 22.0, 22.0], "undecided"),
+    ],
+)  # fmt: skip
+def test_verdicts_are_of_the_differences_of_equal_seeds(tmp_path, psnr_b, verdict):
+    row = psnr_row(*two_experiments(tmp_path, [20.0, 21.0, 22.0], psnr_b))
+    assert row["verdict"] == verdict
+    assert row["difference"] == pytest.approx(np.mean(psnr_b) - 21.0)
+    assert (row["ci90_low"] <= row["difference"] <= row["ci90_high"]) and row["seeds"] == 3
+
+
+def test_a_smaller_lpips_is_better(tmp_path):
+    for name, lpips in (("a", 0.3), ("b", 0.1)):
+        for seed in range(2):
+            write(tmp_path / name, seed=seed, scores={"lpips": lpips})
+    table = score_table(pairs_of(tmp_path / "a", tmp_path / "b"), are_repeats=False)
+    assert table.set_index("metric").loc["lpips", "verdict"] == "better"
+
+
+def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
+    rng = np.random.default_rng(0)
+    seeds = rng.normal(20, 1, 400)
+    a, b = two_experiments(tmp_path, *(list(seeds + rng.normal(0, 0.1, 400)) for _ in range(2)))
+    row = psnr_row(a, b)
+    assert row["repeat_std"] == pytest.approx(0.1, rel=0.1)
+    assert row["seed_std"] == pytest.approx(1.0, rel=0.1)
+    assert np.isnan(psnr_row(a, b, are_repeats=False)["repeat_std"])
+
+
+def test_one_seed_has_no_interval(tmp_path):
+    row = psnr_row(*two_experiments(tmp_path, [20.0], [20.1]))
+    assert row["verdict"] == "undecided" and np.isnan(row["ci90_low"])
+
+
+def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0])
+    write(b, scene="Lion")
+    assert main([str(a), str(b)]) == 0
+    out = capsys.readouterr().out
+    assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1" in out
+    assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
+    assert "all scores of the 1 cells that both have are identical" in out
+
+
+def test_what_differs_is_told_by_what_it_decides(tmp_path):
+    config = {"metrics": {"ssim_border": "valid"}, "budget": {"_target_": "Budget", "iterations": 9}}
+    a, b = two_experiments(
+        tmp_path, [20.0, 21.0], [20.0, 21.0], config=config, environment={"packages": {"torch": "3"}}
+    )
+    causes = {cause.name: cause for cause in find_causes(pairs_of(a, b))}
+    assert {name: cause.kind for name, cause in causes.items()} == {
+        "metrics.ssim_border": PROTOCOL, "budget": TRAINING, "budget.iterations": TRAINING, "packages.torch": MACHINE,
+    }  # fmt: skip
+    assert causes["budget.iterations"].values == ("n/a", "9")
+    assert causes["budget.iterations"].sentence(2) == "budget.iterations: n/a → 9"
+    assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells)")
+
+
+def test_two_protocols_are_refused_and_said(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th")
+    assert main([str(a), str(b)]) == 1
+    assert "not follow one protocol" in capsys.readouterr().out
+
+
+def test_without_a_common_cell_the_folders_are_named(tmp_path, capsys):
+    write(tmp_path / "a", seed=0)
+    write(tmp_path / "b", seed=1)
+    assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "share no finished cell" in capsys.readouterr().err
+    assert main([str(tmp_path / "a"), str(tmp_path / "c")]) == 2
+
+
+def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results, capsys):
+    a, b = (shutil.copytree(small_results, tmp_path / name) for name in "ab")
+    folder = next(path.parent for path in sorted(b.rglob("record.json")) if read_record(path.parent).failure is None)
+    views = pd.read_csv(folder / "views.csv")
+    views.loc[1, "psnr"] += 3
+    views.to_csv(folder / "views.csv", index=False)
+    picture = folder / "renders" / f"{views.loc[1, 'view']}.png"
+    Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
+    other = next(path for path in sorted(b.rglob("views.csv")) if path.parent != folder)
+    other.unlink()
+    assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "compare.html").read_text()
+    assert "n/a: views.csv is missing" in page
+    assert f"test view {views.loc[1, 'view']}" in page
+    assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
+    table = pd.read_csv(tmp_path / "out" / "compare.csv")
+    assert set(table["verdict"].dropna()) == {"identical"}
