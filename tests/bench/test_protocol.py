@@ -61,14 +61,14 @@ def configured(border: str) -> dict[str, object]:
 
 
 def test_a_column_holds_one_protocol(tmp_path):
-    for scene, border in (("Truck", "zero"), ("Lion", "zero"), ("Pan", "valid")):
+    for scene, border in (("Truck", "zero"), ("Dimsum", "zero"), ("Ebike", "valid")):
         write(tmp_path / "two", scene=scene, **configured(border))
     tables = build_tables(tmp_path / "two")
     psnr = tables.main[(tables.main["metric"] == "psnr") & (tables.main["method"] == "tdg")].set_index("scene")
-    assert pd.isna(psnr.loc["Pan", "value"]) and psnr.loc["Truck", "value"] == 20
-    assert 'metrics.ssim_border: "valid", "zero"' in psnr.loc["Pan", "reason"]
+    assert pd.isna(psnr.loc["Ebike", "value"]) and psnr.loc["Truck", "value"] == 20
+    assert 'metrics.ssim_border: "valid", "zero"' in psnr.loc["Ebike", "reason"]
     assert [problem for problem in tables.problems if "two protocols do not compare" in problem]
-    assert set(psnr.loc[["Truck", "Lion"], "protocol"]) == {configured("zero")["protocol"]}
+    assert set(psnr.loc[["Truck", "Dimsum"], "protocol"]) == {configured("zero")["protocol"]}
 
 
 def test_columns_of_several_protocols_are_named(tmp_path):
