@@ -20,6 +20,7 @@ from tdgbench.bench.key import as_json, cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, short_name
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
@@ -115,7 +116,7 @@ class CellRun(SetupObserver):
             cell = IdentifiedCell(outline_of(dataset, cfg.scene), instantiate(cfg.method.method), skips)
             record.config = relevant_config(cfg, cell.method)
             record.data, record.code = self._fingerprint(cell), code_version(record.config)
-            record.key = cell_key(record)
+            record.key, record.protocol = cell_key(record), protocol_of(record.config)
         return cell
 
     def load(self, cell: IdentifiedCell) -> Scene:

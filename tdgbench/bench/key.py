@@ -78,7 +78,7 @@ def why_differs(old: Record, new: Record) -> list[str]:
     """
     if old.key == new.key:
         return []
-    before, after = _flat(old.config), _flat(new.config)
+    before, after = flat(old.config), flat(new.config)
     changes = [
         f"{name}: {_as_text(before, name)} → {_as_text(after, name)}"
         for name in sorted({*before, *after})
@@ -94,15 +94,16 @@ def why_differs(old: Record, new: Record) -> list[str]:
 _ABSENT = object()
 
 
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested options by dotted name."""
-    flat: dict[str, Any] = {}
+def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested options by dotted name.
+
+    >>> flat({"budget": {"iterations": 9, "density": {"every": 100}}})
+    {'budget.iterations': 9, 'budget.density.every': 100}
+    """
+    named: dict[str, Any] = {}
     for name, value in config.items():
-        if isinstance(value, dict):
-            flat |= _flat(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
+        named |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return named
 
 
 def _as_text(flat: dict[str, Any], name: str) -> str:

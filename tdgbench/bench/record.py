@@ -100,6 +100,7 @@ class Record:
     data: str = ""  # fingerprint of the scene's files
     code: str = ""  # fingerprint of the sources that the result depends on
     split: str = ""
+    protocol: str = ""  # of its scores; empty in records made before protocols had numbers
     convention: str = ""
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from tdgbench.bench.key import flat
 from tdgbench.bench.record import Record
 from tdgbench.bench.signature import as_typed
 from tdgbench.compare.cells import Pair
@@ -16,7 +17,7 @@ KINDS = {
     TRAINING: "decides what is trained",
     MACHINE: "decides rounding and time",
 }
-OF_PROTOCOL = ("data", "split", "convention", "channels", "temperature_range", "views", "masked")  # fields of Record
+OF_PROTOCOL = ("protocol", "data", "split", "channels", "temperature_range", "views", "masked")  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 
@@ -51,20 +52,9 @@ def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
 
 def settings(record: Record) -> dict[tuple[str, str], str]:
     """Return everything behind a cell's scores as text, by kind and dotted name."""
-    whole: dict[tuple[str, str], str] = {}
+    whole: dict[str, dict[str, Any]] = {PROTOCOL: {}, TRAINING: {}, MACHINE: dict(record.environment)}
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
-        whole |= {(kind, name): text for name, text in _flat({f: getattr(record, f) for f in fields})}
+        whole[kind] |= {name: getattr(record, name) for name in fields}
     for group, options in record.config.items():
-        kind = PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING
-        whole |= {(kind, name): text for name, text in _flat({group: options})}
-    return whole | {(MACHINE, name): text for name, text in _flat(record.environment)}
-
-
-def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
-    """Yield dotted names and values as text; `_target_` by the name of its group."""
-    for key, item in value.items():
-        name = prefix.rstrip(".") if key == "_target_" else f"{prefix}{key}"
-        if isinstance(item, Mapping) and item:
-            yield from _flat(item, f"{name}.")
-        else:
-            yield name, as_typed(item)
+        whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING][group] = options
+    return {(kind, name): as_typed(value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()}

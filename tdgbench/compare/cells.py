@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.tables.cell import Cell
-from tdgbench.tables.measures import MEASURES, RecordMeasure, as_text
+from tdgbench.tables.long_table import metric_value
+from tdgbench.tables.measures import MEASURES, as_text
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 
 IDENTICAL, EQUIVALENT = "identical", "equivalent"
@@ -80,7 +81,9 @@ def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:
     rows = []
     for place, by_seed in pairs.by_place.items():
         for metric in MEASURES:
-            values = np.array([[_value(cell, metric) for cell in pair] for pair in by_seed.values()], dtype=float)
+            values = np.array(
+                [[metric_value(cell.record, metric)[0] for cell in pair] for pair in by_seed.values()], dtype=float
+            )
             if not np.isnan(values).any():
                 rows.append([*place, metric, *_compared(metric, values, are_repeats)])
     return pd.DataFrame(rows, columns=COLUMNS)
@@ -104,16 +107,6 @@ def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object
     repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else np.nan
     over_seeds = float(values.std(axis=0, ddof=1).mean()) if seeds > 1 else np.nan
     return [seeds, *values.mean(axis=0).tolist(), mean, low, high, margin, verdict, repeat, over_seeds]
-
-
-def _value(cell: Cell, metric: str) -> float:
-    """Return a number of a cell, NaN for n/a."""
-    described, record = MEASURES[metric], cell.record
-    if isinstance(described, RecordMeasure):
-        return described.of_record(record)
-    scores = record.scores if metric in record.scores else {f"train_{k}": v for k, v in record.train_scores.items()}
-    value = scores.get(metric)
-    return np.nan if value is None else value
 
 
 NUMBERS = {"a": "A", "b": "B", "difference": "B − A", "interval": "90 % interval", "repeat_std": "std of a repeat",

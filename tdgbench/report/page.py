@@ -78,7 +78,7 @@ def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
             ("platform", f"{e.get('platform')}, Python {e.get('python')}"),
             ("packages", packages),
             ("commit", commit),
-            ("metrics", record.convention),
+            ("protocol", f"{record.protocol or 'n/a'}, metrics as {record.convention}"),
         ]
         if rows not in groups:
             groups.append(rows)

@@ -13,7 +13,7 @@ from tdgbench.bench.record import Record
 from tdgbench.tables import methods
 from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
-from tdgbench.tables.long_table import initial_points, split_notes
+from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
@@ -29,7 +29,7 @@ def main_scores(tables: Tables) -> dict[str, Any]:
     if tables.kind == "ablation":
         return _ablation(tables)
     found = _by_scene(tables, list(COLUMNS), _published(tables, ["method", "dataset", "scene", "metric"]))
-    return {**found, "notes": split_notes(tables.main)}
+    return {**found, "notes": protocol_notes(tables.main)}
 
 
 def further_scores(tables: Tables) -> dict[str, Any] | None:

@@ -20,7 +20,7 @@ from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import against_others, between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_splits
+from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_protocols
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
@@ -68,7 +68,7 @@ def _main(results: Results, experiment: Path) -> Tables:
     records, plan = results.records, results.plan
     bold = with_bold(with_averages(scene_rows(records, plan)))
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
-    main = with_splits(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
+    main = with_protocols(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
     comparisons = [

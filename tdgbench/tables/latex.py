@@ -9,7 +9,7 @@ import pandas as pd
 
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import initial_points, split_notes
+from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, MEASURES, OVERALL, PUBLISHED, digits
 from tdgbench.text import one_line
 
@@ -93,7 +93,7 @@ def main_table(rows: pd.DataFrame) -> str:
         lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
     if (rows["scene"] == OVERALL).any():
         lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]
-    return tabular("l" + "c" * (width - 1), heads, lines, split_notes(rows))
+    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(rows))
 
 
 def ablation_table(rows: pd.DataFrame) -> str:

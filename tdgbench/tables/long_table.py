@@ -81,25 +81,32 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
     return pd.DataFrame(rows, columns=[*KEYS, "value", "reason"])
 
 
-def with_splits(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
-    """Return the rows with `split`, the split of their cells' views (`a + b` for an average over both)."""
-    splits: dict[str, dict[tuple[str, str], set[str]]] = {}
+def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
+    """Return the rows with `split` and `protocol` of their cells (`a + b` for an average over both)."""
+    found: dict[tuple[str, str], dict[tuple[str, str], set[str]]] = {}
     for record in records:
-        of_method = splits.setdefault(method_label(record, with_init=True), {})
-        of_method.setdefault((record.dataset, record.scene), set()).add(record.split)
+        for name in ("split", "protocol"):
+            of_method = found.setdefault((name, method_label(record, with_init=True)), {})
+            of_method.setdefault((record.dataset, record.scene), set()).add(getattr(record, name))
 
-    def split_of(method: str, dataset: str, scene: str) -> str:
-        by_scene = splits.get(method, {})
+    def joined(name: str, method: str, dataset: str, scene: str) -> str:
+        by_scene = found.get((name, method), {})
         if scene not in (AVERAGE, OVERALL):
             return " + ".join(sorted(by_scene.get((dataset, scene), set())))
         return " + ".join(sorted({s for (d, _), names in by_scene.items() if dataset in ("", d) for s in names}))
 
-    return rows.assign(split=[split_of(r.method, r.dataset, r.scene) for r in rows.itertuples()])
+    places = [(r.method, r.dataset, r.scene) for r in rows.itertuples()]
+    return rows.assign(**{name: [joined(name, *place) for place in places] for name in ("split", "protocol")})
 
 
-def split_notes(main: pd.DataFrame) -> list[str]:
-    """Return the test views in words, one line for each split in a main table."""
-    return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
+def protocol_notes(main: pd.DataFrame) -> list[str]:
+    """Return the test views of a main table in words, one line for each split, and its protocols."""
+    splits = [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
+    single = [name for name in dict.fromkeys(main["protocol"]) if name and " + " not in name]
+    if len(single) < 2:
+        return [*splits, *(f"protocol {name}" for name in single)]
+    columns = (f"{name} ({', '.join(dict.fromkeys(main.loc[main['protocol'] == name, 'method']))})" for name in single)
+    return [*splits, f"several protocols, whose scores do not compare: {'; '.join(columns)}"]
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:

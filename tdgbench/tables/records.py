@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan, read_plan
+from tdgbench.bench.protocol import protocols_apart
 from tdgbench.bench.record import FILE, READ_PHASE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
 
@@ -38,7 +40,29 @@ def read_results(experiment: Path) -> Results:
             by_folder.setdefault(place, replace(record, status="failed", failure=Failure(READ_PHASE, problem, "")))
         else:
             by_folder.setdefault(place, record)
-    return Results(plan, list(by_folder.values()), problems)
+    return Results(plan, _of_one_protocol(list(by_folder.values()), problems), problems)
+
+
+def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]:
+    """Return the records; in each column of tables, cells that follow another protocol than most are failed ones."""
+    columns: dict[tuple[str, str, str, str], list[Record]] = {}
+    for record in records:
+        if record.failure is None:
+            columns.setdefault((record.method, record.dataset, record.init, record.variant), []).append(record)
+    apart: dict[str, Record] = {}
+    for column in columns.values():
+        usual = Counter(record.protocol for record in column).most_common(1)[0][0]
+        example = next(record for record in column if record.protocol == usual)
+        for record in column:
+            difference = protocols_apart(record, example)
+            if difference:
+                problem = (
+                    f"its protocol is {record.protocol or 'without a number'}, that of most cells of its column "
+                    f"{usual or 'without one'} ({difference}): scores of two protocols do not compare; run it again"
+                )
+                problems.append(f"{record.title}: {problem}")
+                apart[record.title] = replace(record, status="failed", failure=Failure("score", problem, ""))
+    return [apart.get(record.title, record) for record in records]
 
 
 def _read_plan(experiment: Path, problems: list[str]) -> Plan:

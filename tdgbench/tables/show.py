@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
-from tdgbench.tables.long_table import initial_points, split_notes
+from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
@@ -28,7 +28,7 @@ def show_tables(tables: Tables, console: Console) -> None:
         _show_readings(tables.readings, tables.effects, console)
     else:
         _show_main(tables, console)
-        for note in split_notes(tables.main):
+        for note in protocol_notes(tables.main):
             _say(console, note)
     _show_reasons(tables, console)
     show_problems(tables.problems, console)

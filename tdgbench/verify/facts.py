@@ -13,6 +13,7 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.key import cell_key
 from tdgbench.bench.paths import cell_folder_of, files_of
+from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import Row
 from tdgbench.scenes.modalities import THERMAL
@@ -75,6 +76,9 @@ def key_problems(record: Record) -> Iterator[str]:
     expected = cell_key(record)
     if record.key != expected:
         yield f"{FILE}: key is {record.key!r}, its configuration, data and code give {expected!r}"
+    number = record.protocol.partition("-")[0]
+    if record.protocol and record.protocol != protocol_of(record.config, number):
+        yield f"{FILE}: protocol is {record.protocol!r}, its settings give {protocol_of(record.config, number)!r}"
 
 
 def setting_problems(record: Record) -> Iterator[str]:

@@ -88,7 +88,8 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
     )
     causes = {cause.name: cause for cause in find_causes(pairs_of(a, b))}
     assert {name: cause.kind for name, cause in causes.items()} == {
-        "metrics.ssim_border": PROTOCOL, "budget": TRAINING, "budget.iterations": TRAINING, "packages.torch": MACHINE,
+        "metrics.ssim_border": PROTOCOL, "budget._target_": TRAINING, "budget.iterations": TRAINING,
+        "packages.torch": MACHINE,
     }  # fmt: skip
     assert causes["budget.iterations"].values == ("n/a", "9")
     assert causes["budget.iterations"].sentence(2) == "budget.iterations: n/a → 9"

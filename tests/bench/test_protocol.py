@@ -1,0 +1,86 @@
+"""Protocols: what decides the meaning of a score has a name, and tables do not mix two."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from tdgbench.bench.key import relevant_config
+from tdgbench.bench.protocol import VERSION, protocol_of, protocol_settings, protocols_apart
+from tdgbench.bench.record import read_all
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.long_table import protocol_notes
+from tdgbench.verify.facts import key_problems
+from tests.helpers.configs import config
+from tests.helpers.records import record, write
+
+
+def name_of(*overrides: str) -> str:
+    cfg = config(*overrides)
+    return protocol_of(relevant_config(cfg, type("Method", (), {"needs_prior": True})))
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "data.split=every_8th", "data.width=64", "data.channels=1", "data.temperature=[0,50]", "data.fillers=[]",
+        "data.principal_point=center", "metrics=standard", "metrics.lpips.net=squeeze",
+    ],
+)  # fmt: skip
+def test_what_changes_a_score_changes_the_protocol(option):
+    assert name_of(option) != name_of()
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "budget=lean", "method=msmg", "init=random", "seed=3", "threads=1", "scene=night", "data.root=elsewhere",
+        "metrics.lpips.weights=squeeze.npz", "dataset.loader.errors.noise_degC=0.5", "dataset=drifting",
+    ],
+)  # fmt: skip
+def test_what_is_trained_and_the_data_do_not(option):
+    assert name_of(option) == name_of()
+
+
+def test_settings_have_the_names_of_the_command_line():
+    settings = protocol_settings(relevant_config(config(), type("Method", (), {"needs_prior": True})))
+    assert {"data.split", "data.width", "metrics.ssim_border", "metrics.lpips.net"} <= settings.keys()
+
+
+def test_records_state_it_and_verify_checks_it(small_results):
+    for finished in (r for r in read_all(small_results) if r.failure is None):
+        assert finished.protocol == protocol_of(finished.config) and finished.protocol.startswith(f"{VERSION}-")
+        assert not list(key_problems(finished))
+        finished.protocol = f"{VERSION}-00000000"
+        assert ["protocol is" in problem for problem in key_problems(finished)] == [True]
+
+
+def configured(border: str) -> dict[str, object]:
+    config = {"metrics": {"ssim_border": border}}
+    return {"config": config, "protocol": protocol_of(config)}
+
+
+def test_a_column_holds_one_protocol(tmp_path):
+    for scene, border in (("Truck", "zero"), ("Dimsum", "zero"), ("Ebike", "valid")):
+        write(tmp_path / "two", scene=scene, **configured(border))
+    tables = build_tables(tmp_path / "two")
+    psnr = tables.main[(tables.main["metric"] == "psnr") & (tables.main["method"] == "tdg")].set_index("scene")
+    assert pd.isna(psnr.loc["Ebike", "value"]) and psnr.loc["Truck", "value"] == 20
+    assert 'metrics.ssim_border: "valid", "zero"' in psnr.loc["Ebike", "reason"]
+    assert [problem for problem in tables.problems if "two protocols do not compare" in problem]
+    assert set(psnr.loc[["Truck", "Dimsum"], "protocol"]) == {configured("zero")["protocol"]}
+
+
+def test_columns_of_several_protocols_are_named(tmp_path):
+    for variant, border in (("metrics=a", "zero"), ("metrics=b", "valid")):
+        write(tmp_path / "two", variant=variant, **configured(border))
+    tables = build_tables(tmp_path / "two")
+    assert not tables.problems
+    (note,) = (note for note in protocol_notes(tables.main) if "several protocols" in note)
+    assert "tdg [metrics=a]" in note and configured("valid")["protocol"] in note
+
+
+def test_the_number_alone_tells_protocols_apart():
+    old, new = record(protocol="1-a"), record(protocol="2-a")
+    assert protocols_apart(old, new) == "number of the protocol: 1, 2"
+    assert protocols_apart(old, record(protocol="1-a")) == ""
