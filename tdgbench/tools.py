@@ -23,10 +23,7 @@ class Tool:
 
 TOOLS = {
     "tables": Tool(
-        (
-            ("DIR ...", "rebuild the tables of results/<experiment> from disk"),
-            ("claims [DIR ...]", "test the paper's claims against its tables and against results"),
-        ),
+        (("[claims|sensitivity] DIR ...", "tables of results/<experiment>; the paper's claims; other conventions"),),
         "tdgbench.tables.command",
     ),
     "compare": Tool((("A B", "two result folders: scores, verdicts, what differs"),), "tdgbench.compare"),

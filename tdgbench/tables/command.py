@@ -2,6 +2,8 @@
 
 `tdgbench tables claims [DIR ...]`: test the paper's claims against its tables and against the cells of all these
 experiments together.
+
+`tdgbench tables sensitivity DIR ...`: score the stored renders by other conventions.
 """
 
 from __future__ import annotations
@@ -14,12 +16,14 @@ import pandas as pd
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.claims import check_all, load_claims
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.show import show_claims, show_findings, show_problems, show_tables
+from tdgbench.tables.sensitivity import sensitivity
+from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -27,11 +31,14 @@ from tdgbench.text import one_line
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 if a folder has no tables, or if something in it cannot be read."""
     parser = argparse.ArgumentParser(prog="tdgbench tables", description=__doc__)
-    parser.add_argument("what", nargs="+", metavar="[claims] DIR", help="folders results/<experiment>")
+    parser.add_argument("what", nargs="+", metavar="[claims|sensitivity] DIR", help="folders results/<experiment>")
     what = parser.parse_args(arguments).what
     if what[0] == "claims":
         return _claims([Path(folder) for folder in what[1:]])
-    return max(_tables(Path(folder)) for folder in what)
+    build = _tables
+    if what[0] == "sensitivity":
+        build, what = _sensitivity, what[1:]
+    return max((build(Path(folder)) for folder in what), default=2)
 
 
 def _tables(experiment: Path) -> int:
@@ -42,6 +49,19 @@ def _tables(experiment: Path) -> int:
     show_tables(tables, console())
     show_findings(tables.findings)
     return int(bool(tables.problems))
+
+
+def _sensitivity(experiment: Path) -> int:
+    try:
+        results = read_results(experiment)
+        table = sensitivity(finished_cells(experiment, results.records))
+    except (ValueError, OSError) as error:
+        return _refused(error)
+    (experiment / "tables").mkdir(exist_ok=True)
+    write_text(experiment / "tables" / "sensitivity.csv", as_csv(table, na_rep="n/a"))
+    show_problems(results.problems, console())
+    show_sensitivity(table, console())
+    return int(bool(results.problems))
 
 
 def _claims(experiments: list[Path]) -> int:

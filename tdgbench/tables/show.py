@@ -56,6 +56,23 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
     console.print(table)
 
 
+def show_sensitivity(sensitivity: pd.DataFrame, console: Console) -> None:
+    """Print how far each convention moves the scores, and what it changes in the order of methods."""
+    table = Table("score", "convention", "change: mean", "largest", "reversed pairs", "other best")
+    for row in sensitivity.to_dict("records"):
+        label = MEASURES[row["score"]].label
+        if row["reason"]:
+            table.add_row(label, row["convention"], "n/a", "n/a", "n/a", "n/a")
+            continue
+        changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
+        table.add_row(
+            label, row["convention"], *changes, f"{row['reversed']} of {row['pairs']}", str(row["other_best"])
+        )
+    console.print(table)
+    for reason in sensitivity.loc[sensitivity["reason"] != "", "reason"].unique():
+        _say(console, f"n/a: {reason}")
+
+
 def show_findings(findings: list[str]) -> None:
     """Print what was found. A reader looks for it at the end, so nothing but errors is printed after it."""
     for sentence in findings:

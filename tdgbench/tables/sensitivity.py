@@ -1,0 +1,202 @@
+"""`tdgbench tables sensitivity DIR`: the stored renders scored by other conventions than the record's.
+
+Papers seldom say how their scores were computed. This shows how far a choice moves the scores, and whether it changes
+which method is better. A split or a value range cannot be changed without training, and is not among the choices.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pandas as pd
+from skimage.metrics import structural_similarity
+
+from tdgbench.bench.masks import has_mask, read_mask
+from tdgbench.bench.paths import files_of
+from tdgbench.bench.read_files import read_picture
+from tdgbench.bench.record import Record
+from tdgbench.scenes.modalities import THERMAL
+from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
+from tdgbench.scoring.lpips import Net, Range
+from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.metrics.channel_psnr import channel_psnr
+from tdgbench.scoring.metrics.psnr_affine import psnr_affine
+from tdgbench.scoring.scored_view import Border, Convention, ImagePair, NotApplicableError, at_valid
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.measures import MEASURES
+
+COLUMNS = ["score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best", "reason"]
+RECORDED = "as recorded"  # the first choice of each score
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One way to compute a score: its value of a test view, and of a cell from the views' values (N,)."""
+
+    of_view: Callable[[ImagePair], float]
+    of_cell: Callable[[np.ndarray], float] = np.mean
+
+
+def choices(record: Record) -> dict[str, dict[str, Choice]]:
+    """Return the ways to compute each score, by score and name; the record's own comes first."""
+    scorer = _scorer(record)
+    psnr, ssim, lpips = (_image_metric(name) for name in ("psnr", "ssim", "lpips"))
+    border: Border = "valid" if scorer.settings.ssim_border == "zero" else "zero"
+    range_: Range = "signed" if scorer.lpips_range == "unit" else "unit"
+    nets = [net for net in get_args(Net) if net != scorer.lpips_options.net]
+    return {
+        "psnr": {
+            RECORDED: Choice(psnr),
+            "of the mean squared error of all views": Choice(psnr, _of_mean_error),
+            "mean over channels": Choice(lambda pair: channel_psnr(*pair.pixels)),
+            "after gain and offset": Choice(lambda pair: psnr_affine(*pair.pixels)),
+            "of images half as wide": Choice(lambda pair: psnr(halved(pair))),
+        },
+        "ssim": {
+            RECORDED: Choice(ssim),
+            f"border {border}": Choice(lambda pair: ssim(replace(pair, convention=Convention(border, scorer.lpips)))),
+            "uniform window of 7×7": Choice(_uniform_ssim),
+            "of images half as wide": Choice(lambda pair: ssim(halved(pair))),
+        },
+        "lpips": {
+            RECORDED: Choice(lpips),
+            f"range {range_}": Choice(_lpips_by(_scorer(record, lpips_range=range_))),
+            **{f"network {net}": Choice(_lpips_by(_scorer(record, net=net))) for net in nets},
+            "of images half as wide": Choice(lambda pair: lpips(halved(pair))),
+        },
+    }
+
+
+def sensitivity(cells: Iterable[Cell]) -> pd.DataFrame:
+    """Return COLUMNS: a row per score and convention. Raises ValueError for cells that were scored in several ways.
+
+    mean_change, largest_change: of a cell's score against the record's convention. pairs: of cells that differ in
+    method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
+    other_best: scenes and seeds in which another cell is the best one. reason: why a convention has no values.
+    """
+    scored = [_scores(cell) for cell in cells]
+    names = {tuple(name for by_name in one.values.values() for name in by_name) for one in scored}
+    if len(names) != 1:
+        raise ValueError(
+            "its cells were scored by several conventions; run them again with one choice of metrics="
+            if names
+            else "no finished cell"
+        )
+    rows = []
+    for score, by_name in scored[0].values.items():
+        for name in list(by_name)[1:]:
+            reasons = [one.reasons[score, name] for one in scored if (score, name) in one.reasons]
+            if reasons:
+                rows.append([score, name, 0, np.nan, np.nan, 0, 0, 0, reasons[0]])
+                continue
+            before, after = (np.array([one.values[score][key] for one in scored]) for key in (RECORDED, name))
+            change = after - before
+            rows.append([
+                score, name, len(scored), change.mean(), change[np.abs(change).argmax()],
+                *_order_changes([one.cell for one in scored], score, before, after), "",
+            ])  # fmt: skip
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+@dataclass(frozen=True)
+class _Scores:
+    """A cell's values by score and convention, NaN where there is none, and the reasons for these."""
+
+    cell: Cell
+    values: dict[str, dict[str, float]]
+    reasons: dict[tuple[str, str], str]
+
+
+def _scores(cell: Cell) -> _Scores:
+    found = _Scores(cell, {}, {})
+    ways = choices(cell.record)
+    pairs = list(stored_pairs(cell.folder, _scorer(cell.record).settings))
+    for score, by_name in ways.items():
+        found.values[score] = dict.fromkeys(by_name, np.nan)
+        for name, choice in by_name.items():
+            try:
+                of_views = np.array([choice.of_view(pair) for pair in pairs])
+                found.values[score][name] = float(choice.of_cell(of_views))
+            except NotApplicableError as error:
+                found.reasons[score, name] = str(error)
+    return found
+
+
+def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray) -> tuple[int, int, int]:
+    """Return pairs of cells that compete, those whose order is reversed, and groups of them with another best."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for index, cell in enumerate(cells):
+        groups.setdefault((*cell.dataset_and_scene, cell.record.seed), []).append(index)
+    sign = 1 if MEASURES[score].higher_is_better else -1
+    pairs = [pair for group in groups.values() for pair in itertools.combinations(group, 2)]
+    swapped = sum((before[i] - before[j]) * (after[i] - after[j]) < 0 for i, j in pairs)
+    best = sum(
+        group[np.argmax(sign * before[group])] != group[np.argmax(sign * after[group])] for group in groups.values()
+    )
+    return len(pairs), int(swapped), int(best)
+
+
+def stored_pairs(folder: Path, convention: Convention) -> Iterator[ImagePair]:
+    """Yield the stored thermal render and ground truth of each test view. Raises ValueError for what cannot be read."""
+    files = files_of(THERMAL)
+    for path in sorted((folder / files.targets).glob("*.png")):
+        target = read_picture(path)
+        size = target.shape[1], target.shape[0]
+        image = read_picture(folder / files.renders / path.name, size)
+        valid = read_mask(folder, path.stem, size) if has_mask(folder, path.stem) else None
+        inside = np.float32(1 if valid is None else valid[..., None])
+        image, target = (pixels * inside / np.float32(255) for pixels in (image, target))
+        yield ImagePair(image, target, convention, valid)
+
+
+def halved(pair: ImagePair) -> ImagePair:
+    """Return images of half the width and height: means of 2×2 pixels, valid where all four are."""
+    height, width = (size // 2 for size in pair.image.shape[:2])
+
+    def blocks(pixels: np.ndarray) -> np.ndarray:
+        return pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1)
+
+    image, target = (blocks(pixels).mean(axis=(1, 3)) for pixels in (pair.image, pair.target))
+    if pair.valid is None:
+        return replace(pair, image=image, target=target)
+    valid = blocks(pair.valid[..., None]).min(axis=(1, 3))
+    return replace(pair, image=image * valid, target=target * valid, valid=valid[..., 0])
+
+
+def _image_metric(name: str) -> Callable[[ImagePair], float]:
+    metric = METRICS[name]
+    assert isinstance(metric, ImageMetric)
+    return metric.of_images
+
+
+def _lpips_by(scorer: Scorer) -> Callable[[ImagePair], float]:
+    return lambda pair: scorer.lpips(pair.image, pair.target)
+
+
+def _scorer(record: Record, lpips_range: Range | None = None, net: Net | None = None) -> Scorer:
+    """Return the record's scorer, or one with another range or network; nothing is downloaded."""
+    settings = record.setting("metrics")
+    lpips = settings["lpips"]
+    options = LPIPSOptions(net or lpips["net"], lpips["weights"] if net is None else None, download=False)
+    return _shared(settings["convention"], settings["ssim_border"], lpips_range or settings["lpips_range"], options)
+
+
+_shared = cache(Scorer)  # loads its network once for all cells
+
+
+def _of_mean_error(values: np.ndarray) -> float:
+    """Return the PSNR (dB) of the mean squared error of views with these PSNR."""
+    return -10 * float(np.log10(np.mean(10 ** (-values / 10))))
+
+
+def _uniform_ssim(pair: ImagePair) -> float:
+    """Return scikit-image's SSIM with its default window, over the valid pixels."""
+    images = (pair.image.astype(np.float64), pair.target.astype(np.float64))
+    _, values = structural_similarity(*images, data_range=1.0, channel_axis=2, full=True)
+    return float(at_valid(pair.valid, values).mean())

@@ -1,0 +1,148 @@
+"""`tdgbench tables sensitivity`: the stored renders under other conventions."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from skimage.transform import downscale_local_mean
+
+from tdgbench.bench.record import FILE
+from tdgbench.tables.cell import finished_cells
+from tdgbench.tables.command import main
+from tdgbench.tables.records import read_results
+from tdgbench.tables.sensitivity import sensitivity
+from tests.helpers.records import write
+
+METRICS = {
+    "convention": "3dgs",
+    "ssim_border": "zero",
+    "lpips_range": "unit",
+    "lpips": {"net": "squeeze", "weights": None, "download": False},
+}
+
+
+def picture(path, values):
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(values).save(path)
+
+
+def cell(experiment, method, errors, **extra):
+    """A cell of gray views of 32×24 px, whose render differs by noise of these standard deviations, one per view."""
+    folder = write(experiment, method, config={"metrics": METRICS | extra})
+    rng = np.random.default_rng(0)
+    for index, error in enumerate(errors):
+        truth = rng.integers(60, 190, (24, 32))
+        render = truth + rng.normal(0, error, truth.shape)
+        picture(folder / "targets" / f"{index}.png", truth.astype(np.uint8))
+        picture(folder / "renders" / f"{index}.png", render.round().astype(np.uint8))
+    return folder
+
+
+def table_of(tmp_path):
+    assert main(["sensitivity", str(tmp_path / "x")]) == 0
+    table = pd.read_csv(tmp_path / "x" / "tables" / "sensitivity.csv", keep_default_na=False)
+    return table.set_index(["score", "convention"])
+
+
+def images(folder):
+    pairs = [
+        (np.array(Image.open(folder / sub / f"{i}.png")) / 255) for i in range(2) for sub in ("renders", "targets")
+    ]
+    return list(zip(pairs[::2], pairs[1::2], strict=True))
+
+
+def test_each_convention_agrees_with_scikit_image(tmp_path):
+    pairs = images(cell(tmp_path / "x", "tdg", [2.0, 12.0]))
+    table = table_of(tmp_path)
+    psnr = np.mean([peak_signal_noise_ratio(b, a, data_range=1) for a, b in pairs])
+    pooled = 10 * np.log10(1 / np.mean([((a - b) ** 2).mean() for a, b in pairs]))
+    half = np.mean(
+        [peak_signal_noise_ratio(*(downscale_local_mean(i, (2, 2)) for i in (b, a)), data_range=1) for a, b in pairs]
+    )
+    gaussian = {"data_range": 1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    valid, uniform = (
+        np.mean([structural_similarity(a, b, **options) for a, b in pairs]) for options in (gaussian, {"data_range": 1})
+    )
+
+    def change(score, name):
+        return float(table.loc[(score, name), "mean_change"])
+
+    assert change("psnr", "of the mean squared error of all views") == pytest.approx(pooled - psnr, abs=1e-5)
+    assert change("psnr", "of images half as wide") == pytest.approx(half - psnr, abs=1e-4)
+    assert change("psnr", "mean over channels") == pytest.approx(0, abs=1e-9)  # gray
+    assert change("ssim", "uniform window of 7×7") - change("ssim", "border valid") == pytest.approx(
+        _cropped_away(uniform, pairs) - valid, abs=1e-6
+    )
+
+
+def _cropped_away(uniform, pairs):
+    """Mean of the whole map, which scikit-image crops by half a window before it takes its mean."""
+    maps = [structural_similarity(a, b, data_range=1, full=True)[1] for a, b in pairs]
+    assert uniform == pytest.approx(np.mean([m[3:-3, 3:-3].mean() for m in maps]))
+    return np.mean([m.mean() for m in maps])
+
+
+def test_a_pair_of_methods_whose_order_depends_on_the_convention_is_counted(tmp_path):
+    """Means of PSNR reward one very good view; the mean error does not."""
+    cell(tmp_path / "x", "tdg", [1.0, 30.0])
+    cell(tmp_path / "x", "msmg", [12.0, 12.0])
+    table = table_of(tmp_path)
+    row = table.loc[("psnr", "of the mean squared error of all views")]
+    assert (row["pairs"], row["reversed"], row["other_best"]) == (1, 1, 1)
+
+
+def test_a_network_without_weights_is_na_with_the_reason(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
+    cell(tmp_path / "x", "tdg", [2.0])
+    row = table_of(tmp_path).loc[("lpips", "network vgg")]
+    assert row["mean_change"] == "n/a" and "metrics.lpips.download is false" in row["reason"]
+
+
+def test_masked_pixels_count_in_no_convention(tmp_path):
+    folder = cell(tmp_path / "x", "tdg", [3.0])
+    before = table_of(tmp_path)["mean_change"]
+    mask = np.full((24, 32), 255, np.uint8)
+    mask[:, 24:] = 0
+    picture(folder / "masks" / "0.png", mask)
+    render = np.array(Image.open(folder / "renders" / "0.png"))
+    masked = table_of(tmp_path)["mean_change"]
+    render[:, 24:] = 255 - render[:, 24:]
+    picture(folder / "renders" / "0.png", render)
+    target = np.array(Image.open(folder / "targets" / "0.png"))
+    target[:, 24:] = 0
+    picture(folder / "targets" / "0.png", target)
+    assert table_of(tmp_path)["mean_change"].equals(masked) and not masked.equals(before)
+
+
+def test_cells_of_several_conventions_are_refused(tmp_path, capsys):
+    cell(tmp_path / "x", "tdg", [2.0])
+    cell(tmp_path / "x", "msmg", [2.0], ssim_border="valid")
+    assert main(["sensitivity", str(tmp_path / "x")]) == 1
+    assert "several conventions" in capsys.readouterr().err
+
+
+def test_a_folder_without_cells_is_refused(tmp_path, capsys):
+    folder = cell(tmp_path / "x", "tdg", [2.0])
+    record = json.loads((folder / FILE).read_text())
+    (folder / FILE).write_text(
+        json.dumps(record | {"status": "failed", "failure": {"phase": "train", "error": "x", "traceback": ""}})
+    )
+    assert main(["sensitivity", str(tmp_path / "x")]) == 1
+    assert "no finished cell" in capsys.readouterr().err
+
+
+def test_real_cells(small_results):
+    cells = _cells(small_results)
+    table = sensitivity(cells).set_index(["score", "convention"])
+    assert table.loc[("psnr", "after gain and offset"), "cells"] == len(cells) == 3
+    recorded = np.mean([c.record.scores["psnr_affine"] - c.record.scores["psnr"] for c in cells])
+    assert table.loc[("psnr", "after gain and offset"), "mean_change"] == pytest.approx(recorded, abs=1e-6)
+
+
+def _cells(experiment):
+    return finished_cells(experiment, read_results(experiment).records)
