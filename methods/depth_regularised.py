@@ -86,14 +86,14 @@ class DepthRegularised(Method):
         render = self.model.render(view.camera, depth=True)
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim, valid)
-        terms = {"thermal": loss.item()}
+        terms = {"thermal": loss}
         prior, known, flat = self.targets.of(view)
         depth = expected_depth(render)
         to_prior = self.lambda_depth * depth_loss(depth, prior, known, valid)
         smooth = smoothness(depth, flat, valid)
-        terms |= {"depth": to_prior.item(), "smooth": smooth.item()}
+        terms |= {"depth": to_prior, "smooth": smooth}
         if self.rise is not None:
-            self.rise.note(terms["depth"])
+            self.rise.note(to_prior.item())
         return Step(loss + to_prior + self.lambda_smooth * smooth, terms, render, target, valid)
 
     @torch.no_grad()

@@ -40,7 +40,7 @@ class GaussianSplatting(Method):
         render = self.model.render(view.camera)
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        return Step(self.weight * loss, {"thermal": loss.item()}, render, target, valid)
+        return Step(self.weight * loss, {"thermal": loss}, render, target, valid)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

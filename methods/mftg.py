@@ -54,7 +54,7 @@ class MFTG(Method):
         render = self.rgb.render(view.camera)
         target, _ = RGB.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim)
-        return Step(loss, {"rgb": loss.item()}, render, target)
+        return Step(loss, {"rgb": loss}, render, target)
 
     def _set_up_thermal(self, context: Context) -> None:
         start = None
@@ -70,7 +70,7 @@ class MFTG(Method):
         render = self.thermal.render(view.camera)
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        return Step(loss, {"thermal": loss.item()}, render, target, valid)
+        return Step(loss, {"thermal": loss}, render, target, valid)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

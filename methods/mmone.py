@@ -209,7 +209,7 @@ class MMOne(Method):
         loss_thermal = thermal_loss(
             render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
         )
-        terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
+        terms = {"rgb": loss_rgb, "thermal": loss_thermal}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
 
     @torch.no_grad()

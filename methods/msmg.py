@@ -52,7 +52,7 @@ class MSMG(Method):
         )
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
-        return Step(loss, {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}, render, target, valid)
+        return Step(loss, {"rgb": loss_rgb, "thermal": loss_thermal}, render, target, valid)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

@@ -59,7 +59,7 @@ class OMMG(Method):
         loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
         render.image = image
-        terms = {"rgb": loss_rgb.item(), "thermal": loss_thermal.item()}
+        terms = {"rgb": loss_rgb, "thermal": loss_thermal}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
 
     @torch.no_grad()

@@ -101,7 +101,7 @@ class SADGS(Method):
         render = self.model.render(view.camera, hook=hook)
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim, valid)
-        terms = {"thermal": loss.item(), "free": free[0].item()}
+        terms = {"thermal": loss, "free": free[0]}
         density = self.model.density
         if iteration == self.last and isinstance(density, SupportControl) and density.fades(iteration):
             self.model.optimizer.flush()  # as released, also before the last model is saved; no step follows

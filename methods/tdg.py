@@ -74,10 +74,10 @@ class TDg(Method):
         render = self.model.render(view.camera, depth=needs_depth and self.depth_reading == "written")
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        terms = {"thermal": loss.item()}
+        terms = {"thermal": loss}
         if needs_depth:
             depth = self._depth_loss(view, render)
-            terms["depth"] = depth.item()
+            terms["depth"] = depth
             loss = loss + weight * depth
         return Step(loss, terms, render, target, valid)
 

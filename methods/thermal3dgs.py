@@ -71,16 +71,17 @@ class ConductionPart(Network):
 
     def __init__(self, module: Conduction, rate: Any) -> None:
         super().__init__(module, rate, ADAM)
-        self.largest = 0.0  # that it added to the last image
+        self.largest = torch.zeros(())  # that it added to the last image
 
     def added(self, image: Tensor) -> Tensor:
         """Return an image (H, W, C) with what the module adds."""
         added = self.module(image)
-        self.largest = float(added.detach().amax())
+        self.largest = added.detach().amax()
         return image + added
 
     def report(self) -> dict[str, Any]:
-        return {**super().report(), "adds_at_most": self.largest, "dead": self.largest == 0.0}
+        largest = self.largest.item()
+        return {**super().report(), "adds_at_most": largest, "dead": largest == 0.0}
 
 
 class Thermal3DGS(Method):
@@ -126,10 +127,10 @@ class Thermal3DGS(Method):
         target, valid = THERMAL.tensors_of(view, render.image.device)
         weight = self.lambda_corner * max(1 - iteration / max(self.corner_iterations, 1), 0.0)
         loss = l1_and_dssim(render.image, target, 1 - self.lambda_ssim - self.lambda_corner, self.lambda_ssim, valid)
-        terms = {"thermal": loss.item()}
+        terms = {"thermal": loss}
         if weight > 0:
             corner = corner_loss(render.image, target, valid)
-            loss, terms["corner"] = loss + weight * corner, corner.item()
+            loss, terms["corner"] = loss + weight * corner, corner
         return Step(loss, terms, render, target, valid)
 
     @torch.no_grad()

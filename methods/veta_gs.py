@@ -141,12 +141,12 @@ class VetaGS(Method):
         target, valid = THERMAL.tensors_of(view, render.image.device)
         if iteration <= self.mono_start * self.iterations:
             loss = photometric(render.image, target, self.lambda_ssim, valid)
-            return Step(loss, {"thermal": loss.item()}, render, target, valid)
+            return Step(loss, {"thermal": loss}, render, target, valid)
         l1_weight = 1 - self.lambda_ssim - self.lambda_mono
         loss = l1_and_dssim(render.image, target, l1_weight, self.lambda_ssim, valid)
         compared = render.image if valid is None else render.image * valid[..., None]
         mono = self.features(compared, target)
-        terms = {"thermal": loss.item(), "mono": mono.item()}
+        terms = {"thermal": loss, "mono": mono}
         return Step(loss + self.lambda_mono * mono, terms, render, target, valid)
 
     def noise_at(self, iteration: int, views_left: int) -> float:

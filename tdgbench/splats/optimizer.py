@@ -232,7 +232,7 @@ class Adam:
     def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:
         """Step every row by its gradient (N, columns)."""
         values, first, second = self.state.values, self.state.first, self.state.second
-        sizes, bias = (torch.as_tensor(a, dtype=values.dtype, device=values.device) for a in (step_sizes, bias2_sqrt))
+        sizes, bias = torch.as_tensor(np.stack([step_sizes, bias2_sqrt]), dtype=values.dtype, device=values.device)
         first.lerp_(grad, 1 - BETA1)
         second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
         values.sub_(sizes * first / (second.sqrt() / bias + EPS))

@@ -69,8 +69,11 @@ def train(
             for part in trainer.parts.values():
                 part.begin(iteration)
             step = trainer.stage.step(iteration)
-            loss = _finite_loss(step, trainer.parts, iteration)
-            ends_stage = _ends(trainer, iteration, step.terms.get("thermal", loss))
+            loss, terms = step.numbers()
+            if not math.isfinite(loss):
+                _check_parameters(trainer.parts, iteration)
+                raise NonFiniteError(iteration, _first_bad(step, terms))
+            ends_stage = _ends(trainer, iteration, terms.get("thermal", loss))
             log.iterations += 1
             log.ended = ends_stage and trainer.is_last_stage
             if before_update is not None:
@@ -83,7 +86,7 @@ def train(
             if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
                 _check_parameters(trainer.parts, iteration)
                 clock.write_times()
-                line = _line(log, step, loss, trainer)
+                line = _line(log, step, loss, terms, trainer)
                 log.lines.append(line)
                 if on_log_line is not None:
                     on_log_line(line)
@@ -107,12 +110,12 @@ def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
     return iteration >= trainer.context.budget.iterations or (any(reached) and recovered)
 
 
-def _line(log: TrainingLog, step: Step, loss: float, trainer: Trainer) -> LogLine:
+def _line(log: TrainingLog, step: Step, loss: float, terms: dict[str, float], trainer: Trainer) -> LogLine:
     """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
     psnr = _psnr(step)
     smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
     gaussians = sum(len(model) for model in trainer.gaussians.values())
-    return LogLine(log.iterations, log.seconds, loss, smoothed, gaussians, step.terms)
+    return LogLine(log.iterations, log.seconds, loss, smoothed, gaussians, terms)
 
 
 class Clock:
@@ -127,15 +130,6 @@ class Clock:
         """Write the times so far to the log."""
         self._log.seconds = time.perf_counter() - self._start
         self._log.processor_seconds = time.process_time() - self._processor_start
-
-
-def _finite_loss(step: Step, parts: Mapping[str, Part], iteration: int) -> float:
-    """Return the value of the loss. Raises NonFiniteError with the tensor that made it not finite."""
-    loss = step.loss.item()
-    if not math.isfinite(loss):
-        _check_parameters(parts, iteration)
-        raise NonFiniteError(iteration, _first_bad(step))
-    return loss
 
 
 def _update(step: Step, parts: Mapping[str, Part], iteration: int) -> None:
@@ -159,14 +153,14 @@ def _psnr(step: Step) -> float:
     return -10 * math.log10(max(mse, 1e-12))
 
 
-def _first_bad(step: Step) -> str:
+def _first_bad(step: Step, terms: Mapping[str, float]) -> str:
     """Return the name of the first image, render or loss term that is not finite."""
     if not torch.isfinite(step.target).all():
         return "target image"
     for name, tensor in (("render", step.render.image), ("depth render", step.render.depth)):
         if tensor is not None and not torch.isfinite(tensor).all():
             return name
-    bad = [name for name, value in step.terms.items() if not math.isfinite(value)]
+    bad = [name for name, value in terms.items() if not math.isfinite(value)]
     return f"loss term {bad[0]}" if bad else "loss"
 
 

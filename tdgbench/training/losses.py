@@ -169,9 +169,8 @@ def min_max(values: Tensor) -> Tensor:
     if _is_fused(values):
         return _MinMax.apply(values)
     low, high = values.min(), values.max()
-    if (high - low).item() < MIN_RANGE:
-        return values * 0.0
-    return (values - low) / (high - low)
+    is_flat = high - low < MIN_RANGE
+    return torch.where(is_flat, 0.0, values - low) / torch.where(is_flat, 1.0, high - low)
 
 
 def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
+import torch
 from pydantic import Field
 from torch import Tensor
 
@@ -24,10 +25,16 @@ class Step:
     """One training step before its backward pass."""
 
     loss: Tensor  # scalar
-    terms: dict[str, float]  # by name, for the log; the plateau rule watches `thermal`, or the loss if there is none
+    terms: Mapping[str, Tensor | float]  # scalars, for the log; the plateau rule watches `thermal`, else the loss
     render: Render
     target: Tensor  # (H, W, C): the image that `render` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
+
+    def numbers(self) -> tuple[float, dict[str, float]]:
+        """Return loss and terms, read from their device at once."""
+        scalars = [torch.as_tensor(value).detach().to(self.loss) for value in (self.loss, *self.terms.values())]
+        loss, *terms = torch.stack(scalars).tolist()
+        return loss, dict(zip(self.terms, terms, strict=True))
 
 
 class Stage(NamedTuple):

@@ -24,14 +24,13 @@ def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """Return the SSIM per pixel and channel (H, W, C) of images (H, W, C)."""
-    a, b = (t.permute(2, 0, 1).unsqueeze(1) for t in (image, target))
-    mu_a, mu_b = _blur(a), _blur(b)
-    var_a = _blur(a * a) - mu_a * mu_a
-    var_b = _blur(b * b) - mu_b * mu_b
-    covariance = _blur(a * b) - mu_a * mu_b
+    a, b = (t.permute(2, 0, 1) for t in (image, target))
+    mu_a, mu_b, mean_aa, mean_bb, mean_ab = Blur.apply(torch.stack([a, b, a * a, b * b, a * b]))
+    covariance = mean_ab - mu_a * mu_b
+    variances = (mean_aa - mu_a * mu_a) + (mean_bb - mu_b * mu_b)
     numerator = (2 * mu_a * mu_b + C1) * (2 * covariance + C2)
-    denominator = (mu_a * mu_a + mu_b * mu_b + C1) * (var_a + var_b + C2)
-    return (numerator / denominator).squeeze(1).permute(1, 2, 0)
+    denominator = (mu_a * mu_a + mu_b * mu_b + C1) * (variances + C2)
+    return (numerator / denominator).permute(1, 2, 0)
 
 
 def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) -> Tensor:
@@ -62,8 +61,8 @@ def without_masked(image: Tensor, valid: Tensor) -> Tensor:
     return torch.where(valid[..., None], image, 0.0)
 
 
-class _Blur(torch.autograd.Function):
-    """Images (C, 1, H, W) filtered by the Gaussian window, with zeros outside; symmetric, so its own gradient.
+class Blur(torch.autograd.Function):
+    """Images (N, C, H, W) filtered by the Gaussian window, with zeros outside; symmetric, so its own gradient.
 
     Sums of shifted images instead of a convolution: cuDNN rounds the latter to TF32, whose 10 bits ruin the variances
     of SSIM (`torch.backends.cudnn.allow_tf32` is true by default).
@@ -76,10 +75,6 @@ class _Blur(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad: Tensor) -> Tensor:
         return _filtered(grad)
-
-
-def _blur(images: Tensor) -> Tensor:
-    return _Blur.apply(images)
 
 
 def _filtered(images: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.view import Render
@@ -28,6 +29,29 @@ def test_training_makes_it_better(small_scene, name):
     assert log.lines[-1].gaussians == sum(len(m) for m in trainer.gaussians.values())
     render = trainer.method.render(trainer.context.frame(small_scene.test[0]))
     assert render.image.shape == small_scene.test[0].thermal.shape and not render.image.requires_grad
+
+
+class Waits(TorchDispatchMode):
+    """Counts reads of single numbers from tensors, for each of which a GPU has to finish first."""
+
+    count = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.count += func.overloadpacket is torch.ops.aten._local_scalar_dense
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("name", [*METHODS, "tdg_released", "mftg", "ommg", "thermal3dgs"])
+def test_a_step_reads_no_number_from_the_device(small_scene, name):
+    trainer = ready_to_train(small_scene, name, 30)
+    for iteration in range(1, len(small_scene.train) + 1):  # what is prepared once for each view
+        trainer.stage.step(iteration)
+    with Waits() as waits:
+        step = trainer.stage.step(len(small_scene.train) + 1)
+    assert waits.count == 0
+    loss, terms = step.numbers()
+    assert loss == step.loss.item()
+    assert terms == {term: value.detach().item() for term, value in step.terms.items()}
 
 
 @pytest.mark.parametrize("name", METHODS)

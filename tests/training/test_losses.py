@@ -17,7 +17,7 @@ from tdgbench.training.losses import (
     ssim,
     thermal_loss,
 )
-from tdgbench.training.torch_losses import _blur, ssim_map
+from tdgbench.training.torch_losses import Blur, ssim_map
 from tests.helpers.masks import masks
 
 
@@ -52,8 +52,8 @@ def test_the_window_of_ssim_is_a_convolution():
     expected = torch.nn.functional.conv2d(images, window[None, None], padding=5)
     upstream = torch.rand(expected.shape, generator=g, dtype=torch.float64)
     (want,) = torch.autograd.grad(expected, images, upstream)
-    (got,) = torch.autograd.grad(_blur(images), images, upstream)
-    assert torch.allclose(_blur(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
+    (got,) = torch.autograd.grad(Blur.apply(images), images, upstream)
+    assert torch.allclose(Blur.apply(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
 
 
 @pytest.mark.parametrize("reading", ["written", "released"])
