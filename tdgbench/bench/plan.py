@@ -7,14 +7,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import AliasChoices, ConfigDict, Field, TypeAdapter, ValidationError
 
 from tdgbench.bench.read_files import read_text
 from tdgbench.files import write_text
@@ -36,7 +36,7 @@ class Plan:
     methods: list[str] = field(default_factory=list)
     inits: list[str] = field(default_factory=list)
     variant_keys: list[str] = field(default_factory=list)
-    cells_to_run: int = 0
+    cells_with_data: Annotated[int, Field(validation_alias=AliasChoices("cells_with_data", "cells_to_run"))] = 0
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
