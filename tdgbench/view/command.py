@@ -37,6 +37,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _show(options: argparse.Namespace) -> int:
+    say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
     try:
         from tdgbench.view.server import Viewer, serving
     except ModuleNotFoundError as error:
