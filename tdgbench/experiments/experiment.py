@@ -21,6 +21,7 @@ from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
 from tdgbench.bench.signature import Problem, meant, option_meant
 from tdgbench.priors import prepare
+from tdgbench.signals import end_with_parent
 from tdgbench.terminal import guard_streams
 
 
@@ -82,6 +83,7 @@ def experiment_of(cfg: DictConfig) -> Experiment:
 def run_job(cfg: DictConfig) -> None:
     """Do one job of the configured experiment."""
     guard_streams()  # of a launcher's process
+    end_with_parent()
     experiment_of(cfg).run(names_to_text(cfg))
 
 
@@ -120,7 +122,7 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
         error.__cause__, ConfigAttributeError | ConfigKeyError
     ):
         option = str(error.__cause__.full_key)
-        typed = next((word for word in words if word.lstrip("+~").startswith(f"{option}=")), option)
+        typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
         return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
