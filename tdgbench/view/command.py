@@ -37,13 +37,13 @@ def main(arguments: list[str]) -> int:
 
 
 def _show(options: argparse.Namespace) -> int:
-    say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
     try:
         from tdgbench.view.server import Viewer, serving
     except ModuleNotFoundError as error:
         if error.name != "viser":
             raise
         raise ValueError("it needs viser: pip install -e '.[view]'") from error
+    say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
     cells = open_cells(options.cell)
     with serving(options.host, options.port) as server:
         viewer = Viewer(server, cells, options.width)
