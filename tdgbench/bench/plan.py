@@ -99,11 +99,6 @@ def number_of_jobs(config: DictConfig) -> int | None:
     return math.prod(len(values) for values in swept(config).values()) or None
 
 
-def overrides_of_jobs(config: DictConfig) -> list[list[str]]:
-    """Return the overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
-    return [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
-
-
 def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:
     """Yield composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
 
@@ -113,9 +108,8 @@ def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig
         yield config
         return
     loader = GlobalHydra.instance().config_loader()
-    by_choice = {
-        tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in overrides_of_jobs(config)
-    }
+    jobs = [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
+    by_choice = {tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in jobs}
     for job in by_choice.values():
         yield loader.load_sweep_config(config, job)
 

@@ -117,7 +117,9 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
     if isinstance(error, OverrideParseException):
         return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        return _unknown_choice(error.missing_cfg_file, error.options)
+        group, _, choice = error.missing_cfg_file.rpartition("/")
+        there = ", ".join(error.options)
+        return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there})"
     if isinstance(error, ConfigCompositionException) and isinstance(
         error.__cause__, ConfigAttributeError | ConfigKeyError
     ):
@@ -135,9 +137,3 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
         return f"{error}: {error.__cause__}"
     command = f" in: {' '.join(words)}" if words else ""
     return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"
-
-
-def _unknown_choice(file: str, choices: Sequence[str]) -> str:
-    """Return the message for a choice that is not there. file: for example method/tgd."""
-    group, _, choice = file.rpartition("/")
-    return f"{group}={choice}: there is no such {group}{meant(choice, choices)} (there are {', '.join(choices)})"
