@@ -18,6 +18,7 @@ import torch
 from pydantic import Field, NonNegativeFloat
 from torch import Tensor
 
+from methods.ommg import OMMG, SH_RGB
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import (
@@ -33,11 +34,9 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Render
 from tdgbench.training.context import Context
-from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+from tdgbench.training.method import Frame, Share, SmoothnessReading, Step
 
-SH_RGB, OPACITY_RGB = "sh_rgb", "opacity_logits_rgb"  # further fields; `sh` and `opacity_logits` are the thermal ones
+OPACITY_RGB = "opacity_logits_rgb"  # a further field, as SH_RGB; `sh` and `opacity_logits` are the thermal ones
 Opacity = Annotated[float, Field(gt=0, lt=1)]
 Decompose = Literal["released", "described"]
 
@@ -151,15 +150,12 @@ class MultimodalControl(DensityControl):
             rows[which, columns] = value
 
 
-class MMOne(Method):
+class MMOne(OMMG):
     """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
 
     Renders are clamped to [0, 1], so that what is brighter gets no gradient. Colours and opacities of both modalities
     start alike. RGB renders are over black.
     """
-
-    modalities = ("thermal", "rgb")
-    renders_plain_gaussians = False
 
     def __init__(
         self,
@@ -174,12 +170,7 @@ class MMOne(Method):
         kept_opacity: Opacity,
     ) -> None:
         """decompose, decompose_threshold and opacities: see `MultimodalRules`."""
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
-            lambda_ssim,
-            lambda_smooth,
-            smoothness_reading,
-            weight,
-        )
+        super().__init__(lambda_ssim, lambda_smooth, smoothness_reading, weight)
         self.rules = partial(
             MultimodalRules,
             decompose=decompose,
@@ -203,14 +194,8 @@ class MMOne(Method):
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        rgb, render = self._rendered(view.camera, "rgb").image, self._rendered(view.camera, "thermal")
-        target, valid = THERMAL.tensors_of(view, rgb.device)
-        loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
-        loss_thermal = thermal_loss(
-            render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
-        )
-        terms = {"rgb": loss_rgb, "thermal": loss_thermal}
-        return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
+        rgb = self._rendered(view.camera, "rgb").image
+        return self._compared(view, self._rendered(view.camera, "thermal"), rgb)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

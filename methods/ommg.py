@@ -7,21 +7,22 @@ both colour sets with the same weights, so that density control reads the gradie
 from __future__ import annotations
 
 import torch
-from pydantic import NonNegativeFloat
 from torch import Tensor
 
+from methods.gaussian_splatting import GaussianSplatting
+from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import GaussianTensors, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.losses import photometric, thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+from tdgbench.training.method import Frame, Step
 
 SH_RGB = "sh_rgb"  # the further field
 
 
-class OMMG(Method):
+class OMMG(GaussianSplatting):
     """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
 
     Both colour sets start from the points' colours. RGB renders are over black.
@@ -29,20 +30,6 @@ class OMMG(Method):
 
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
-
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight: NonNegativeFloat,
-    ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
-            lambda_ssim,
-            lambda_smooth,
-            smoothness_reading,
-            weight,
-        )
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree
@@ -54,11 +41,15 @@ class OMMG(Method):
         view = self.views.next()
         render = self.model.render(view.camera, hook=with_both, background=self._background())
         channels = self.model.state.channels
-        image, rgb = render.image.split([channels, 3], dim=2)
+        render.image, rgb = render.image.split([channels, 3], dim=2)
+        return self._compared(view, render, rgb)
+
+    def _compared(self, view: View, render: Render, rgb: Tensor) -> Step:
+        """Return the loss of a view's thermal render and RGB image (H, W, 3)."""
+        image = render.image
         target, valid = THERMAL.tensors_of(view, image.device)
         loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
-        render.image = image
         terms = {"rgb": loss_rgb, "thermal": loss_thermal}
         return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
 

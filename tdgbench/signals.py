@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from types import FrameType
 from typing import Any
 
 from tdgbench.terminal import say
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+WATCH_SECONDS = 1.0  # between two looks at the parent
 REPEAT_SECONDS = 5.0  # a library may swallow the exception, e.g. in a destructor; then it is raised again
 
 
@@ -80,6 +85,24 @@ def interruptible() -> Iterator[Interruption]:
         yield interruption
     finally:
         interruption.end()
+
+
+@cache
+def end_with_parent() -> None:
+    """Make a worker of a process pool, as joblib's, end with the process that started it, even if that is killed.
+
+    Without it, the worker would train on, and hold the lock of its cell. In other processes this does nothing.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        while os.getppid() == parent.pid:
+            time.sleep(WATCH_SECONDS)
+        os._exit(128 + signal.SIGKILL if hasattr(signal, "SIGKILL") else 1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
 
 
 def _set(handlers: Mapping[signal.Signals, Any]) -> None:

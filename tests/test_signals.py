@@ -99,6 +99,19 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
     waited(lambda: not _of_session(run.pid), 20, "the workers end")
 
 
+@pytest.mark.slow
+def test_workers_end_with_a_sweep_that_is_killed(tmp_path, data_root):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1")
+    run = started(tmp_path, "-m", *LONG, f"data.root={data_root}", *joblib)
+    try:
+        wait_for_checkpoint(run, tmp_path / "results" / "single")
+        run.kill()
+        waited(lambda: not _of_session(run.pid), 20, "the workers end")
+    finally:
+        end_session(run)
+
+
 def _of_session(session: int) -> list[str]:
     """Processes of a session that still run."""
     listed = subprocess.run(["ps", "-eo", "sid=,stat=,args="], capture_output=True, text=True).stdout.splitlines()

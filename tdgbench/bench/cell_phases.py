@@ -137,7 +137,8 @@ class CellRun(SetupObserver):
         self._describe_scene(scene, scorer)
         priors = self._cache("priors", "depth priors were")
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
-        self._describe_images(ready.scored)
+        span, is_gray = ready.scored.temperature, ready.scored.channels == 1
+        self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
         self._warn_if_slow(ready.trainer)
         with self.phase("train"):
             checkpoint = self._open_checkpoint()
@@ -223,11 +224,6 @@ class CellRun(SetupObserver):
         record.views = {"train": len(scene.train), "test": len(scene.test)}
         if self.cfg.backend.name == "auto" and auto().line:
             record.notes.append(f"backend: {auto().line}")
-
-    def _describe_images(self, scene: Scene) -> None:
-        """Put the temperature range of the images into the record. scene: as it is scored."""
-        span = scene.temperature
-        self.record.temperature_range = None if span is None or scene.channels != 1 else [span.min, span.max]
 
     def _describe_training(self, trained: TrainedCell, skips: Skips) -> None:
         """Put facts about the finished training into the record."""

@@ -15,6 +15,7 @@ from tdgbench.bench.signature import (
     STRICT,
     UNKNOWN,
     Problem,
+    belongs_to,
     choices,
     not_finite,
     option_meant,
@@ -50,8 +51,9 @@ def check_options(cfg: DictConfig) -> None:
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
-        if problem.what == UNKNOWN:
-            problem = problem._replace(what=f"{UNKNOWN}{option_meant(name)}")
+        if problem.what.startswith(UNKNOWN):
+            more = option_meant(name) if problem.what == UNKNOWN else belongs_to(name)
+            problem = problem._replace(what=f"{problem.what}{more}")
         first.setdefault(name, problem._replace(option=name))
     if first:
         raise OptionError(list(first.values()))

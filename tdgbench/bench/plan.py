@@ -7,14 +7,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import AliasChoices, ConfigDict, Field, TypeAdapter, ValidationError
 
 from tdgbench.bench.read_files import read_text
 from tdgbench.files import write_text
@@ -36,7 +36,7 @@ class Plan:
     methods: list[str] = field(default_factory=list)
     inits: list[str] = field(default_factory=list)
     variant_keys: list[str] = field(default_factory=list)
-    cells_to_run: int = 0
+    cells_with_data: Annotated[int, Field(validation_alias=AliasChoices("cells_with_data", "cells_to_run"))] = 0
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
@@ -99,11 +99,6 @@ def number_of_jobs(config: DictConfig) -> int | None:
     return math.prod(len(values) for values in swept(config).values()) or None
 
 
-def overrides_of_jobs(config: DictConfig) -> list[list[str]]:
-    """Return the overrides of each job of a sweep, in the order of the jobs, as the jobs see them."""
-    return [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
-
-
 def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:
     """Yield composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
 
@@ -113,9 +108,8 @@ def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig
         yield config
         return
     loader = GlobalHydra.instance().config_loader()
-    by_choice = {
-        tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in overrides_of_jobs(config)
-    }
+    jobs = [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
+    by_choice = {tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in jobs}
     for job in by_choice.values():
         yield loader.load_sweep_config(config, job)
 

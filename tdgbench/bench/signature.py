@@ -12,7 +12,7 @@ import json
 import math
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
@@ -142,7 +142,11 @@ def _is_plain(hint: Any) -> bool:
 def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
     """Yield the problem of a value in the place of options that a `_target_` makes."""
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if value is not None and all(kind is types.NoneType or is_dataclass(kind) for kind in kinds):
+    if not all(kind is types.NoneType or is_dataclass(kind) for kind in kinds):
+        return
+    if value is None and types.NoneType not in kinds:
+        yield Problem(name, f"may not be null; set its options: {', '.join(f'{name}.{f.name}' for f in fields(hint))}")
+    elif value is not None:
         choices = "options with a _target_, or null" if types.NoneType in kinds else "options with a _target_"
         yield Problem(name, f"must be {choices}; choose a configuration that has them", value)
 
@@ -185,7 +189,7 @@ def _path(name: str, parts: tuple[int | str, ...]) -> str:
 
 
 def option_meant(option: str) -> str:
-    """Return `; did you mean …?` with the options that end alike or are spelled alike; empty if there is none.
+    """Return what an unknown option may be: one of other choices, or one that ends alike or is spelled alike.
 
     >>> option_meant("iterations")
     '; did you mean budget.iterations?'
@@ -198,7 +202,17 @@ def option_meant(option: str) -> str:
     """
     known = option_names()
     alike = [name for name in known if name.endswith(f".{option}")]
-    return f"; did you mean {' or '.join(alike[:3])}?" if alike else meant(option, known)
+    return belongs_to(option) or (f"; did you mean {' or '.join(alike[:3])}?" if alike else meant(option, known))
+
+
+def belongs_to(option: str) -> str:
+    """Return `; it belongs to …` with the choices of a group that have an option; empty if none has.
+
+    >>> belongs_to("dataset.loader.errors.rig")
+    '; it belongs to dataset=synthetic, synthetic_rig'
+    """
+    owners = option_names().get(option)
+    return f"; it belongs to {option.partition('.')[0]}={', '.join(owners)}" if owners else ""
 
 
 def meant(word: str, known: Iterable[str]) -> str:
@@ -221,15 +235,20 @@ def choices(group: str) -> list[str]:
 
 
 @cache
-def option_names() -> list[str]:
-    """Return dotted names of all options in conf/, and of its groups."""
-    folder, names = conf_folder(), dict[str, None]()
+def option_names() -> dict[str, list[str]]:
+    """Return the dotted names of all options in conf/ and of its groups, with the choices of the group that have them.
+
+    Choices that get an option from the file of another one are left out.
+    """
+    folder, names = conf_folder(), dict[str, list[str]]()
     for path in sorted(folder.rglob("*.yaml")):
         groups = path.relative_to(folder).parts[:-1]
         if groups[:1] not in [(folder,) for folder in NO_OPTIONS]:
             content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-            names |= dict.fromkeys([*groups, *_names(content, "".join(f"{group}." for group in groups))])
-    return list(names)
+            names |= {group: [] for group in groups}
+            for name in _names(content, "".join(f"{group}." for group in groups)):
+                names.setdefault(name, []).extend([path.stem] if groups else [])
+    return names
 
 
 def _names(content: Any, prefix: str) -> Iterator[str]:

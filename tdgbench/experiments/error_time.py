@@ -25,6 +25,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.claims.quantities import first_at
 from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train
@@ -178,29 +179,6 @@ def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
     return {next(i for i in range(first, end + 1) if rules.has_recovered(i, end)) for first in even}
 
 
-def seconds_to(curve: pd.DataFrame, quality: float, metric: str = "psnr") -> float:
-    """Return the seconds until a curve first reaches a quality, linear between samples; NaN if it never does.
-
-    >>> seconds_to(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 22.0)
-    1.5
-    """
-    seconds, values = curve["seconds"].to_numpy(float), curve[metric].to_numpy(float)
-    reached = np.flatnonzero(values >= quality)
-    if not reached.size:
-        return np.nan
-    around = slice(max(0, reached[0] - 1), reached[0] + 1)  # the last sample below it, and the first that reaches it
-    return float(np.interp(quality, values[around], seconds[around]))
-
-
-def quality_at(curve: pd.DataFrame, seconds: float, metric: str = "psnr") -> float:
-    """Return the quality of a curve at a time, linear between samples; NaN before the first, constant after the last.
-
-    >>> quality_at(pd.DataFrame({"seconds": [1.0, 2.0], "psnr": [20.0, 24.0]}), 1.5)
-    22.0
-    """
-    return float(np.interp(seconds, curve["seconds"].to_numpy(float), curve[metric].to_numpy(float), left=np.nan))
-
-
 def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.DataFrame:
     """Return the share of time saved against the baseline over whole runs, at equal iterations and at equal quality.
 
@@ -217,7 +195,8 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
             last = min(int(curve["iteration"].iloc[-1]) for curve in pair)
             per_iteration = [float(np.interp(last, curve["iteration"], curve["seconds"])) for curve in pair]
             quality = min(float(curve["psnr"].max()) for curve in pair)
-            reached = [seconds_to(curve, quality) for curve in pair]
+            reached = [first_at(curve, quality, "seconds", "psnr") for curve in pair]
+            there = [float(np.interp(min(ends), curve["seconds"], curve["psnr"], left=np.nan)) for curve in pair]
             rows.append(
                 {
                     "scene": scene,
@@ -226,7 +205,7 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
                     "equal iterations": 1 - per_iteration[0] / per_iteration[1],
                     "equal quality": 1 - reached[0] / reached[1],
                     "that quality (dB)": quality,
-                    "dB more at equal time": quality_at(pair[0], min(ends)) - quality_at(pair[1], min(ends)),
+                    "dB more at equal time": there[0] - there[1],
                 }
             )
     return pd.DataFrame(rows)

@@ -21,6 +21,7 @@ from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
 from tdgbench.bench.signature import Problem, meant, option_meant
 from tdgbench.priors import prepare
+from tdgbench.signals import end_with_parent
 from tdgbench.terminal import guard_streams
 
 
@@ -82,6 +83,7 @@ def experiment_of(cfg: DictConfig) -> Experiment:
 def run_job(cfg: DictConfig) -> None:
     """Do one job of the configured experiment."""
     guard_streams()  # of a launcher's process
+    end_with_parent()
     experiment_of(cfg).run(names_to_text(cfg))
 
 
@@ -115,12 +117,14 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
     if isinstance(error, OverrideParseException):
         return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        return _unknown_choice(error.missing_cfg_file, error.options)
+        group, _, choice = error.missing_cfg_file.rpartition("/")
+        there = ", ".join(error.options)
+        return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there})"
     if isinstance(error, ConfigCompositionException) and isinstance(
         error.__cause__, ConfigAttributeError | ConfigKeyError
     ):
         option = str(error.__cause__.full_key)
-        typed = next((word for word in words if word.lstrip("+~").startswith(f"{option}=")), option)
+        typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
         return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
@@ -133,9 +137,3 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
         return f"{error}: {error.__cause__}"
     command = f" in: {' '.join(words)}" if words else ""
     return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"
-
-
-def _unknown_choice(file: str, choices: Sequence[str]) -> str:
-    """Return the message for a choice that is not there. file: for example method/tgd."""
-    group, _, choice = file.rpartition("/")
-    return f"{group}={choice}: there is no such {group}{meant(choice, choices)} (there are {', '.join(choices)})"

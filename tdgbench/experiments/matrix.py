@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
@@ -24,8 +24,9 @@ from tdgbench.terminal import console, say
 
 @dataclass(frozen=True)
 class MatrixOptions:
-    """Options in `cfg.study` of every matrix: its axes `scene` and `seed`."""
+    """Options in `cfg.study` of every matrix: its axes `scene` and `seed`, which the experiment `sets`."""
 
+    SETS: ClassVar = {"scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]"}
     scenes: Annotated[list[str | None], Field(min_length=1)]  # None: the only one
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 

@@ -53,11 +53,7 @@ class Priors(Experiment):
     """Error of each prior, and TDg's scores with it."""
 
     options = PriorsOptions
-    sets: ClassVar[Mapping[str, str]] = {
-        "scene": "study.scenes=[NAME,...]",
-        "seed": "study.seeds=[0,...]",
-        "prior": "study.priors",
-    }
+    sets: ClassVar[Mapping[str, str]] = {**MatrixOptions.SETS, "prior": "study.priors"}
 
     def run(self, cfg: DictConfig) -> None:
         """Measure the priors, run the cells that have no result, write and print the tables.

@@ -45,7 +45,7 @@ class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
-    sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]"}
+    sets: ClassVar[Mapping[str, str]] = MatrixOptions.SETS
 
     def start(self, cfg: DictConfig) -> None:
         """Prepare the depth priors. Raises PriorUnavailableError if the cells' prior is not available."""

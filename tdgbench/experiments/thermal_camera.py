@@ -73,8 +73,7 @@ class ThermalCameraExperiment(Experiment):
 
     options = CaptureStudyOptions
     sets: ClassVar[Mapping[str, str]] = {
-        "scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]", "method": "study.methods",
-        "thermal_camera": "study.thermal_cameras",
+        **MatrixOptions.SETS, "method": "study.methods", "thermal_camera": "study.thermal_cameras",
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:

@@ -84,8 +84,6 @@ def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndar
     points = (local @ to_world[:3, :3].T + to_world[:3, 3]).reshape(-1, 3)
     count = np.zeros(len(points))
     for other in others:
-        pixels, z = other.project(points)
         with np.errstate(invalid="ignore"):
-            inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < other.width) & (pixels[:, 1] < other.height) & (z > 0)
-        count += inside
+            count += other.shows(points)
     return np.where(np.isfinite(depth), count.reshape(depth.shape), np.nan)

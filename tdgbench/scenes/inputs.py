@@ -17,6 +17,7 @@ import numpy as np
 from tdgbench.scenes.errors import SceneError
 
 LONGEST_NAME = 200  # bytes; names of files have 255 at most
+ROWS_OF_AVERAGES = ("Average", "Average (Overall)")  # of tables; no scene has these names
 KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a FIFO",
@@ -128,6 +129,8 @@ def check_scene_name(name: str) -> str:
         raise SceneError(f"the scene {name} begins with a dot, as hidden folders do; rename its folder")
     if not name.strip() or not name.isprintable():
         raise SceneError(f"the scene {name!r} has a name that cannot be printed; rename its folder")
+    if name in ROWS_OF_AVERAGES:
+        raise SceneError(f"the scene {name} has the name of a row of the tables; rename its folder")
     return name
 
 

@@ -110,9 +110,10 @@ def measured_images(
     measured, filled = {}, []
     for name, source in sources.items():
         view = raw.pop(name)
-        invalid = _invalid(view, fillers)
+        invalid = impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
         filled.append(invalid.mean())
-        measured[name] = _measure(view.values, invalid, source)
+        values, hidden = view.values[..., None], read_hidden(source, view.values[..., None])
+        measured[name] = resample(values, invalid if hidden is None else invalid | hidden, source)
     span = given or _range_of({name: measured[name] for name in train}, sources, unit)
     images, clipped, count = {}, 0, 0
     for name in sources:
@@ -140,17 +141,6 @@ def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit
     if any(view.ends for view in views.values()):
         return replace(fillers, beyond=())  # black inside an image may be the coldest object
     return fillers
-
-
-def _invalid(view: Temperatures, fillers: Fillers) -> np.ndarray:
-    """Return pixels (H, W) bool that were not measured."""
-    return impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
-
-
-def _measure(values: np.ndarray, invalid: np.ndarray, source: ImageSource) -> MaskedImage:
-    """Return values (height, width, 1) of a view, without the `invalid` ones and those that its mask hides."""
-    hidden = read_hidden(source, values[..., None])
-    return resample(values[..., None], invalid if hidden is None else invalid | hidden, source)
 
 
 def _range_of(measured: Mapping[str, MaskedImage], sources: Mapping[str, ImageSource], unit: Unit) -> TemperatureRange:

@@ -15,7 +15,10 @@ from tdgbench.scenes.inputs import is_there, read_json
 from tdgbench.scenes.scene import TemperatureRange
 
 FILE = "temperature.json"
+KEYS = "min", "max"
+# Of ThermoScenes, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
 BOUNDS_FILE = "temperature_bounds.json"
+BOUNDS_KEYS = "absolute_min_temperature", "absolute_max_temperature"
 TEMPERATURES = (-273.15, 1e5)  # °C; absolute zero, and beyond what cameras measure
 PERCENTILES = (0.1, 99.9)  # of the training views' temperatures, which become image values 0 and 1
 MOST_SAMPLES = 1_000_000  # temperatures that percentiles are computed of
@@ -46,25 +49,14 @@ class Radiometry:
     scale: CountScale = CountScale()
 
 
-def read_radiometry(path: Path) -> Radiometry | None:
-    """Read `temperature.json`; None if there is no such file.
+def read_radiometry(path: Path, keys: tuple[str, str] = KEYS) -> Radiometry | None:
+    """Read `temperature.json` or, with BOUNDS_KEYS, BOUNDS_FILE; None if there is no such file. Raises SceneError.
 
-    Keys: min and max in °C; degC_per_count and degC_at_zero for 16-bit images. Raises SceneError.
+    keys: of the lowest and highest temperature in °C. degC_per_count and degC_at_zero are of 16-bit images.
     """
-    return _read(path, "min", "max")
-
-
-def read_temperature_bounds(path: Path) -> Radiometry | None:
-    """Read ThermoScenes' `temperature_bounds.json`; None if there is no such file. Raises SceneError.
-
-    Source of the keys, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
-    """
-    return _read(path, "absolute_min_temperature", "absolute_max_temperature")
-
-
-def _read(path: Path, lowest: str, highest: str) -> Radiometry | None:
     if not is_there(path):
         return None
+    lowest, highest = keys
     try:
         content = read_json(path)
         span = check_range(content[lowest], content[highest])

@@ -20,7 +20,7 @@ from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
-SYNTHETIC = "synthetic"  # data set
+SYNTHETIC, CAPTURE = "synthetic", "folder"  # data sets
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
@@ -30,10 +30,11 @@ def findings_of_methods(
     comparisons: Iterable[MethodComparison],
     effects: pd.DataFrame | None,
 ) -> list[str]:
-    """Return the findings of a main table, one sentence each, in one line each; none where nothing is compared."""
+    """Return the findings of a main table, one sentence each, in one line each."""
     sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
     sentences += [] if effects is None else _effects(effects)
     sentences += [] if difference is None else [published(difference)]
+    sentences = sentences or list(_alone(main))
     return [one_line(sentence) for sentence in (*sentences, *(_caveats(main) if sentences else ()))]
 
 
@@ -46,8 +47,10 @@ def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) ->
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
     scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
-    if set(scenes["dataset"]) == {SYNTHETIC}:
-        once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
+    once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
+    if set(scenes["dataset"]) == {CAPTURE}:
+        yield f"These scenes are your capture, so no published score is beside them{once}"
+    elif set(scenes["dataset"]) == {SYNTHETIC}:
         yield f"These scenes are built in, so this is no evidence on the paper's claims{once}"
 
 
@@ -121,6 +124,17 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[st
             f"{method} takes {ours:.2f} times as long as {baseline}, by the published table {paper:.2f} times; "
             f"{int((ratio - 1).abs().lt(0.1).sum())} of {len(of_scenes)} scenes agree within 10 %"
         )
+
+
+def _alone(main: pd.DataFrame) -> Iterable[str]:
+    """Yield the scores of each method, where nothing is compared."""
+    for column, rows in main.groupby("method", sort=False):
+        known = widest_average(rows[rows["metric"].isin(PUBLISHED)]).dropna(subset="value")
+        parts = [f"{MEASURES[r.metric].label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
+        scenes = list(dict.fromkeys(rows.loc[~rows["scene"].isin((AVERAGE, OVERALL)), "scene"]))
+        where = scenes[0] if len(scenes) == 1 else f"the average of {len(scenes)} scenes"
+        if parts:
+            yield f"{methods.label(str(column))} has {', '.join(parts)} on {where}, with no baseline beside it"
 
 
 def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:

@@ -11,13 +11,14 @@ from math import nan
 from typing import Any
 
 from tdgbench.bench.record import Record
+from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.metric import Measure, metric_name
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
-AVERAGE, OVERALL = "Average", "Average (Overall)"
+AVERAGE, OVERALL = ROWS_OF_AVERAGES
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,8 @@ from tdgbench.bench.protocol import protocols_apart
 from tdgbench.bench.record import FILE, READ_PHASE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
 
+UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
+
 
 @dataclass(frozen=True)
 class Results:
@@ -23,7 +25,10 @@ class Results:
 
 
 def read_results(experiment: Path) -> Results:
-    """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason."""
+    """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason.
+
+    Of runs without a name, only the cells of the last run's scenes are returned.
+    """
     problems: list[str] = []
     plan = _read_plan(experiment, problems)
     by_folder: dict[Path, Record] = {}
@@ -40,7 +45,11 @@ def read_results(experiment: Path) -> Results:
             by_folder.setdefault(place, replace(record, status="failed", failure=Failure(READ_PHASE, problem, "")))
         else:
             by_folder.setdefault(place, record)
-    return Results(plan, _of_one_protocol(list(by_folder.values()), problems), problems)
+    records = list(by_folder.values())
+    if experiment.absolute().name == UNNAMED and plan.scenes:
+        scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
+        records = [record for record in records if (record.dataset, record.scene) in scenes]
+    return Results(plan, _of_one_protocol(records, problems), problems)
 
 
 def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]:

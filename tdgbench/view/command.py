@@ -43,6 +43,7 @@ def _show(options: argparse.Namespace) -> int:
         if error.name != "viser":
             raise
         raise ValueError("it needs viser: pip install -e '.[view]'") from error
+    say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
     cells = open_cells(options.cell)
     with serving(options.host, options.port) as server:
         viewer = Viewer(server, cells, options.width)

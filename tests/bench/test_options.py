@@ -43,6 +43,7 @@ WRONG = [
     ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
     ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
     ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),
+    ("metrics.lpips=null", "metrics.lpips: may not be null; set its options: metrics.lpips.net, metrics.lpips.weights"),
     ("thermal_camera.estimate=3", "thermal_camera.estimate=3: must be a valid boolean"),
     ("+thermal_camera.nosuch=3", "thermal_camera.nosuch=3: is no option; there are estimate"),
     ("skip.gray=3", "skip.gray=3: must be a valid boolean"),

@@ -12,6 +12,11 @@ def test_round_trip(tmp_path):
     assert read_plan(tmp_path / "new") == plan
 
 
+def test_a_plan_with_the_old_name_of_its_count(tmp_path):
+    (tmp_path / FILE).write_text('{"cells_to_run": 3}', encoding="utf-8")
+    assert read_plan(tmp_path) == Plan(cells_with_data=3)
+
+
 def test_variants_are_the_swept_keys_only():
     plan = Plan(variant_keys=["method.method.lambda_depth", "budget"])
     overrides = ["method=tdg", "data.root=/x", "budget=demo", "+experiment=demo", "method.method.lambda_depth=0.5"]

@@ -1,4 +1,3 @@
-import math
 from itertools import pairwise
 
 import pandas as pd
@@ -8,11 +7,9 @@ from tdgbench.experiments import error_time
 from tdgbench.experiments.error_time import (
     ErrorTime,
     faster_by,
-    quality_at,
     runs_of,
     sample_all,
     sample_curve,
-    seconds_to,
 )
 from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
@@ -31,13 +28,6 @@ SLOW = curve("slow", [10.0, 20.0, 40.0], [20.0, 24.0, 26.0])
 FAST = curve("fast", [5.0, 10.0, 20.0], [21.0, 25.0, 27.0])
 SHORT = curve("short", [5.0, 8.0], [21.0, 24.0])
 CURVES = pd.concat([SLOW, FAST, SHORT], ignore_index=True)
-
-
-def test_times_and_qualities_lie_between_samples():
-    assert seconds_to(SLOW, 22.0) == pytest.approx(15.0)
-    assert seconds_to(SLOW, 19.0) == 10.0 and math.isnan(seconds_to(SLOW, 26.5))
-    assert quality_at(SLOW, 30.0) == pytest.approx(25.0)
-    assert quality_at(SLOW, 100.0) == 26.0 and math.isnan(quality_at(SLOW, 5.0))
 
 
 def test_faster_at_equal_iterations_quality_and_time():

@@ -94,12 +94,16 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("iterations=3000", "iterations=3000: is no option; did you mean budget.iterations? ("),
     ("+iterations=3000", "iterations=3000: is no option; did you mean budget.iterations?"),
     ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
+    ("dataset=folder dataset.loader.errors.pose_units=2",
+     "dataset.loader.errors.pose_units=2: is no option; it belongs to dataset=drifting, synthetic, "),
+    ("dataset=folder +dataset.loader.errors.pose_units=2",
+     "dataset.loader.errors: is no option; there are root, options, layout; it belongs to dataset=drifting, synthetic"),
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
     ("study._target_=nosuch.Class", "study._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
-    run = command_here(tmp_path, word)
+    run = command_here(tmp_path, *word.split())
     assert run.returncode == 1 and run.stderr.startswith(f"error: {said}") and run.stderr.count("\n") == 1, run.stderr
 
 

@@ -46,6 +46,7 @@ def test_names_of_digits(scenes):
         ("a\nb", "has a name that cannot be printed; rename its folder"),
         ("", "has a name that cannot be printed; rename its folder"),
         ("\udcff", "is not UTF-8; rename it"),
+        ("Average", "has the name of a row of the tables; rename its folder"),
     ],
 )
 def test_what_is_no_name(scenes, tmp_path, value, message):

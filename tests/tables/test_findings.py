@@ -103,13 +103,28 @@ def test_other_scenes_are_compared_too_but_with_no_paper(tmp_path):
     assert build_tables(tmp_path).findings == [
         "TDg is better than MSMG on 2 of 2 scenes in PSNR, 0 of 2 in SSIM, 0 of 2 in time",
         "On average TDg has PSNR 21.00 against 20.00, SSIM 0.800 against 0.800, time 0:06:00 against 0:06:00",
+        f"{CAPTURE}, and one seed decides nothing: run `seed=0,1,2`",
     ]
 
 
-def test_one_method_alone_finds_nothing(tmp_path):
-    write(tmp_path, scene="orbit", dataset="synthetic")
+CAPTURE = "These scenes are your capture, so no published score is beside them"
+
+
+def test_a_capture_alone(tmp_path):
+    for seed in (0, 1):
+        write(tmp_path, scene="attic", dataset="folder", seed=seed)
+    scores = "TDg has PSNR 20.00, SSIM 0.800, LPIPS 0.200, time 0:06:00"
+    assert build_tables(tmp_path).findings == [f"{scores} on attic, with no baseline beside it", CAPTURE]
+    for seed in (0, 1):
+        write(tmp_path, scene="cellar", dataset="folder", seed=seed)
+    found = build_tables(tmp_path).findings
+    assert found == [f"{scores} on the average of 2 scenes, with no baseline beside it", CAPTURE]
+    assert (tmp_path / "tables" / "findings.txt").read_text(encoding="utf-8").splitlines() == found
+
+
+def test_a_failed_cell_alone_finds_nothing(tmp_path):
+    write(tmp_path, scene="attic", dataset="folder", status="failed", failure=Failure("train", "ValueError: no", ""))
     assert build_tables(tmp_path).findings == []
-    assert (tmp_path / "tables" / "findings.txt").read_text(encoding="utf-8") == ""
 
 
 def test_an_ablation(tmp_path):

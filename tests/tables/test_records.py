@@ -33,6 +33,14 @@ def experiment(tmp_path) -> Path:
     return tmp_path / "e"
 
 
+def test_runs_without_a_name_share_no_table(experiment):
+    """Each has cells of its last run's scenes: those of other captures would be rows of n/a."""
+    Plan(scenes=[NIGHT], methods=["tdg"]).write(experiment)
+    assert {r.scene for r in read_results(experiment).records} == {"orbit", "night"}
+    unnamed = experiment.rename(experiment.with_name("single"))
+    assert {r.scene for r in read_results(unnamed).records} == {"night"}
+
+
 def cell_of(experiment: Path, scene: str) -> Path:
     return next((experiment / "cells" / "tdg" / "synthetic").glob(f"{scene}*")) / "colmap" / "seed0"
 

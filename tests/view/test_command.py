@@ -21,7 +21,8 @@ def test_what_cannot_be_shown_is_one_line(small_results, tdg_folder, colour_fold
     for folders in ([small_results], [small_results / "nothing"], [tdg_folder, colour_folder]):
         assert main([*map(str, folders), "--no-open"]) == 1
         out, err = capsys.readouterr()
-        assert out == "" and err.startswith("tdgbench view: ") and err.count("\n") == 1 and str(folders[-1]) in err
+        assert out == "" and err.startswith(f"loading {folders[0]}")
+        assert err.splitlines()[1].startswith("tdgbench view: ") and err.count("\n") == 2 and str(folders[-1]) in err
 
 
 @pytest.mark.parametrize("wrong", [["--port", "70000"], ["--port", "x"], ["--width", "3"], ["--width", "-5"], []])
@@ -84,7 +85,7 @@ def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
         out, err = run.communicate(timeout=60)
     finally:
         run.kill()
-    assert (run.returncode, out, err) == (130, "", "interrupted by SIGINT\n")
+    assert (run.returncode, out, err) == (130, "", f"loading {tdg_folder}\ninterrupted by SIGINT\n")
     assert hashes(tdg_folder) == before and list(tmp_path.iterdir()) == []
 
 

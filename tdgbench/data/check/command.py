@@ -70,11 +70,11 @@ def _row(check: SceneCheck) -> list[str]:
     name, layout = (one_line(text).replace("[", r"\[") for text in (check.name, check.layout or ""))
     if not check.views:
         return [name, layout, *[""] * 7, status]
-    published, offset = check.views_published, check.edge_offset
+    offset = check.edge_offset
     return [
         name,
         layout,
-        str(check.views) if published is None else f"{check.views} of {published}",
+        str(check.views),
         f"{check.train} + {check.test}",
         ", ".join(f"{width}×{height}" for width, height in check.sizes_px[:2]) + (" …" if check.sizes_px[2:] else ""),
         str(check.channels),
@@ -104,7 +104,7 @@ def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
         scenes.append({**asdict(check), **edges})
     return json.dumps(
         {
-            "format": 2,
+            "format": 3,
             "root": str(root),
             "scenes_of": "paper" if is_paper else "folder",
             "usable": all(check.status == "ok" for check in checks),

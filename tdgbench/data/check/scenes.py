@@ -22,25 +22,12 @@ from tdgbench.scenes.layouts.plain import MODELS
 
 MOST_PROBLEMS = 20  # of a scene, in words
 
-# Numbers of views that the authors publish. RGBT-Scenes: camera files in `<Scene>/raw_images/` of the folder that
-# ThermalGaussian's README names (Google Drive 1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg). GlassCup and the dark scene come from
-# a later extension and were not counted; neither was ThermalMix (Zenodo record 11065834), "about 60" views a scene.
-PUBLISHED_VIEWS = {
-    "Dimsum": 154,
-    "DailyStuff": 78,
-    "Ebike": 48,
-    "RoadBlock": 71,
-    "Truck": 73,
-    "RotaryKiln": 106,
-    "Parterre": 66,
-}
-
 
 @dataclass
 class SceneCheck:
     """What is known of a scene; the fields are those of the JSON (docs/data.md).
 
-    views_published: where the authors publish the number. sizes_px: (width, height) of the views. temperature_degC:
+    sizes_px: (width, height) of the views. temperature_degC:
     of image values 0 and 1. counts: raw counts of them, of scenes without °C. masked_share: of the thermal pixels.
     edge_offset: of thermal from RGB edges, or why it is not known. problems: what is missing or broken, with the
     remedy; a scene without one can be used.
@@ -52,7 +39,6 @@ class SceneCheck:
     folder: str | None = None
     layout: str | None = None
     views: int = 0
-    views_published: int | None = None
     views_with_rgb: int = 0
     train: int = 0
     test: int = 0
@@ -107,7 +93,6 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
     for name in place.names:
         described = place.dataset.describe(name)
         check = SceneCheck(name, described.dataset)
-        check.views_published = PUBLISHED_VIEWS.get(name) if place.is_paper else None
         if name in missing:
             check.status = "missing"
             check.problems.append(_where_from(name, place.root) if place.is_paper else "it is not there")
@@ -164,8 +149,6 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
         )
     if check.points is None:
         check.notes.append("no sparse points: use init=random; prior=sfm_points is not possible")
-    if check.views_published is not None and check.views < check.views_published:
-        check.notes.append(f"{check.views} views can be used of {check.views_published} published ones")
 
 
 def _check_model(scene: Scene, check: SceneCheck) -> None:

@@ -20,7 +20,7 @@ from tdgbench.data.new_folder import new_folder
 from tdgbench.scenes import PointCloud, Scene, SceneError, View
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.layouts.transforms import OPENGL_TO_OPENCV
-from tdgbench.scenes.temperature import BOUNDS_FILE, FILE
+from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, KEYS
 
 STATEMENT = "export.json"
 OBSERVATIONS = 1000  # 2D points of an image
@@ -81,7 +81,7 @@ def _write_3dgs(scene: Scene, folder: Path, statement: Statement) -> None:
             pictures.rgb(view, f"rgb/{part}")
     pictures.masks("these readers know no masks: they train on and score black there")
     _write_model(scene, folder / "sparse" / "0")
-    _write_range(folder / FILE, statement, "min", "max")
+    _write_range(folder / FILE, statement)
     cameras = [view.camera for view in scene.views]
     off = max(float(np.abs(camera.K[:2, 2] - (camera.width / 2, camera.height / 2)).max()) for camera in cameras)
     if off > 1e-6:
@@ -104,7 +104,7 @@ def _write_nerfstudio(scene: Scene, folder: Path, statement: Statement) -> None:
     masked = pictures.masks("nerfstudio leaves them out; ThermoNeRF reads no masks and trains on black there")
     if scene.points is not None:
         _write_ply(folder / "sparse_pc.ply", scene.points)
-    _write_range(folder / BOUNDS_FILE, statement, "absolute_min_temperature", "absolute_max_temperature")
+    _write_range(folder / BOUNDS_FILE, statement, BOUNDS_KEYS)
     files = {"transforms.json": "images" if pictures.has_rgb else "thermal"}
     files |= {"transforms_thermal_only.json": "thermal"} if pictures.has_rgb else {}
     for file, images in files.items():
@@ -149,7 +149,7 @@ def _write_oezer(scene: Scene, folder: Path, statement: Statement) -> None:
         pictures.rgb(view, "rgb")
     pictures.masks(f"this reader knows no masks: it trains on and scores {statement.black:g} °C there")
     _write_model(scene, folder / "colmap_sparse" / "0", OBSERVATIONS)
-    _write_range(folder / FILE, statement, "min", "max")
+    _write_range(folder / FILE, statement)
     indices = [index for index, view in enumerate(scene.views) if view.name in statement.test]
     statement.notes += [
         f"run with --tv {statement.white:g} --tv_min {statement.black:g}; --val_idx holds one view out, these are the "
@@ -204,10 +204,10 @@ def _write_model(scene: Scene, folder: Path, observations: int = 0) -> None:
     write_model(folder, [(f"{view.name}.png", view.camera) for view in scene.views], scene.points, observations)
 
 
-def _write_range(path: Path, statement: Statement, low: str, high: str) -> None:
+def _write_range(path: Path, statement: Statement, keys: tuple[str, str] = KEYS) -> None:
     """Write °C of black and white, where they are known, as this package and ThermoNeRF read them."""
     if statement.unit == "°C":
-        _write_json(path, {low: statement.black, high: statement.white})
+        _write_json(path, dict(zip(keys, (statement.black, statement.white), strict=True)))
 
 
 def _write_json(path: Path, content: object) -> None:

@@ -46,7 +46,7 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
         methods=options.get("method", [cfg.method.name]),
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH],
-        cells_to_run=jobs - without_data if number_of_jobs(cfg) else 0,
+        cells_with_data=jobs - without_data if number_of_jobs(cfg) else 0,
     )
     plan.write(Path(cfg.results) / cfg.name)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile

@@ -55,7 +55,7 @@ class Sweep(Experiment):
         workers = cells_at_once(hydra.launcher, pool.available_cores())
         if outcome.status in ("ok", "failed") and workers is not None:
             sweep = Path(hydra.sweep.dir)
-            left = remaining_time(read_plan(sweep).cells_to_run, list(numbered_outcomes(sweep).values()), workers)
+            left = remaining_time(read_plan(sweep).cells_with_data, list(numbered_outcomes(sweep).values()), workers)
             if left:
                 say(f"{cfg.name}: {left}", stderr=True)
 

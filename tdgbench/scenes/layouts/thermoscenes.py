@@ -18,7 +18,7 @@ from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder, is_there, regular_file
 from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_optional, model_folder
 from tdgbench.scenes.layouts.transforms import Transforms, read_points, read_transforms, where_they_are
-from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_radiometry, read_temperature_bounds
+from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
 
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
 POINTS = "sparse_pc.ply"  # nerfstudio's default
@@ -49,7 +49,7 @@ def _find(folder: Path) -> SceneFiles:
             f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
             f"{folder / 'thermal'}, or name it with thermal_file_path"
         )
-    bounds = read_temperature_bounds(folder / BOUNDS_FILE) or read_radiometry(folder / FILE)
+    bounds = read_radiometry(folder / BOUNDS_FILE, BOUNDS_KEYS) or read_radiometry(folder / FILE)
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
     notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
     ply = folder / (content.points or POINTS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scoring.metric import ViewMetric
-from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.metrics.psnr import IN_DB, psnr
 from tdgbench.scoring.scored_view import ScoredView, at_valid
 
 
@@ -32,9 +32,6 @@ METRIC = ViewMetric(
     label="PSNR by channel",
     meaning="mean of the channels' PSNR, of renders that are not rounded to 8 bits",
     order=40,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     of_view=_of_view,
 )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tdgbench.scoring.metric import ImageMetric
 
 MAX_PSNR = 100.0  # dB; of equal images, so that means stay finite
+IN_DB: dict[str, Any] = {"unit": "dB", "digits": 2, "higher_is_better": True, "limits": (0.0, MAX_PSNR)}
 
 
 def psnr(image: np.ndarray, target: np.ndarray) -> float:
@@ -26,10 +29,7 @@ METRIC = ImageMetric(
     label="PSNR",
     meaning="peak signal-to-noise ratio, over all channels",
     order=10,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     in_main_table=True,
     of_every_modality=True,
     on_training_views=True,

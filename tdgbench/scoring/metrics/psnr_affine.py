@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scoring.metric import ImageMetric
-from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.metrics.psnr import IN_DB, psnr
 
 
 class GainAndOffset(NamedTuple):
@@ -51,10 +51,7 @@ METRIC = ImageMetric(
     label="PSNR after gain and offset",
     meaning="PSNR after the gain and offset of each test view that fit it best",
     order=42,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     fits_to_test_view="gain and offset",
     of_images=lambda pair: psnr_affine(*pair.pixels),
 )

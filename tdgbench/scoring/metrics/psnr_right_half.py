@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.scoring.metric import ImageMetric
-from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr
+from tdgbench.scoring.metrics.psnr import IN_DB, psnr
 from tdgbench.scoring.metrics.psnr_affine import best_gain_and_offset
 from tdgbench.scoring.scored_view import NotApplicableError, at_valid
 
@@ -36,10 +36,7 @@ METRIC = ImageMetric(
     label="right half",
     meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best",
     order=44,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     fits_to_test_view="gain and offset, to the left half",
     needs="valid pixels in both halves",
     of_images=lambda pair: psnr_right_half(pair.image, pair.target, pair.valid),

@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.scenes import View
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scoring.metric import ViewMetric
-from tdgbench.scoring.metrics.psnr import MAX_PSNR
+from tdgbench.scoring.metrics.psnr import IN_DB, MAX_PSNR
 from tdgbench.scoring.scored_view import NotApplicableError, RenderedImages, ScoredView, at_valid
 
 MIN_MSE = 10 ** (-MAX_PSNR / 10)
@@ -79,10 +79,7 @@ METRIC = ViewMetric(
     label="PSNR to true temperatures",
     meaning="PSNR to the true temperatures after one gain and one offset for all test views",
     order=44,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     fits_to_test_view="gain and offset, common to all test views",
     needs="true temperatures, gray images",
     of_view=psnr_true,

@@ -46,19 +46,13 @@ def _gain(new: float, old: float, metric: str) -> float:
     return 100 * measures.gain(metric, new, old) / old
 
 
-def _gain_range(evidence: ClaimEvidence, metric: str, new: float, old: float) -> tuple[float, float]:
-    """Return the least and the greatest gain that the printed numbers allow."""
-    tolerance = _tolerance(evidence, metric, OVERALL)
-    gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
-    return min(gains), max(gains)
-
-
 def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the average of `metric` is `percent` better."""
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
-    low, high = _gain_range(evidence, metric, new, old)
-    half = printed_half_unit(percent)
+    tolerance, half = _tolerance(evidence, metric, OVERALL), printed_half_unit(percent)
+    gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
+    low, high = min(gains), max(gains)  # that the printed numbers allow
     fits = low <= float(percent) + half and high >= float(percent) - half
     places = digits(metric, OVERALL)
     grounds = f"{old:.{places}f} → {new:.{places}f} is {_gain(new, old, metric):+.3f} %"
@@ -81,10 +75,7 @@ def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
-    return Finding(
-        FAILS if min(gains.values()) <= 0 else HOLDS,
-        f"{_label()} is better by {grounds}",
-    )
+    return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_label()} is better by {grounds}")
 
 
 def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:

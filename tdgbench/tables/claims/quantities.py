@@ -107,21 +107,19 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
     return first_at(logs[0], level, column), first_at(logs[1], level, column)
 
 
-def first_at(log: pd.DataFrame, level: float, column: str) -> float:
-    """Return the column's value where smoothed_psnr first has the level, linear between lines; ValueError: nowhere.
+def first_at(log: pd.DataFrame, level: float, column: str, score: str = "smoothed_psnr") -> float:
+    """Return the column's value where a score first has the level, linear between lines; ValueError: nowhere.
 
     >>> log = pd.DataFrame({"smoothed_psnr": [10.0, 20.0], "iteration": [0, 100]})
     >>> first_at(log, 15.0, "iteration")
     50.0
     """
-    psnr, along = log["smoothed_psnr"].to_numpy(), log[column].to_numpy(float)
+    psnr, along = log[score].to_numpy(float), log[column].to_numpy(float)
     reached = np.flatnonzero(psnr >= level)
     if not len(reached):
-        raise ValueError(f"training PSNR never reaches {level:.2f} dB; it ends at {psnr[-1]:.2f} dB")
-    i = int(reached[0])
-    if i == 0:
-        return float(along[0])
-    return float(np.interp(level, psnr[i - 1 : i + 1], along[i - 1 : i + 1]))
+        raise ValueError(f"{score} never reaches {level:.2f} dB; it ends at {psnr[-1]:.2f} dB")
+    around = slice(max(0, reached[0] - 1), reached[0] + 1)  # the last line below it, and the first that reaches it
+    return float(np.interp(level, psnr[around], along[around]))
 
 
 def psnr_drop(cell: Cell, claim: Claim) -> float | None:

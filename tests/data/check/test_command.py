@@ -59,9 +59,9 @@ def test_json_has_the_documented_keys(tmp_path, small_gray_scene):
     write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "RGBT-Scenes" / "Truck")
     run = tdgbench_here(tmp_path, "data", "check", "data", "--json")
     content = json.loads(run.stdout)
-    assert run.returncode == 1 and content["format"] == 2 and content["scenes_of"] == "paper" and not content["usable"]
+    assert run.returncode == 1 and content["format"] == 3 and content["scenes_of"] == "paper" and not content["usable"]
     truck = next(scene for scene in content["scenes"] if scene["name"] == "Truck")
-    assert (truck["status"], truck["views"], truck["views_published"], truck["sizes_px"]) == ("ok", 10, 73, [[48, 36]])
+    assert (truck["status"], truck["views"], truck["sizes_px"]) == ("ok", 10, [[48, 36]])
     page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
     for key in (*content, *truck):
         assert f"`{key}`" in page, f"docs/data.md does not describe {key}"

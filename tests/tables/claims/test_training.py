@@ -39,6 +39,7 @@ def test_without_a_level_there_is_no_progress(tmp_path):
 def test_a_level_reached_at_once_and_never(tmp_path):
     log = with_log(tmp_path, "x", [10, 20]).log()
     assert first_at(log, 5.0, "iteration") == 10
+    assert first_at(log.assign(psnr=log["smoothed_psnr"] + 10), 25.0, "smoothed_psnr", "psnr") == 15.0
     with pytest.raises(ValueError, match=r"never reaches 50\.00 dB; it ends at 20\.00 dB"):
         first_at(log, 50.0, "iteration")
 
