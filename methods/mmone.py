@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Literal
 
 import torch
@@ -151,6 +150,7 @@ class MultimodalControl(DensityControl):
             rows[which, columns] = value
 
 
+@dataclass
 class MMOne(Method):
     """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
 
@@ -161,43 +161,27 @@ class MMOne(Method):
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight: NonNegativeFloat,
-        decompose: Decompose,
-        decompose_threshold: NonNegativeFloat,
-        off_opacity: Opacity,
-        active_opacity: Opacity,
-        kept_opacity: Opacity,
-    ) -> None:
-        """decompose, decompose_threshold and opacities: see `MultimodalRules`."""
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
-            lambda_ssim,
-            lambda_smooth,
-            smoothness_reading,
-            weight,
-        )
-        self.rules = partial(
-            MultimodalRules,
-            decompose=decompose,
-            decompose_threshold=decompose_threshold,
-            off_opacity=off_opacity,
-            active_opacity=active_opacity,
-            kept_opacity=kept_opacity,
-        )
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    weight: NonNegativeFloat
+    decompose: Decompose  # this and the following: see `MultimodalRules`
+    decompose_threshold: NonNegativeFloat
+    off_opacity: Opacity
+    active_opacity: Opacity
+    kept_opacity: Opacity
 
     def setup(self, context: Context) -> None:
         rules, points = context.budget.density, context.points
         if type(rules) is not DensityRules:
             raise ValueError(f"{self.name} has a density control of its own: leave out +density")
+        names = ("decompose", "decompose_threshold", "off_opacity", "active_opacity", "kept_opacity")
+        rules = MultimodalRules(**vars(rules), **{name: getattr(self, name) for name in names})
         rgb = gaussians_from_points(points.points, points.colors, 3, context.budget.sh_degree)
         self.model = context.gaussians(
             extra_fields={SH_RGB: rgb.sh, OPACITY_RGB: rgb.opacity_logits[:, None]},
             learning_rates={SH_RGB: "sh", OPACITY_RGB: "opacity_logits"},
-            budget=replace(context.budget, density=self.rules(**vars(rules))),
+            budget=replace(context.budget, density=rules),
         )
         self.views = context.views()
 

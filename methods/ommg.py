@@ -6,6 +6,8 @@ both colour sets with the same weights, so that density control reads the gradie
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from pydantic import NonNegativeFloat
 from torch import Tensor
@@ -21,6 +23,7 @@ from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, St
 SH_RGB = "sh_rgb"  # the further field
 
 
+@dataclass
 class OMMG(Method):
     """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
 
@@ -30,19 +33,10 @@ class OMMG(Method):
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight: NonNegativeFloat,
-    ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, self.weight = (
-            lambda_ssim,
-            lambda_smooth,
-            smoothness_reading,
-            weight,
-        )
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    weight: NonNegativeFloat
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree
@@ -65,12 +59,9 @@ class OMMG(Method):
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         if modality == "rgb":
-            return self.model.render(frame.camera, hook=with_rgb, background=torch.zeros(3, device=self._device))
+            black = self.model.state.values.new_zeros(3)
+            return self.model.render(frame.camera, hook=with_rgb, background=black)
         return self.model.render(frame.camera, depth=True)
-
-    @property
-    def _device(self) -> torch.device:
-        return self.model.state.values.device
 
     def _background(self) -> Tensor | None:
         """Return what is behind both images (C + 3,); None: black."""

@@ -26,46 +26,35 @@ from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import GaussianTensors, Pinhole, Render
+from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import photometric
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.method import Method, Share, Step
 from tdgbench.training.part import Part
 
 
+@dataclass
 class SADGS(Method):
     """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free."""
 
     needs_prior = True
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_image: NonNegativeFloat,
-        metre: PositiveFloat,
-        voxel: PositiveFloat,
-        reach: PositiveFloat,
-        jitter: NonNegativeFloat,
-        drawn: Share,
-        cube: PositiveFloat,
-        blur: NonNegativeFloat,
-        tolerance: NonNegativeFloat,
-        fade: Annotated[float, Field(gt=0, le=1)],
-        fade_every: PositiveInt,
-        densify_from: NonNegativeInt | None,
-        reset_every: PositiveInt | None,
-        occlusion: NonNegativeFloat | None,
-    ) -> None:
-        """metre: × extent. In metres: voxel (its side), reach (of free points, from the surface), jitter (of reach, at
-        most), cube (its side; Gaussians act on points in the same one), tolerance (of support). drawn: free points, a
-        share of a view's pixels. blur: metres², added to covariances. fade: factor of opacities without support.
-        densify_from, reset_every: iterations; None: as the budget. occlusion: see `metric_depths`.
-        """
-        self.lambda_ssim, self.lambda_image, self.metre = lambda_ssim, lambda_image, metre
-        self.voxel, self.reach, self.jitter, self.drawn, self.cube = voxel, reach, jitter, drawn, cube
-        self.blur, self.tolerance, self.fade, self.fade_every = blur, tolerance, fade, fade_every
-        self.densify_from, self.reset_every, self.occlusion = densify_from, reset_every, occlusion
+    lambda_ssim: Share
+    lambda_image: NonNegativeFloat
+    metre: PositiveFloat  # × extent
+    voxel: PositiveFloat  # its side, metres
+    reach: PositiveFloat  # of free points, from the surface, metres
+    jitter: NonNegativeFloat  # of reach, at most, metres
+    drawn: Share  # free points, a share of a view's pixels
+    cube: PositiveFloat  # its side, metres; Gaussians act on points in the same one
+    blur: NonNegativeFloat  # metres², added to covariances
+    tolerance: NonNegativeFloat  # of support, metres
+    fade: Annotated[float, Field(gt=0, le=1)]  # factor of opacities without support
+    fade_every: PositiveInt
+    densify_from: NonNegativeInt | None  # iteration; None: as the budget
+    reset_every: PositiveInt | None  # iterations; None: as the budget
+    occlusion: NonNegativeFloat | None  # see `metric_depths`
 
     def setup(self, context: Context) -> None:
         self.unit = self.metre * context.scene.extent
@@ -117,10 +106,6 @@ class SADGS(Method):
         blur = self.blur * self.unit**2 * torch.eye(3).to(turned)
         covariances = turned @ turned.transpose(1, 2) + blur
         return free_loss(points, gaussians.means, covariances, gaussians.opacities, self.cube * self.unit)
-
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self.model.render(frame.camera, depth=True)
 
 
 def _everywhere(means: Tensor) -> Tensor:
