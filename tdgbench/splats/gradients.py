@@ -114,7 +114,7 @@ class PendingGradients:
         self.projected_spans = done.projected_spans
         self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
         self.columns = blended.columns
-        self.pairs, self.blended = done.count_pairs(), int(done.visits.counts.sum())
+        self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
         self.touched = 0
 
     def compute(self) -> Gradients:

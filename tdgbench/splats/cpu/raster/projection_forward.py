@@ -49,14 +49,6 @@ class PairTiles(NamedTuple):
     tiles: np.ndarray  # (capacity,) int32
 
 
-class ViewSettings(NamedTuple):
-    """Settings of a rendering, as the kernel takes them."""
-
-    channels: tuple  # Channels
-    camera: tuple  # Camera
-    limits: tuple  # Limits
-
-
 class ProjectionScratch(NamedTuple):
     """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
 
@@ -100,8 +92,7 @@ def project_candidates(
         workspace.take("radii", capacity, np.int32),
         workspace.take("means2d", (0 if source.parameters.raw else capacity, 2), np.float32),
     )
-    view = ViewSettings(settings.channels, settings.camera, settings.limits)
-    shared = (source.parameters, source.stale, view, splats, projected)
+    shared = (source.parameters, source.stale, settings, splats, projected)
     pairs = max(MIN_PAIRS, PAIRS_PER_CANDIDATE * capacity // len(spans))
     while True:
         tiles = scratch.take("tiles", (len(spans), pairs), np.int32)
@@ -126,14 +117,14 @@ def project_candidates(
 
 
 @kernel()
-def project_and_list(first, count, candidates, parameters, stale, view, splats, projected, pair_tiles, counts):
+def project_and_list(first, count, candidates, parameters, stale, settings, splats, projected, pair_tiles, counts):
     """Project candidates [first, first + count); rows of splats and projected are written from `first` on.
 
     candidates (n,) int32; the types of the others have their names; stale: of Gaussians with deferred steps, which are
     applied before they are read. counts (4,) int64, written: splats, pairs, projected, whether anything is
     NaN. Pairs beyond the capacity are counted, not written.
     """
-    channels, camera, limits, raw = view.channels, view.camera, view.limits, parameters.raw
+    channels, camera, limits, raw = settings.channels, settings.camera, settings.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
     scratch = ProjectionScratch(
         aligned_floats(GATHERED * LANES),
@@ -198,14 +189,13 @@ def apply_steps(stale, candidates, k):
 
 @kernel(inline=True)
 def prefetch_group(parameters, stale, colors, candidates, k, end):
-    """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`, of rows."""
-    if parameters.raw:
-        for place in range(k, min(k + LANES, end)):
-            i = int64(candidates[U(place)])
-            if stale.deferred.now > stale.flushed:
-                prefetch_gaussian(stale.rows, i)
-            else:
-                prefetch_columns(parameters.means.values, i, parameters.means.stride, 0, COLORS_AT + colors)
+    """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`."""
+    for place in range(k, min(k + LANES, end)):
+        i = int64(candidates[U(place)])
+        if stale.deferred.now > stale.flushed:
+            prefetch_gaussian(stale.rows, i)
+        else:
+            prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + colors)
 
 
 @kernel(inline=True)
