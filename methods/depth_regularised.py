@@ -8,7 +8,7 @@ commits (8fc8495), whose depth is Σ z α T / Σ α T with the gradients of both
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -69,7 +69,7 @@ class DepthRegularised(Method):
         start = rules.start if self.densify_from is None else self.densify_from
         most = min((n for n in (rules.max_gaussians, self.max_gaussians) if n is not None), default=None)
         rules = replace(rules, start=start, max_gaussians=most)
-        return rules if self.opacity_resets else without_resets(rules)
+        return rules if self.opacity_resets else WithoutResets(**vars(rules))
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
@@ -93,11 +93,6 @@ class WithoutResets(DensityRules):
 
     def is_reset(self, iteration: int, iterations: int) -> bool:
         return False
-
-
-def without_resets(rules: DensityRules) -> WithoutResets:
-    """Return rules without opacity resets."""
-    return WithoutResets(**{part.name: getattr(rules, part.name) for part in fields(DensityRules)})
 
 
 class Rise(Stopping):

@@ -9,7 +9,8 @@ the prior's, and scenes have no unit: a metric prior is taken as it is, another 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -71,14 +72,11 @@ class SADGS(Method):
         """Return the density control of 3DGS with fading; another one stays as it is, without."""
         if type(rules) is not DensityRules:
             return rules
-        given = {part.name: getattr(rules, part.name) for part in fields(DensityRules)}
         start = rules.start if self.densify_from is None else self.densify_from
         every = rules.opacity_reset_every if self.reset_every is None else self.reset_every
-        given |= {"start": start, "opacity_reset_every": every}
-        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, supported=self._supported)
-
-    def _supported(self, means: Tensor) -> Tensor:
-        return self.surfaces.support(means, self.tolerance * self.unit)
+        given = {**vars(rules), "start": start, "opacity_reset_every": every}
+        supported = partial(self.surfaces.support, tolerance=self.tolerance * self.unit)
+        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, supported=supported)
 
     def step(self, iteration: int) -> Step:
         view, free = self.views.next(), []
@@ -108,17 +106,13 @@ class SADGS(Method):
         return free_loss(points, gaussians.means, covariances, gaussians.opacities, self.cube * self.unit)
 
 
-def _everywhere(means: Tensor) -> Tensor:
-    return torch.ones(len(means), dtype=torch.bool, device=means.device)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SupportRules(DensityRules):
     """Rules of 3DGS, and opacities that fade where no training view has a surface."""
 
-    fade: float = 1.0
-    fade_every: int = 1
-    supported: Callable[[Tensor], Tensor] = _everywhere  # of means (N, 3): which are near a surface (N,)
+    fade: float
+    fade_every: int
+    supported: Callable[[Tensor], Tensor]  # of means (N, 3): which are near a surface (N,)
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> SupportControl:
         return SupportControl(self, extent, state, iterations)

@@ -80,7 +80,9 @@ class TDg(Method):
     def _depth_loss(self, view: View, render: Render) -> Tensor:
         prior = self.targets.of(view)
         if self.depth_reading == "released":
-            return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
+            rendered = released_depth(self.model.copy(), view.camera, self.backend)
+            # TDg.py, lines 202 to 219: L1 + (1 − SSIM), with 0 where the prior is unknown
+            return l1_and_dssim(rendered[..., None], prior.normalised[..., None], 1.0, 1.0)
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
     def _decide_skip(self, context: Context) -> bool:
@@ -196,8 +198,3 @@ def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor
     )
     rendered = render_view(coloured, pinhole, backend=backend)
     return rendered.image[..., 0] / (1 - rendered.transmittance + RELEASED_EPSILON)
-
-
-def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Return the depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) of maps (H, W), 0 if unknown."""
-    return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
-from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.backends.reference import seen_colors
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
@@ -149,14 +149,13 @@ def transmitted(
     gaussians: Gaussians, degree: int, camera: Pinhole, network: torch.nn.Module | None, time: float
 ) -> GaussianTensors:
     """Return Gaussians with colours times the network's factor, which is left at 1 where the camera does not look."""
-    means, rotation = gaussians.means, camera.viewmat[:3, :3]
-    center = -rotation.T @ camera.viewmat[:3, 3]
-    colors = colors_from_sh(gaussians.sh, F.normalize(means - center, dim=1), degree)
-    seen = in_sight(means.detach(), gaussians.scales.detach(), camera)
+    means, active = gaussians.means, gaussians.activated(degree)
+    colors = seen_colors(active, slice(None), camera)
+    seen = in_sight(means.detach(), active.scales.detach(), camera)
     factor = torch.ones_like(colors[:, :1])
     if network is not None and len(seen):
         factor = factor.index_put((seen,), network(means[seen].detach(), time))
-    return gaussians.activated(degree)._replace(colors=colors * factor, sh_degree=None)
+    return active._replace(colors=colors * factor, sh_degree=None)
 
 
 def in_sight(means: Tensor, scales: Tensor, camera: Pinhole) -> Tensor:

@@ -49,16 +49,6 @@ class PairTiles(NamedTuple):
     tiles: np.ndarray  # (capacity,) int32
 
 
-class ProjectionScratch(NamedTuple):
-    """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
-
-    gathered: np.ndarray  # (GATHERED · LANES,) float32: parameters
-    group: np.ndarray  # (GROUP · LANES,) float32
-    basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
-    rows: np.ndarray  # (FLOATS · LANES,) float32: splats, one after the other
-    boxes: np.ndarray  # (4 · LANES,) int32
-
-
 class ProjectedView(NamedTuple):
     """Result of the projection by all threads."""
 
@@ -126,14 +116,9 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
     """
     channels, camera, limits, raw = settings.channels, settings.camera, settings.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
-    scratch = ProjectionScratch(
-        aligned_floats(GATHERED * LANES),
-        aligned_floats(GROUP * LANES),
-        aligned_floats(16 * LANES),
-        aligned_floats(FLOATS * LANES),
-        np.zeros(4 * LANES, np.int32),
-    )
-    gathered, group, rows, boxes = scratch.gathered, scratch.group, scratch.rows, scratch.boxes
+    # parameters, registers of the group, harmonics, splats one after the other, and boxes of LANES Gaussians
+    gathered, group, basis = aligned_floats(GATHERED * LANES), aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
+    rows, boxes = aligned_floats(FLOATS * LANES), np.zeros(4 * LANES, np.int32)
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
     # a reference in the loop costs an atomic operation
@@ -147,7 +132,7 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
         prefetch_group(parameters, stale, bases * channels.colors, candidates, k + PREFETCH_DISTANCE, end)
         collect(parameters, candidates, k, bases * channels.colors, gathered)
         mean, has_nan = project_group(group, gathered, raw, camera, limits, has_nan)
-        write_channels(group, gathered, channels, mean, camera, scratch.basis)
+        write_channels(group, gathered, channels, mean, camera, basis)
         turn_splats(group, rows)
         write_boxes(group, boxes)
         in_use = (U(1) << U(min(LANES, end - k))) - U(1)
