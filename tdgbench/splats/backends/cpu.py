@@ -39,7 +39,7 @@ def _spread(
     """Return (count, columns) with the rows of spans (first, count) at their Gaussians, and 0 elsewhere."""
     out = np.zeros((count, columns or rows.shape[1]), rows.dtype)
     for first, length in spans:
-        out[gaussian_ids[first : first + length], : rows.shape[1]] = rows[first : first + length]
+        out[:, : rows.shape[1]][gaussian_ids[first : first + length]] = rows[first : first + length]
     return torch.from_numpy(out)
 
 
