@@ -124,6 +124,8 @@ class Adam:
         if not self.is_sparse:
             values = gradients.compute().values
             self._step_all(values, rates / bias1, np.sqrt(bias2))
+            if torch.isfinite(values.sum()):  # one pass in the usual case
+                return None
             return self._first_marked((~torch.isfinite(values)).any(dim=0).numpy(force=True))
         self._used = max(self._used, gradients.columns)
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
