@@ -25,11 +25,10 @@ def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """Return the SSIM per pixel and channel (H, W, C) of images (H, W, C)."""
     a, b = (t.permute(2, 0, 1).unsqueeze(1) for t in (image, target))
-    blur = _Blur.apply
-    mu_a, mu_b = blur(a), blur(b)
-    var_a = blur(a * a) - mu_a * mu_a
-    var_b = blur(b * b) - mu_b * mu_b
-    covariance = blur(a * b) - mu_a * mu_b
+    mu_a, mu_b = _blur(a), _blur(b)
+    var_a = _blur(a * a) - mu_a * mu_a
+    var_b = _blur(b * b) - mu_b * mu_b
+    covariance = _blur(a * b) - mu_a * mu_b
     numerator = (2 * mu_a * mu_b + C1) * (2 * covariance + C2)
     denominator = (mu_a * mu_a + mu_b * mu_b + C1) * (var_a + var_b + C2)
     return (numerator / denominator).squeeze(1).permute(1, 2, 0)
@@ -77,6 +76,9 @@ class _Blur(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad: Tensor) -> Tensor:
         return _filtered(grad)
+
+
+_blur = _Blur.apply
 
 
 def _filtered(images: Tensor) -> Tensor:
