@@ -8,7 +8,7 @@ commits (8fc8495), whose depth is Σ z α T / Σ α T with the gradients of both
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import photometric
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.method import Method, Share, Step
 from tdgbench.training.part import State, Stopping
 
 EPSILON = 1e-8
@@ -35,32 +35,22 @@ OLD_SHARE = 0.8  # of the smoothed loss: train.py, line 130
 FIRST_LOSS = 100.0  # line 58
 
 
+@dataclass
 class DepthRegularised(Method):
     """L = (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_depth mean |D_prior − D| + λ_smooth mean (D̄ − D)²."""
 
     needs_prior = True
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_depth: NonNegativeFloat,
-        lambda_smooth: NonNegativeFloat,
-        sh_degree: NonNegativeInt,
-        opacity_resets: bool,
-        densify_from: NonNegativeInt | None,
-        max_gaussians: PositiveInt | None,
-        stop_after: NonNegativeInt | None,
-        stop_every: PositiveInt,
-        occlusion: NonNegativeFloat | None,
-    ) -> None:
-        """sh_degree: at most. densify_from: iteration; None: as the budget. stop_after: training ends after this
-        iteration once the smoothed depth loss rises from one multiple of `stop_every` to the next; None: it does not.
-        occlusion: see `metric_depths`.
-        """
-        self.lambda_ssim, self.lambda_depth, self.lambda_smooth = lambda_ssim, lambda_depth, lambda_smooth
-        self.sh_degree, self.opacity_resets, self.densify_from = sh_degree, opacity_resets, densify_from
-        self.max_gaussians, self.stop_after, self.stop_every = max_gaussians, stop_after, stop_every
-        self.occlusion = occlusion
+    lambda_ssim: Share
+    lambda_depth: NonNegativeFloat
+    lambda_smooth: NonNegativeFloat
+    sh_degree: NonNegativeInt  # at most
+    opacity_resets: bool
+    densify_from: NonNegativeInt | None  # iteration; None: as the budget
+    max_gaussians: PositiveInt | None
+    stop_after: NonNegativeInt | None  # iteration after which training ends once the smoothed depth loss rises from
+    stop_every: PositiveInt  # one multiple of this to the next; None: it does not
+    occlusion: NonNegativeFloat | None  # see `metric_depths`
 
     def setup(self, context: Context) -> None:
         budget = context.budget
@@ -79,7 +69,7 @@ class DepthRegularised(Method):
         start = rules.start if self.densify_from is None else self.densify_from
         most = min((n for n in (rules.max_gaussians, self.max_gaussians) if n is not None), default=None)
         rules = replace(rules, start=start, max_gaussians=most)
-        return rules if self.opacity_resets else without_resets(rules)
+        return rules if self.opacity_resets else WithoutResets(**vars(rules))
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
@@ -96,10 +86,6 @@ class DepthRegularised(Method):
             self.rise.note(to_prior.item())
         return Step(loss + to_prior + self.lambda_smooth * smooth, terms, render, target, valid)
 
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self.model.render(frame.camera, depth=True)
-
 
 @dataclass(frozen=True)
 class WithoutResets(DensityRules):
@@ -107,11 +93,6 @@ class WithoutResets(DensityRules):
 
     def is_reset(self, iteration: int, iterations: int) -> bool:
         return False
-
-
-def without_resets(rules: DensityRules) -> WithoutResets:
-    """Return rules without opacity resets."""
-    return WithoutResets(**{part.name: getattr(rules, part.name) for part in fields(DensityRules)})
 
 
 class Rise(Stopping):

@@ -5,31 +5,27 @@
 
 from __future__ import annotations
 
-import torch
+from dataclasses import dataclass
+
 from pydantic import NonNegativeFloat
 
-from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+from tdgbench.training.method import Method, Share, SmoothnessReading, Step
 
 
+@dataclass
 class GaussianSplatting(Method):
     """L = weight · ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth): 3DGS, eq. 7; ThermalGaussian.
 
     The weight hardly affects Adam, but density control. In MSMG it is 0.6 × the RGB model's share in all Gaussians.
     """
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight: NonNegativeFloat,
-    ) -> None:
-        self.lambda_ssim, self.lambda_smooth = lambda_ssim, lambda_smooth
-        self.smoothness_reading, self.weight = smoothness_reading, weight
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    weight: NonNegativeFloat
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()
@@ -41,7 +37,3 @@ class GaussianSplatting(Method):
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
         return Step(self.weight * loss, {"thermal": loss}, render, target, valid)
-
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self.model.render(frame.camera, depth=True)

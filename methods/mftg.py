@@ -7,7 +7,7 @@ SH degree in use stays that of the RGB model.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -20,6 +20,7 @@ from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Stage, Step
 
 
+@dataclass
 class MFTG(Method):
     """First L_rgb, 3DGS's loss (eq. 7); then L_thermal, that of ThermalGaussian with smoothness.
 
@@ -28,17 +29,11 @@ class MFTG(Method):
 
     modalities = ("thermal", "rgb")
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        rgb_share: Share,
-        start: Literal["cloud", "rgb_model"],
-    ) -> None:
-        """rgb_share: of the iterations. start: of the thermal stage."""
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
-        self.rgb_share, self.start = rgb_share, start
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    rgb_share: Share  # of the iterations
+    start: Literal["cloud", "rgb_model"]  # of the thermal stage
 
     def stages(self) -> list[Stage]:
         return [

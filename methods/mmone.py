@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Literal
 
 import torch
@@ -34,7 +33,7 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Render
 from tdgbench.training.context import Context
-from tdgbench.training.method import Frame, Share, SmoothnessReading, Step
+from tdgbench.training.method import Frame, Step
 
 OPACITY_RGB = "opacity_logits_rgb"  # a further field, as SH_RGB; `sh` and `opacity_logits` are the thermal ones
 Opacity = Annotated[float, Field(gt=0, lt=1)]
@@ -150,6 +149,7 @@ class MultimodalControl(DensityControl):
             rows[which, columns] = value
 
 
+@dataclass
 class MMOne(OMMG):
     """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
 
@@ -157,38 +157,23 @@ class MMOne(OMMG):
     start alike. RGB renders are over black.
     """
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight: NonNegativeFloat,
-        decompose: Decompose,
-        decompose_threshold: NonNegativeFloat,
-        off_opacity: Opacity,
-        active_opacity: Opacity,
-        kept_opacity: Opacity,
-    ) -> None:
-        """decompose, decompose_threshold and opacities: see `MultimodalRules`."""
-        super().__init__(lambda_ssim, lambda_smooth, smoothness_reading, weight)
-        self.rules = partial(
-            MultimodalRules,
-            decompose=decompose,
-            decompose_threshold=decompose_threshold,
-            off_opacity=off_opacity,
-            active_opacity=active_opacity,
-            kept_opacity=kept_opacity,
-        )
+    decompose: Decompose  # this and the following: see `MultimodalRules`
+    decompose_threshold: NonNegativeFloat
+    off_opacity: Opacity
+    active_opacity: Opacity
+    kept_opacity: Opacity
 
     def setup(self, context: Context) -> None:
         rules, points = context.budget.density, context.points
         if type(rules) is not DensityRules:
             raise ValueError(f"{self.name} has a density control of its own: leave out +density")
+        names = ("decompose", "decompose_threshold", "off_opacity", "active_opacity", "kept_opacity")
+        rules = MultimodalRules(**vars(rules), **{name: getattr(self, name) for name in names})
         rgb = gaussians_from_points(points.points, points.colors, 3, context.budget.sh_degree)
         self.model = context.gaussians(
             extra_fields={SH_RGB: rgb.sh, OPACITY_RGB: rgb.opacity_logits[:, None]},
             learning_rates={SH_RGB: "sh", OPACITY_RGB: "opacity_logits"},
-            budget=replace(context.budget, density=self.rules(**vars(rules))),
+            budget=replace(context.budget, density=rules),
         )
         self.views = context.views()
 

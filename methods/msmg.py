@@ -6,6 +6,8 @@ all Gaussians. This scales the gradients that density control tests, and so limi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from pydantic import NonNegativeFloat
 
@@ -16,6 +18,7 @@ from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
 
 
+@dataclass
 class MSMG(Method):
     """L = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, with w the shares in all Gaussians.
 
@@ -24,16 +27,11 @@ class MSMG(Method):
 
     modalities = ("thermal", "rgb")
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        weight_rgb: NonNegativeFloat,
-        weight_thermal: NonNegativeFloat,
-    ) -> None:
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
-        self.weight_rgb, self.weight_thermal = weight_rgb, weight_thermal
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    weight_rgb: NonNegativeFloat
+    weight_thermal: NonNegativeFloat
 
     def setup(self, context: Context) -> None:
         self.rgb = context.gaussians("rgb")

@@ -56,12 +56,9 @@ class OMMG(GaussianSplatting):
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         if modality == "rgb":
-            return self.model.render(frame.camera, hook=with_rgb, background=torch.zeros(3, device=self._device))
+            black = self.model.state.values.new_zeros(3)
+            return self.model.render(frame.camera, hook=with_rgb, background=black)
         return self.model.render(frame.camera, depth=True)
-
-    @property
-    def _device(self) -> torch.device:
-        return self.model.state.values.device
 
     def _background(self) -> Tensor | None:
         """Return what is behind both images (C + 3,); None: black."""

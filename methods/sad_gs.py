@@ -9,7 +9,8 @@ the prior's, and scenes have no unit: a metric prior is taken as it is, another 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,46 +27,35 @@ from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import GaussianTensors, Pinhole, Render
+from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import photometric
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.method import Method, Share, Step
 from tdgbench.training.part import Part
 
 
+@dataclass
 class SADGS(Method):
     """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free."""
 
     needs_prior = True
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_image: NonNegativeFloat,
-        metre: PositiveFloat,
-        voxel: PositiveFloat,
-        reach: PositiveFloat,
-        jitter: NonNegativeFloat,
-        drawn: Share,
-        cube: PositiveFloat,
-        blur: NonNegativeFloat,
-        tolerance: NonNegativeFloat,
-        fade: Annotated[float, Field(gt=0, le=1)],
-        fade_every: PositiveInt,
-        densify_from: NonNegativeInt | None,
-        reset_every: PositiveInt | None,
-        occlusion: NonNegativeFloat | None,
-    ) -> None:
-        """metre: × extent. In metres: voxel (its side), reach (of free points, from the surface), jitter (of reach, at
-        most), cube (its side; Gaussians act on points in the same one), tolerance (of support). drawn: free points, a
-        share of a view's pixels. blur: metres², added to covariances. fade: factor of opacities without support.
-        densify_from, reset_every: iterations; None: as the budget. occlusion: see `metric_depths`.
-        """
-        self.lambda_ssim, self.lambda_image, self.metre = lambda_ssim, lambda_image, metre
-        self.voxel, self.reach, self.jitter, self.drawn, self.cube = voxel, reach, jitter, drawn, cube
-        self.blur, self.tolerance, self.fade, self.fade_every = blur, tolerance, fade, fade_every
-        self.densify_from, self.reset_every, self.occlusion = densify_from, reset_every, occlusion
+    lambda_ssim: Share
+    lambda_image: NonNegativeFloat
+    metre: PositiveFloat  # × extent
+    voxel: PositiveFloat  # its side, metres
+    reach: PositiveFloat  # of free points, from the surface, metres
+    jitter: NonNegativeFloat  # of reach, at most, metres
+    drawn: Share  # free points, a share of a view's pixels
+    cube: PositiveFloat  # its side, metres; Gaussians act on points in the same one
+    blur: NonNegativeFloat  # metres², added to covariances
+    tolerance: NonNegativeFloat  # of support, metres
+    fade: Annotated[float, Field(gt=0, le=1)]  # factor of opacities without support
+    fade_every: PositiveInt
+    densify_from: NonNegativeInt | None  # iteration; None: as the budget
+    reset_every: PositiveInt | None  # iterations; None: as the budget
+    occlusion: NonNegativeFloat | None  # see `metric_depths`
 
     def setup(self, context: Context) -> None:
         self.unit = self.metre * context.scene.extent
@@ -82,14 +72,11 @@ class SADGS(Method):
         """Return the density control of 3DGS with fading; another one stays as it is, without."""
         if type(rules) is not DensityRules:
             return rules
-        given = {part.name: getattr(rules, part.name) for part in fields(DensityRules)}
         start = rules.start if self.densify_from is None else self.densify_from
         every = rules.opacity_reset_every if self.reset_every is None else self.reset_every
-        given |= {"start": start, "opacity_reset_every": every}
-        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, supported=self._supported)
-
-    def _supported(self, means: Tensor) -> Tensor:
-        return self.surfaces.support(means, self.tolerance * self.unit)
+        given = {**vars(rules), "start": start, "opacity_reset_every": every}
+        supported = partial(self.surfaces.support, tolerance=self.tolerance * self.unit)
+        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, supported=supported)
 
     def step(self, iteration: int) -> Step:
         view, free = self.views.next(), []
@@ -118,22 +105,14 @@ class SADGS(Method):
         covariances = turned @ turned.transpose(1, 2) + blur
         return free_loss(points, gaussians.means, covariances, gaussians.opacities, self.cube * self.unit)
 
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self.model.render(frame.camera, depth=True)
 
-
-def _everywhere(means: Tensor) -> Tensor:
-    return torch.ones(len(means), dtype=torch.bool, device=means.device)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SupportRules(DensityRules):
     """Rules of 3DGS, and opacities that fade where no training view has a surface."""
 
-    fade: float = 1.0
-    fade_every: int = 1
-    supported: Callable[[Tensor], Tensor] = _everywhere  # of means (N, 3): which are near a surface (N,)
+    fade: float
+    fade_every: int
+    supported: Callable[[Tensor], Tensor]  # of means (N, 3): which are near a surface (N,)
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> SupportControl:
         return SupportControl(self, extent, state, iterations)

@@ -30,34 +30,25 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+from tdgbench.training.method import Method, Share, SmoothnessReading, Step
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
 RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
 
 
+@dataclass
 class TDg(Method):
     """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
 
     needs_prior = True
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_smooth: NonNegativeFloat,
-        smoothness_reading: SmoothnessReading,
-        lambda_depth: NonNegativeFloat,
-        depth_reading: Literal["written", "released"],
-        decay: Literal["linear", "switch"],
-        decay_end: NonNegativeFloat,
-    ) -> None:
-        """smoothness_reading: see `smoothness`. depth_reading: `written` (eq. 3, with its gradient) or `released`
-        (without gradient).
-        decay: `linear` (eq. 7) or `switch`. decay_end: t_end as a share of all iterations.
-        """
-        self.lambda_ssim, self.lambda_smooth, self.smoothness_reading = lambda_ssim, lambda_smooth, smoothness_reading
-        self.lambda_depth, self.depth_reading = lambda_depth, depth_reading
-        self.decay, self.decay_end = decay, decay_end
+    lambda_ssim: Share
+    lambda_smooth: NonNegativeFloat
+    smoothness_reading: SmoothnessReading
+    lambda_depth: NonNegativeFloat
+    depth_reading: Literal["written", "released"]  # written: eq. 3, with its gradient; released: without gradient
+    decay: Literal["linear", "switch"]  # linear: eq. 7
+    decay_end: NonNegativeFloat  # t_end as a share of all iterations
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()
@@ -81,10 +72,6 @@ class TDg(Method):
             loss = loss + weight * depth
         return Step(loss, terms, render, target, valid)
 
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        return self.model.render(frame.camera, depth=True)
-
     def _decay(self, iteration: int) -> float:
         if self.decay == "switch":
             return switch_weight(iteration, self.last_depth_iteration)
@@ -93,7 +80,9 @@ class TDg(Method):
     def _depth_loss(self, view: View, render: Render) -> Tensor:
         prior = self.targets.of(view)
         if self.depth_reading == "released":
-            return released_depth_loss(released_depth(self.model.copy(), view.camera, self.backend), prior)
+            rendered = released_depth(self.model.copy(), view.camera, self.backend)
+            # TDg.py, lines 202 to 219: L1 + (1 − SSIM), with 0 where the prior is unknown
+            return l1_and_dssim(rendered[..., None], prior.normalised[..., None], 1.0, 1.0)
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
     def _decide_skip(self, context: Context) -> bool:
@@ -209,8 +198,3 @@ def released_depth(gaussians: Gaussians, camera: Camera, backend: str) -> Tensor
     )
     rendered = render_view(coloured, pinhole, backend=backend)
     return rendered.image[..., 0] / (1 - rendered.transmittance + RELEASED_EPSILON)
-
-
-def released_depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
-    """Return the depth loss as released (TDg.py, lines 202 to 219): L1 + (1 − SSIM) of maps (H, W), 0 if unknown."""
-    return l1_and_dssim(rendered[..., None], target.normalised[..., None], 1.0, 1.0)

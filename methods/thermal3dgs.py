@@ -7,6 +7,7 @@ half of its random starts, else a brightness of about 1/√height.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -16,7 +17,7 @@ from torch.nn import functional as F
 
 from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
-from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.backends.reference import seen_colors
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
@@ -84,42 +85,33 @@ class ConductionPart(Network):
         return {**super().report(), "adds_at_most": largest, "dead": largest == 0.0}
 
 
+@dataclass
 class Thermal3DGS(Method):
     """L = (1 − λ_ssim − λ_corner) L1 + λ_ssim (1 − SSIM) + λ_corner max(1 − t / corner_end, 0) L_corner."""
 
     renders_plain_gaussians = False
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_corner: Share,
-        corner_end: Share,
-        transmission: bool,
-        conduction: bool,
-        transmission_rates: list[PositiveFloat],
-        conduction_rates: list[PositiveFloat],
-        position_unit: NonNegativeFloat | None,
-    ) -> None:
-        """corner_end: share of all iterations. transmission, conduction: whether there is such a network. rates: first
-        and last; they fall log-linearly, as the position rate does. position_unit: world units; None: the extent.
-        """
-        self.lambda_ssim, self.lambda_corner, self.corner_end = lambda_ssim, lambda_corner, corner_end
-        self.has_transmission, self.has_conduction = transmission, conduction
-        self.transmission_rates, self.conduction_rates = transmission_rates, conduction_rates
-        self.position_unit = position_unit
+    lambda_ssim: Share
+    lambda_corner: Share
+    corner_end: Share  # of all iterations
+    transmission: bool  # whether there is such a network
+    conduction: bool
+    transmission_rates: list[PositiveFloat]  # first and last; they fall log-linearly, as the position rate does
+    conduction_rates: list[PositiveFloat]
+    position_unit: NonNegativeFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
         self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.method_iterations
         steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
-        self.transmission = self.conduction = None
-        if self.has_transmission:
+        self.atf = self.tcm = None
+        if self.transmission:
             rate = falling(self.transmission_rates, steps)
-            self.transmission = context.add_part("transmission", Network(Transmission().to(context.device), rate, ADAM))
-        if self.has_conduction:
+            self.atf = context.add_part("transmission", Network(Transmission().to(context.device), rate, ADAM))
+        if self.conduction:
             rate = falling(self.conduction_rates, steps)
-            self.conduction = context.add_part("conduction", ConductionPart(Conduction().to(context.device), rate))
+            self.tcm = context.add_part("conduction", ConductionPart(Conduction().to(context.device), rate))
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
@@ -138,19 +130,19 @@ class Thermal3DGS(Method):
         return self._rendered(frame, depth=True)
 
     def step_seconds(self) -> float:
-        if self.transmission is None:
+        if self.atf is None:
             return 0.0
-        module = self.transmission.module
+        module = self.atf.module
         return seconds_of(lambda means: module(means, 0.0), module.parameters(), self.model.gaussians.means)
 
     def _rendered(self, frame: Frame, depth: bool = False) -> Render:
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
             return transmitted(gaussians, degree, Pinhole.of(frame.camera).to(gaussians.means), network, frame.time)
 
-        network = None if self.transmission is None else self.transmission.module
+        network = None if self.atf is None else self.atf.module
         render = self.model.render(frame.camera, depth=depth, hook=None if network is None else hook)
-        if self.conduction is not None:
-            render.image = self.conduction.added(render.image)
+        if self.tcm is not None:
+            render.image = self.tcm.added(render.image)
         return render
 
 
@@ -158,14 +150,13 @@ def transmitted(
     gaussians: Gaussians, degree: int, camera: Pinhole, network: torch.nn.Module | None, time: float
 ) -> GaussianTensors:
     """Return Gaussians with colours times the network's factor, which is left at 1 where the camera does not look."""
-    means, rotation = gaussians.means, camera.viewmat[:3, :3]
-    center = -rotation.T @ camera.viewmat[:3, 3]
-    colors = colors_from_sh(gaussians.sh, F.normalize(means - center, dim=1), degree)
-    seen = in_sight(means.detach(), gaussians.scales.detach(), camera)
+    means, active = gaussians.means, gaussians.activated(degree)
+    colors = seen_colors(active, slice(None), camera)
+    seen = in_sight(means.detach(), active.scales.detach(), camera)
     factor = torch.ones_like(colors[:, :1])
     if network is not None and len(seen):
         factor = factor.index_put((seen,), network(means[seen].detach(), time))
-    return gaussians.activated(degree)._replace(colors=colors * factor, sh_degree=None)
+    return active._replace(colors=colors * factor, sh_degree=None)
 
 
 def in_sight(means: Tensor, scales: Tensor, camera: Pinhole) -> Tensor:

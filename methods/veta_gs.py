@@ -6,6 +6,7 @@ network gets, and whether the similarity of spectra sends a gradient to the rend
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -91,33 +92,23 @@ def edge_map(image: Tensor) -> Tensor:
     return torch.from_numpy(canny(levels, LOW, HIGH)).to(image)
 
 
+@dataclass
 class VetaGS(Method):
     """L = (1 − λ_ssim) L1 + λ_ssim (1 − SSIM); later L1 weighs λ_mono less, and λ_mono L_mono is added."""
 
     renders_plain_gaussians = False
 
-    def __init__(
-        self,
-        lambda_ssim: Share,
-        lambda_mono: Share,
-        mono_start: Share,
-        warm_up: Share,
-        time_noise: NonNegativeFloat,
-        time_noise_end: Share,
-        view_direction: Direction,
-        spectrum_gradient: bool,
-        deformation_rates: list[PositiveFloat],
-        feature_rates: list[PositiveFloat],
-        position_unit: NonNegativeFloat | None,
-    ) -> None:
-        """mono_start, warm_up, time_noise_end: shares of all iterations. time_noise: at the start, × the time between
-        the views that are left in a round. rates: first and last, log-linear. position_unit: world units; None: extent.
-        """
-        self.lambda_ssim, self.lambda_mono, self.mono_start = lambda_ssim, lambda_mono, mono_start
-        self.warm_up, self.time_noise, self.time_noise_end = warm_up, time_noise, time_noise_end
-        self.view_direction, self.spectrum_gradient = view_direction, spectrum_gradient
-        self.deformation_rates, self.feature_rates = deformation_rates, feature_rates
-        self.position_unit = position_unit
+    lambda_ssim: Share
+    lambda_mono: Share
+    mono_start: Share  # of all iterations
+    warm_up: Share  # of all iterations
+    time_noise: NonNegativeFloat  # at the start, × the time between the views that are left in a round
+    time_noise_end: Share  # of all iterations
+    view_direction: Direction
+    spectrum_gradient: bool
+    deformation_rates: list[PositiveFloat]  # first and last, log-linear
+    feature_rates: list[PositiveFloat]
+    position_unit: NonNegativeFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()

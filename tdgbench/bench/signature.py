@@ -12,6 +12,7 @@ import json
 import math
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -117,11 +118,15 @@ def as_typed(value: Any) -> str:
 
 @cache
 def _hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Return annotations of a signature; none where they name what is imported for type checkers only."""
-    try:
-        return get_type_hints(target.__init__ if isinstance(target, type) else target, include_extras=True)  # type: ignore[misc]
-    except NameError:
-        return {}
+    """Return annotations of a signature; none where they name what is imported for type checkers only.
+
+    Those of a dataclass's fields are resolved in the module of the class that has them.
+    """
+    found: dict[str, Any] = {}
+    for source in (target, target.__init__) if isinstance(target, type) else (target,):  # type: ignore[misc]
+        with suppress(NameError):
+            found |= get_type_hints(source, include_extras=True)
+    return found
 
 
 @cache

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol
 
 import numpy as np
 import torch
@@ -108,18 +108,12 @@ class DepthEstimator(Protocol):
         """Return the prior of a training view. Raises PriorError."""
 
 
-@runtime_checkable
-class NeedsPreparation(Protocol):
-    """An estimator that needs more than the scene: a package, weights, a model file."""
-
-    def prepare(self) -> None:
-        """Get what is missing, downloads included. Raises PriorUnavailableError."""
-
-
 def prepare(estimator: DepthEstimator) -> None:
-    """Get what an estimator needs besides the scene. Raises PriorUnavailableError."""
-    if isinstance(estimator, NeedsPreparation):
-        estimator.prepare()
+    """Get what an estimator needs besides the scene, such as a package, by its method `prepare` if it has one.
+
+    Raises PriorUnavailableError.
+    """
+    getattr(estimator, "prepare", lambda: None)()
 
 
 @contextmanager

@@ -207,10 +207,6 @@ class DensityControl:
         """Return whether density control still observes views at an iteration."""
         return iteration < self.rules.stop
 
-    def needs_absgrad(self, iteration: int) -> bool:
-        """Return whether density control reads absolute gradients of an iteration's views."""
-        return self.rules.uses_absolute and self.is_active(iteration)
-
     def is_due(self, iteration: int) -> bool:
         """Return whether `update` changes Gaussians at an iteration."""
         return self.is_round(iteration) or self._ceiling(iteration) is not None

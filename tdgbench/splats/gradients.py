@@ -56,7 +56,9 @@ class Gradients:
         """
         if statistics.active:
             self.observe(statistics)
-        spans = spans_for_threads(self.spans)
+        spans = self.spans
+        if len(spans) == 1:  # of a backend that does not split its rows
+            spans = [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]
         bad = new_flags(len(spans), step)
         rows = (self.index.numpy(), self.values.numpy(), step)
         pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
@@ -114,7 +116,7 @@ class PendingGradients:
         self.projected_spans = done.projected_spans
         self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
         self.columns = blended.columns
-        self.pairs, self.blended = done.count_pairs(), int(done.visits.counts.sum())
+        self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
         self.touched = 0
 
     def compute(self) -> Gradients:
@@ -139,10 +141,3 @@ def new_flags(spans: int, step: AdamStep) -> np.ndarray:
     flags = empty_aligned((spans, step.rows.stride), np.float32)
     flags[:] = 0
     return flags
-
-
-def spans_for_threads(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the spans (first, count); a single span is split into one per thread."""
-    if len(spans) > 1:
-        return spans
-    return [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]

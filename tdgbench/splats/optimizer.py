@@ -124,7 +124,9 @@ class Adam:
         if not self.is_sparse:
             values = gradients.compute().values
             self._step_all(values, rates / bias1, np.sqrt(bias2))
-            return None if bool(torch.isfinite(values.sum())) else self._not_finite(values)
+            if torch.isfinite(values.sum()):  # one pass in the usual case
+                return None
+            return self._first_marked((~torch.isfinite(values)).any(dim=0).numpy(force=True))
         self._used = max(self._used, gradients.columns)
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
@@ -137,10 +139,6 @@ class Adam:
         if deferred >= FLUSH_EVERY - 1:
             self.flush()
         return self._first_marked(bad) if bad.any() else None
-
-    def _not_finite(self, rows: torch.Tensor) -> str | None:
-        """Return the name of the first parameter with a gradient that is not finite; rows (n, columns)."""
-        return self._first_marked((~torch.isfinite(rows)).any(dim=0).numpy(force=True))
 
     def _first_marked(self, bad: np.ndarray) -> str | None:
         """Return the name of the first parameter with a nonzero column in `bad` (columns,)."""

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
-from tdgbench.splats.cpu.rows import permute_rows
+from tdgbench.splats.columns import ALIGNMENT, COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
@@ -147,10 +146,8 @@ class TrainingState:
         """
         order = _z_order(self.values[:, MEANS])
         for array in (self._values, self._bounds, self._first, self._second):
-            if array.device.type == "cpu" and array.dtype == torch.float32:
-                permute_rows(array.numpy(), order.numpy())
-            else:
-                array[: self.count] = array[: self.count][order]
+            for some in array.split(ALIGNMENT, dim=1):  # a copy of all columns at once would double the memory
+                some[: self.count] = some.index_select(0, order)
         self._ordered_at = self.count
 
     def refresh_bounds(self) -> None:

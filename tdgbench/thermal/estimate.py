@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,8 @@ from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import first_few
 from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
 from tdgbench.thermal.expected_errors import Drift, ExpectedErrors, sequence_positions
-from tdgbench.thermal.fit import PATCHES, PointSamples, Terms
-from tdgbench.thermal.maps import legendre_basis
-from tdgbench.thermal.observations import FEWEST_VIEWS, Observations, find_observations
+from tdgbench.thermal.fit import Terms
+from tdgbench.thermal.observations import FEWEST_VIEWS, PointSamples, find_observations
 from tdgbench.thermal.select_terms import fit_selected_terms
 
 FEWEST_OBSERVATIONS = 20  # of a view whose gain and offset are estimated
@@ -55,19 +55,20 @@ def units(scene: Scene) -> tuple[str, float, float]:
     return "°C", scene.temperature.max - scene.temperature.min, scene.temperature.min
 
 
-def _well_seen(seen: Observations, views: int) -> Observations:
+def _well_seen(seen: PointSamples, views: int) -> PointSamples:
     """Return the observations of views that have enough of them."""
     while True:
         counts = np.bincount(seen.view, minlength=views)
         keep = (counts >= FEWEST_OBSERVATIONS)[seen.view]
         if keep.all():
             return seen
-        seen = seen.select(keep)
+        seen = seen.select(keep).shared()
 
 
-def _estimate(scene: Scene, seen: Observations) -> ThermalCamera:
+def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
     (name, scale, zero), train = units(scene), scene.train
-    data = _data(train, seen, scale, zero)
+    slope, detail = scale * seen.slope, scale * seen.detail
+    data = replace(seen, value=scale * seen.value + zero, detail=detail, slope=slope)
     counts = np.bincount(seen.view, minlength=len(train))
     stds = ExpectedErrors.of(name, float(np.std(data.value)) or 1.0)
     place = sequence_positions([view.name for view in scene.views])
@@ -95,28 +96,6 @@ def _estimate(scene: Scene, seen: Observations) -> ThermalCamera:
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
         notes=tuple(_notes(train, counts, terms) + _unknown(undetermined, drift)),
-    )
-
-
-def _data(train: Sequence[View], seen: Observations, scale: float, zero: float) -> PointSamples:
-    """Return values in the scene's unit. Views of several sizes have no common columns and rows."""
-    sizes = np.array([(view.camera.width, view.camera.height) for view in train])
-    shares = np.stack([seen.x, seen.y], axis=1) / sizes[seen.view]
-    across, down = (shares * PATCHES).astype(int).T
-    return PointSamples(
-        value=scale * seen.value + zero,
-        detail=scale * seen.detail,
-        point=seen.point,
-        view=seen.view,
-        slope=scale * seen.slope,
-        terms=legendre_basis(*shares.T),
-        patch=(seen.view * PATCHES + down) * PATCHES + across,
-        column=seen.x.astype(int),
-        row=seen.y.astype(int),
-        cluster=seen.cluster,
-        views=len(train),
-        points=seen.points,
-        size=(int(sizes[0, 0]), int(sizes[0, 1])) if (sizes == sizes[0]).all() else (0, 0),
     )
 
 

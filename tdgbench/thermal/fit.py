@@ -13,7 +13,7 @@ of a view, one of PATCHES × PATCHES, has an error of its own, whose variance li
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -23,46 +23,13 @@ from scipy.sparse import csr_matrix, diags
 
 from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.expected_errors import NORMAL
+from tdgbench.thermal.observations import PointSamples
 
 ROUNDS, HUBER_ROUNDS = 24, 5
 SETTLED = 0.02  # change of the parameters in standard deviations of the residuals, at which rounds end
 HUBER, TUKEY = 1.345, 4.685  # 95 % efficient where errors are normal (Holland and Welsch 1977)
 SLOPE_BINS = 12
-PATCHES = 8  # columns and rows of patches of a view
 FEWEST_IN_PATCH = 4  # values, of a patch whose mean tells of the patches' own errors
-
-
-@dataclass(frozen=True)
-class PointSamples:
-    """S values (S,) of points (S,) in views (S,), and what is known of each.
-
-    detail: (S,) original minus blurred value. slope: (S,) of the image there, per px. terms: (S, K) polynomials. patch,
-    column, row: (S,) in which it lies. cluster: (S,) of points that lie together. size: numbers of columns and rows.
-    """
-
-    value: np.ndarray
-    detail: np.ndarray
-    point: np.ndarray
-    view: np.ndarray
-    slope: np.ndarray
-    terms: np.ndarray
-    patch: np.ndarray
-    column: np.ndarray
-    row: np.ndarray
-    cluster: np.ndarray
-    views: int
-    points: int
-    size: tuple[int, int]
-
-    def select(self, keep: np.ndarray) -> PointSamples:
-        """Return the values where `keep` (S,) is true; views and points keep their numbers."""
-        arrays = ("value", "detail", "point", "view", "slope", "terms", "patch", "column", "row", "cluster")
-        return replace(self, **{name: getattr(self, name)[keep] for name in arrays})
-
-    @property
-    def ideal(self) -> np.ndarray:
-        """Offsets, gains and coefficients (2 V + K,) of an ideal camera."""
-        return np.repeat([0.0, 1.0, 0.0], [self.views, self.views, self.terms.shape[1]])
 
 
 class Terms(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -12,6 +13,7 @@ from scipy.cluster.vq import kmeans2
 from tdgbench.priors.sfm_points import grid_width, visible_points
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.images import nearest_valid
+from tdgbench.thermal.maps import legendre_basis
 
 MOST_POINTS = 20_000
 OCCLUSION = 0.05  # a point this share behind a nearer neighbour is hidden
@@ -21,15 +23,16 @@ SATURATED = 1e-3  # image values this near to 0 and 1 may be clipped
 CLUSTERS = 10  # of points
 FAR = 4.0  # median distances from the middle
 FEWEST_VIEWS = 3  # that must see a point
+PATCHES = 8  # columns and rows of patches of a view
 
 
 @dataclass(frozen=True)
-class Observations:
-    """S pairs of a point and a training view that sees it.
+class PointSamples:
+    """S pairs of a point and one of V training views that sees it.
 
-    point, view: (S,) indices. value: (S,) of the blurred image, in [0, 1]. detail: (S,) original minus blurred value.
-    slope: (S,) length of the gradient, per px. x, y: (S,) position in px. cluster: (S,) of points that lie together.
-    points: number of points.
+    point, view: (S,) indices. value: (S,) of the blurred image. detail: (S,) original minus blurred value. slope: (S,)
+    length of the gradient, per px. x, y: (S,) position in px. terms: (S, K) polynomials there. cluster: (S,) of points
+    that lie together. sizes: (V, 2) width and height of the views, px. points: number of points.
     """
 
     point: np.ndarray
@@ -39,18 +42,46 @@ class Observations:
     slope: np.ndarray
     x: np.ndarray
     y: np.ndarray
+    terms: np.ndarray
     cluster: np.ndarray
+    sizes: np.ndarray
     points: int
 
-    def select(self, keep: np.ndarray) -> Observations:
-        """Return those where `keep` (S,) is true, of points that enough views see; points are counted anew."""
-        keep = keep & (np.bincount(self.point[keep], minlength=self.points) >= FEWEST_VIEWS)[self.point]
-        left, point = np.unique(self.point[keep], return_inverse=True)
-        arrays = {name: getattr(self, name)[keep] for name in ("view", "value", "detail", "slope", "x", "y", "cluster")}
-        return replace(self, point=point, points=len(left), **arrays)
+    def select(self, keep: np.ndarray) -> PointSamples:
+        """Return the pairs where `keep` (S,) is true; views and points keep their numbers."""
+        names = ("point", "view", "value", "detail", "slope", "x", "y", "terms", "cluster")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+    def shared(self) -> PointSamples:
+        """Return the pairs of points that enough views see; points are counted anew."""
+        seen = self.select((np.bincount(self.point, minlength=self.points) >= FEWEST_VIEWS)[self.point])
+        left, point = np.unique(seen.point, return_inverse=True)
+        return replace(seen, point=point, points=len(left))
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return len(self.sizes)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers of columns and rows; views of several sizes have no common ones: 0."""
+        width, height = self.sizes[0].tolist()
+        return (width, height) if (self.sizes == self.sizes[0]).all() else (0, 0)
+
+    @cached_property
+    def patch(self) -> np.ndarray:
+        """(S,) patch of a view, one of PATCHES × PATCHES, in which each lies."""
+        across, down = (np.stack([self.x, self.y], axis=1) / self.sizes[self.view] * PATCHES).astype(int).T
+        return np.asarray((self.view * PATCHES + down) * PATCHES + across)
+
+    @property
+    def ideal(self) -> np.ndarray:
+        """Offsets, gains and coefficients (2 V + K,) of an ideal camera."""
+        return np.repeat([0.0, 1.0, 0.0], [self.views, self.views, self.terms.shape[1]])
 
 
-def find_observations(views: Sequence[View], points: np.ndarray) -> Observations:
+def find_observations(views: Sequence[View], points: np.ndarray) -> PointSamples:
     """Find observations of at most MOST_POINTS of the points (N, 3), in views with thermal images of one channel."""
     used = np.zeros(len(points), bool)
     used[:: max(1, -(-len(points) // MOST_POINTS))] = True
@@ -61,8 +92,9 @@ def find_observations(views: Sequence[View], points: np.ndarray) -> Observations
         whole = (number, np.full(len(number), index), value, detail, slope, x, y)
         parts.append(tuple(array[usable] for array in whole))
     point, of_view, value, detail, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    found = Observations(point, of_view, value, detail, slope, x, y, _clusters(points)[point], len(points))
-    return found.select(np.ones(len(point), bool))
+    sizes = np.array([(view.camera.width, view.camera.height) for view in views])
+    terms, cluster = legendre_basis(*(np.stack([x, y]) / sizes[of_view].T)), _clusters(points)[point]
+    return PointSamples(point, of_view, value, detail, slope, x, y, terms, cluster, sizes, len(points)).shared()
 
 
 def _clusters(points: np.ndarray) -> np.ndarray:

@@ -15,9 +15,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.expected_errors import NORMAL, Drift, ExpectedErrors, fit_drift
-from tdgbench.thermal.fit import HUBER, Fit, PointSamples, System, Terms, deviation, fit, predict
+from tdgbench.thermal.fit import HUBER, Fit, System, Terms, deviation, fit, predict
 from tdgbench.thermal.maps import TERMS, line_pattern
-from tdgbench.thermal.observations import BLUR
+from tdgbench.thermal.observations import BLUR, PointSamples
 
 PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
@@ -126,8 +126,8 @@ def _within_points(values: np.ndarray, weights: np.ndarray, data: PointSamples) 
 
 def _lines(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> Lines:
     """Return patterns of columns and rows of what is left (S,) of the values."""
-    columns = line_pattern(left, weights, data.column, data.size[0])
-    rows = line_pattern(left - _at(columns, None, data), weights, data.row, data.size[1])
+    columns = line_pattern(left, weights, data.x.astype(int), data.size[0])
+    rows = line_pattern(left - _at(columns, None, data), weights, data.y.astype(int), data.size[1])
     return columns, rows
 
 
@@ -206,8 +206,8 @@ def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
 
 def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: PointSamples) -> np.ndarray:
     """Return pattern (S,) of columns and rows at values."""
-    across = 0.0 if columns is None else columns[data.column]
-    return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.row])
+    across = 0.0 if columns is None else columns[data.x.astype(int)]
+    return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.y.astype(int)])
 
 
 def shrink_towards_ideal(data: PointSamples, fitted: Fit, terms: Terms, precision: np.ndarray) -> Fit:

@@ -174,11 +174,9 @@ class Context:
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)
 
-    def views(self, name: str = "views", views: list[View] | None = None) -> ViewOrder:
-        """Make a random order of the training views, or of some of them."""
-        return self.add_part(
-            name, ViewOrder(self.scene.train if views is None else views, self._seed(), self.curriculum)
-        )
+    def views(self, name: str = "views") -> ViewOrder:
+        """Make a random order of the training views."""
+        return self.add_part(name, ViewOrder(self.scene.train, self._seed(), self.curriculum))
 
     def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
         """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).

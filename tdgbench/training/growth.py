@@ -72,11 +72,8 @@ class GrowthTest:
         is_known = (views >= FEWEST_VIEWS) & (weight > 0)
         strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
         strength = torch.where(is_known, strength, 0.0)
-        return GrowthDecision(strength, strength > self.rule.z, self.prunable(views, weight))
-
-    def prunable(self, views: Tensor, weight: Tensor) -> Tensor:
-        """Return a mask (N,) of Gaussians with little weight (N,), px, in the views that show them (N,)."""
-        return (views >= FEWEST_VIEWS) & (self.curriculum.scale**2 * weight < self.rule.min_weight * views)
+        is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
+        return GrowthDecision(strength, strength > self.rule.z, (views >= FEWEST_VIEWS) & is_faint)
 
     def views_of_round(self, round_number: int) -> list[View]:
         """Return the views of a round, evenly spread and shifted by one in every round."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context, Frame
+from tdgbench.training.model import SplatModel
 
 __all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
@@ -48,10 +49,13 @@ class Stage(NamedTuple):
 
 
 class Method:
-    """A way to train. A subclass implements `render`, and either `setup` and `step` or, for several stages, `stages`.
+    """A way to train. A subclass implements `setup` and `step` or, for several stages, `stages`; and `render`, unless
+    that of `model` does.
 
     Everything that changes during training is a part, made through the context (`tdgbench.training.part`).
     """
+
+    model: SplatModel  # what `render` renders by default
 
     name: str = ""  # of its YAML file; `set_up` sets it
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
@@ -74,12 +78,13 @@ class Method:
         """Return the stages of the training, one after the other; by default one of `setup` and `step`."""
         return [Stage("training", self.setup, self.step)]
 
+    @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         """Render the image of a modality from a frame, without gradients; a thermal one with depth.
 
         A method that does not train may have no depth, and raise NotApplicableError for all but the test views.
         """
-        raise NotImplementedError
+        return self.model.render(frame.camera, depth=True)
 
     def step_seconds(self) -> float:
         """Return the time of the networks of a step, measured after the set-up; rendering comes on top."""

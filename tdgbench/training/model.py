@@ -133,7 +133,7 @@ class SplatModel(Part):
         if self.filter is not None and hook is not None:
             hook, pinhole = self.filter.compensated(hook, pinhole)
         background = self.background if background is None else background
-        absgrad = self.density.needs_absgrad(self._iteration)
+        absgrad = self.density.rules.uses_absolute and self.density.is_active(self._iteration)
         options = StateOptions(self.degree, depth, self.blending, tolerance, background, hook, absgrad)
         return render_state(self.state, self.optimizer, pinhole, options, collect, self.backend)
 

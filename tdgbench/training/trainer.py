@@ -37,7 +37,13 @@ class Trainer:
         self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
-        self.stopping = self._stopping()
+        budget, context = self.context.budget, self.context
+        self.stopping: Stopping | None = None  # the rule of the budget that may end the stage early
+        if budget.settling is not None:
+            parts = (context.curriculum, context.parts)
+            self.stopping = Settling(budget.settling, budget.iterations, *parts, self.render_errors)
+        elif budget.plateau is not None:
+            self.stopping = Plateau(budget.plateau, len(context.scene.train))
 
     @property
     def stage(self) -> Stage:
@@ -98,15 +104,6 @@ class Trainer:
         """Return the reports of the parts, without empty ones."""
         reports = {name: part.report() for name, part in self.all_parts().items()}
         return {name: report for name, report in reports.items() if report}
-
-    def _stopping(self) -> Stopping | None:
-        """Make the rule of the budget that may end the stage early; None if there is none."""
-        budget, context = self.context.budget, self.context
-        if budget.settling is not None:
-            return Settling(budget.settling, budget.iterations, context.curriculum, context.parts, self.render_errors)
-        if budget.plateau is not None:
-            return Plateau(budget.plateau, len(context.scene.train))
-        return None
 
     @torch.no_grad()
     def render_errors(self, view: View) -> np.ndarray:

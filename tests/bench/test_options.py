@@ -78,6 +78,10 @@ def error_of(*overrides: str) -> str:
     return str(caught.value)
 
 
+def test_an_option_that_a_method_inherits_from_another_module():
+    assert error_of("method=mmone", "method.method.lambda_ssim=2") == "method.method.lambda_ssim=2: must be at most 1"
+
+
 @pytest.mark.parametrize(("override", "message"), WRONG)
 def test_an_option_that_is_not_allowed(override, message):
     error = error_of(override)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.thermal.expected_errors import ExpectedErrors
-from tdgbench.thermal.fit import PATCHES, PointSamples
 from tdgbench.thermal.maps import TERMS, legendre_basis
+from tdgbench.thermal.observations import PointSamples
 from tdgbench.thermal.select_terms import prior_precision
 
 SIZE = (64, 48)
@@ -64,7 +64,5 @@ def _data(
 ) -> PointSamples:  # fmt: skip
     """place: x and y as shares of the image. counts: of views and points."""
     (x, y), (views, points), flat = place, counts, np.zeros(len(value))
-    column, row = (x * SIZE[0]).astype(int), (y * SIZE[1]).astype(int)
-    patch = (view * PATCHES + (y * PATCHES).astype(int)) * PATCHES + (x * PATCHES).astype(int)
-    terms = legendre_basis(x, y)
-    return PointSamples(value, flat, point, view, flat, terms, patch, column, row, cluster, views, points, SIZE)
+    terms, sizes = legendre_basis(x, y), np.tile(SIZE, (views, 1))
+    return PointSamples(point, view, value, flat, flat, x * SIZE[0], y * SIZE[1], terms, cluster, sizes, points)

@@ -32,7 +32,8 @@ def test_a_metric_prior_puts_opaque_gaussians_on_surfaces(small_gray_scene):
     gaussians, unit = model_of(trainer).gaussians, lengths(trainer)["metre"]
     assert unit == pytest.approx(0.4 * small_gray_scene.extent)
     assert bool((gaussians.opacities == 1).all()) and len(gaussians) > 50
-    assert trainer.method._supported(gaussians.means).float().mean() > 0.5
+    tolerance = trainer.method.tolerance * trainer.method.unit
+    assert trainer.method.surfaces.support(gaussians.means, tolerance).float().mean() > 0.5
     before = gaussians.opacity_logits.clone()
     train(trainer)
     assert bool((model_of(trainer).gaussians.opacity_logits == before).all())  # they have no gradient until a reset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 
@@ -11,13 +12,12 @@ from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tdgbench.splats.cpu.raster.dense import dense_gradients, dense_projected
 from tdgbench.splats.cpu.raster.passes import Blended, blend_backward, forward
-from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
-from tdgbench.splats.cpu.raster.types import Settings, pack_camera, pack_limits
+from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
+from tdgbench.splats.cpu.raster.types import Channels, Settings, pack_camera, pack_limits
 from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.optimizer import Adam, Tolerance
-from tdgbench.splats.state import TrainingState
+from tdgbench.splats.state import GEOMETRY_SIZES, TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
@@ -33,6 +33,16 @@ def _tensors(arrays) -> list[Tensor]:
     return [torch.from_numpy(array) for array in arrays]
 
 
+def _spread(
+    rows: np.ndarray, gaussian_ids: np.ndarray, spans: list[Span], count: int, columns: int | None = None
+) -> Tensor:
+    """Return (count, columns) with the rows of spans (first, count) at their Gaussians, and 0 elsewhere."""
+    out = np.zeros((count, columns or rows.shape[1]), rows.dtype)
+    for first, length in spans:
+        out[:, : rows.shape[1]][gaussian_ids[first : first + length]] = rows[first : first + length]
+    return torch.from_numpy(out)
+
+
 class Rasterize(torch.autograd.Function):
     """color (H, W, D), depth (H, W; empty if not asked for), transmittance (H, W) and radii (N,) of one camera.
 
@@ -44,7 +54,9 @@ class Rasterize(torch.autograd.Function):
     def forward(ctx, means, quats, scales, opacities, colors, probe, absgrad, settings):
         source = source_of_arrays(_arrays((means, quats, scales, opacities, colors)))
         done = forward(source, settings)
-        radii, probe.data = _tensors(dense_projected(done.projected, done.projected_spans, source.count))
+        ids, radii, means2d = done.projected
+        to_all = (ids, done.projected_spans, source.count)
+        radii, probe.data = _spread(radii[:, None], *to_all).squeeze(1), _spread(means2d, *to_all)
         ctx.saved = (source, settings, done, colors.shape, absgrad)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
@@ -54,11 +66,14 @@ class Rasterize(torch.autograd.Function):
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
         source, settings, done, color_shape, absgrad = ctx.saved
         rows = blend_backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
-        dense = dense_gradients(rows, source.count, int(np.prod(color_shape[1:])))
-        means, quats, scales, opacities, colors, means2d, absolute = _tensors(dense)
+        ids, values, image = rows.arrays
+        columns = [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
+        dense = _spread(values, ids, rows.spans, source.count, source.parameters.stride)[:, : sum(columns)]
+        means, quats, scales, opacities, colors = dense.split(columns, dim=1)
+        image = _spread(image, ids, rows.spans, source.count)
         if absgrad is not None:
-            absgrad += absolute
-        return means, quats, scales, opacities, colors.view(color_shape), means2d, None, None
+            absgrad += image[:, 3:]
+        return means, quats, scales, opacities.squeeze(1), colors.reshape(color_shape), image[:, :2], None, None
 
 
 class _RenderRows(torch.autograd.Function):
@@ -151,11 +166,9 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
         camera=pack_camera(camera.viewmat.detach(), camera.K.detach(), *camera[2:]),
         width=camera.width,
         height=camera.height,
-        degree=degree,
-        depth_channel=options.depth,
+        channels=Channels(channels, degree, options.depth, options.absgrad),
         background=black if background is None else background.detach().contiguous().numpy(),
         limits=pack_limits(options.blending),
-        absgrad=options.absgrad,
     )
 
 

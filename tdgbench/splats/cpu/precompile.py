@@ -22,6 +22,7 @@ from tdgbench.splats.cpu.raster.passes import blend_backward
 from tdgbench.splats.cpu.raster.source import source_of_rows
 from tdgbench.splats.cpu.raster.types import (
     FLOATS,
+    Channels,
     ForwardPass,
     Projected,
     Settings,
@@ -67,7 +68,7 @@ def compile_last_kernels(channels: list[int]) -> None:
 def blend_nothing(colors: int, depth: bool) -> None:
     """Run both passes of the blend and the backward projection without pixels and Gaussians."""
     camera = pack_camera(np.eye(4), np.eye(3), 0, 0, 1.0, 1.0, 0.0)
-    settings = Settings(camera, 0, 0, 0, depth, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
+    settings = Settings(camera, 0, 0, Channels(colors, 0, depth), np.zeros(colors, np.float32), pack_limits(AS_3DGS))
     rows = np.empty((0, padded(COLORS_AT + colors)), np.float32)
     source = source_of_rows(rows, np.empty((0, 4), np.float32), 0.0, 0.0)
     ids, pairs = np.empty(0, np.int32), np.empty((0, 2), np.int32)

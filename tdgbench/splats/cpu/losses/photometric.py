@@ -27,15 +27,6 @@ ZERO, ONE, TWO = F(0), F(1), F(2)
 C1, C2 = F(ssim.C1), F(ssim.C2)
 
 
-class ComparedImages(NamedTuple):
-    """Two images, float32 (rows, columns · channels) each, and what the window makes of the second."""
-
-    a: np.ndarray
-    b: np.ndarray
-    filtered_b: np.ndarray  # (2, rows, columns · channels): b and b², filtered along rows and columns
-    channels: int
-
-
 class Target(NamedTuple):
     """An image to compare others with, prepared: that takes as long as a third of the comparison."""
 
@@ -207,13 +198,12 @@ def gradient_of_row(ra, rb, filtered, l1_scale, ssim_scale, out):
 
 
 @kernel()
-def photometric_band(start, stop, images, weights, scales, gradient, sums):
-    """Rows [start, stop) of the gradient (rows, columns) by a, and of sums (rows, 3).
+def photometric_band(start, stop, a, target, weights, scales, gradient, sums):
+    """Rows [start, stop) of the gradient (rows, columns) by a, compared with a Target, and of sums (rows, 3).
 
-    sums[y] = Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a| of row y. weights (rows, columns): 0 of masked
-    pixels, 1 of others; None: nothing is masked.
+    sums[y] = Σ |a − b|, Σ SSIM and Σ |differences of neighbours in a| of row y. weights: those of the target.
     """
-    a, b, channels = images.a, images.b, images.channels
+    b, channels = target.image, target.channels
     rows, n = a.shape
     padded = n + 2 * RADIUS * channels
     line, slope_line = np.zeros((3, padded), np.float32), np.zeros((3, padded), np.float32)
@@ -232,7 +222,7 @@ def photometric_band(start, stop, images, weights, scales, gradient, sums):
         if s >= 0 and s < rows:
             for k in range(3):
                 across_rows(moments, k, s, filtered[k])
-            similarity_of_row(filtered, images.filtered_b, channels, weights, s, slope_line, values, slopes[here])
+            similarity_of_row(filtered, target.filtered, channels, weights, s, slope_line, values, slopes[here])
             if s >= start and s < stop:
                 sums[s, 1] = row_sum(values)
         else:
@@ -293,7 +283,6 @@ def photometric_and_gradient(
         flat_a = without_masked(flat_a, weights)
     gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
     scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
-    common = (ComparedImages(flat_a, target.image, target.filtered, channels), weights, scales, gradient, sums)
-    pool.run_bands(photometric_band, height, *common)
+    pool.run_bands(photometric_band, height, flat_a, target, weights, scales, gradient, sums)
     error, similarity, differences = sums.sum(axis=0).tolist()
     return error / count, similarity / count, differences, gradient.reshape(a.shape)

@@ -50,14 +50,14 @@ def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blo
     size = (settings.height, settings.width)
     images = ImageArrays(
         np.empty((*size, len(settings.background)), np.float32),
-        np.empty(size if settings.depth_channel else (0, 0), np.float32),
+        np.empty(size if settings.channels.depth else (0, 0), np.float32),
         np.empty(size, np.float32),
     )
     visits = Visits(np.empty(len(tiles.starts) - 1, np.int32), active_blocks)
     arguments = (
         np.zeros(1, np.int64), splats.values, tiles, settings.background, settings.limits, TABLES, images, visits,
     )  # fmt: skip
-    pool.run(make_blend(len(settings.background), settings.depth_channel), [arguments] * pool.get_threads())
+    pool.run(make_blend(settings.channels.colors, settings.channels.depth), [arguments] * pool.get_threads())
     return images, visits
 
 

@@ -86,8 +86,8 @@ def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, sl
         np.zeros(1, np.int64), done.splats.values, done.tiles, settings.limits, TABLES, done.images, gradients,
         done.visits, slots,
     )  # fmt: skip
-    variant = make_blend_backward(len(settings.background), settings.depth_channel, settings.absgrad)
-    pool.run(variant, [arguments] * pool.get_threads())
+    colors, _, depth, absgrad = settings.channels
+    pool.run(make_blend_backward(colors, depth, absgrad), [arguments] * pool.get_threads())
 
 
 @functools.cache

@@ -12,12 +12,12 @@ import numpy as np
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blocks import NONE, lowest
-from tdgbench.splats.cpu.raster.parameters import column, exponential, three_columns
+from tdgbench.splats.cpu.raster.parameters import exponential
 from tdgbench.splats.cpu.raster.projection import camera_point, ray_limits
 from tdgbench.splats.cpu.raster.source import BOUNDS, GaussianSource, Span
 from tdgbench.splats.cpu.raster.types import Settings
 from tdgbench.splats.cpu.scratch import Workspace
-from tdgbench.splats.cpu.simd.memory import load_fours
+from tdgbench.splats.cpu.simd.memory import gather, load_fours
 from tdgbench.splats.cpu.simd.reductions import lane_bits
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
@@ -98,16 +98,14 @@ def culling_bounds(bounds, base, stop, rows):
 
     Lanes from `stop` on hold Gaussian stop − 1. rows (LANES,) int32 is scratch.
     """
-    if bounds.raw and base + LANES <= stop:
-        x, y, z, size = load_fours(bounds.means.values, base * BOUNDS)
+    values = bounds.values
+    if base + LANES <= stop:
+        x, y, z, size = load_fours(values, base * BOUNDS)
     else:
         for lane in range(LANES):
             rows[lane] = min(base + lane, stop - 1)
-        x, y, z = three_columns(bounds.means, rows, 0, 0)
-        size = column(bounds.scales, rows, 0, 0)
-        if bounds.axes == 3:
-            size = maximum(size, column(bounds.scales, rows, 0, 1))
-            size = maximum(size, column(bounds.scales, rows, 0, 2))
+        x, y = gather(values, rows, 0, BOUNDS, 0), gather(values, rows, 0, BOUNDS, 1)
+        z, size = gather(values, rows, 0, BOUNDS, 2), gather(values, rows, 0, BOUNDS, 3)
     if bounds.raw:
         size = exponential(size + bounds.growth)
     return (x, y, z), size

@@ -1,7 +1,7 @@
 """The parameters of LANES Gaussians as registers, activated.
 
 They are first collected in `gathered`, (GATHERED · LANES,) float32: column c of `tdgbench.splats.columns` at c · LANES.
-`rows` (n,) int32 and `k` name the Gaussians rows[k], rows[k + 1], …; `parameter` is a `Columns`.
+`rows` (n,) int32 and `k` name the Gaussians rows[k], rows[k + 1], …
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.columns import COLORS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.memory import gather, gather_block, load, store
+from tdgbench.splats.cpu.simd.memory import gather_block, load
 from tdgbench.splats.cpu.simd.powers import exp2, log2
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
@@ -41,38 +41,11 @@ def exponential(x):
 
 
 @kernel(inline=True)
-def column(parameter, rows, k, offset):
-    """Column `offset` of a parameter (Columns)."""
-    return gather(parameter.values, rows, k, parameter.stride, parameter.first + offset)
-
-
-@kernel(inline=True)
-def three_columns(parameter, rows, k, offset):
-    """Columns offset, offset + 1, offset + 2 of a parameter (Columns)."""
-    first, second = column(parameter, rows, k, offset), column(parameter, rows, k, offset + 1)
-    return first, second, column(parameter, rows, k, offset + 2)
-
-
-@kernel(inline=True)
 def collect(parameters, rows, k, colors, gathered):
     """Fill `gathered` with the Gaussians rows[k …] of `Parameters`, `colors` numbers of their colours."""
-    if parameters.raw:  # rows of `tdgbench.splats.columns`
-        values, stride = parameters.means.values, parameters.means.stride
-        for c in range(0, COLORS_AT + colors, LANES):
-            gather_block(values, rows, k, stride, c, gathered, c * LANES)
-    else:
-        collect_columns(parameters.means, rows, k, MEANS_AT, 3, gathered)
-        collect_columns(parameters.quats, rows, k, QUATS_AT, 4, gathered)
-        collect_columns(parameters.scales, rows, k, SCALES_AT, 3, gathered)
-        collect_columns(parameters.opacities, rows, k, OPACITY_AT, 1, gathered)
-        collect_columns(parameters.colors, rows, k, COLORS_AT, colors, gathered)
-
-
-@kernel(inline=True)
-def collect_columns(parameter, rows, k, at, count, gathered):
-    """Put `count` columns of a parameter into `gathered`, from `at` on."""
-    for c in range(count):
-        store(gathered, (at + c) * LANES, column(parameter, rows, k, c))
+    values, stride = parameters.values, parameters.stride
+    for c in range(0, COLORS_AT + colors, LANES):
+        gather_block(values, rows, k, stride, c, gathered, c * LANES)
 
 
 @kernel(inline=True)

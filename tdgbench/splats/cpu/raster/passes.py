@@ -60,7 +60,8 @@ class Blended:
     @property
     def columns(self) -> int:
         """Columns of a row of gradients."""
-        return padded(COLORS_AT + self.settings.channels.count_bases() * len(self.settings.background))
+        colors, degree = self.settings.channels[:2]
+        return padded(COLORS_AT + colors * max((degree + 1) ** 2, 1))
 
     def rows(self) -> GradientRows:
         """Return gradients of the Gaussians that some pixel depends on."""
@@ -69,7 +70,7 @@ class Blended:
         rows = GradientArrays(
             workspace.take("ids of gradients", capacity, np.int32),
             workspace.take("gradients", (capacity, self.columns), np.float32),
-            workspace.take("image gradients", (capacity, 5 if self.settings.absgrad else 3), np.float32),
+            workspace.take("image gradients", (capacity, 5 if self.settings.channels.absgrad else 3), np.float32),
         )
         return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
 
@@ -109,7 +110,8 @@ def blend_backward(
         )
     )
     workspace = Workspace()
-    floats = slot_size(len(settings.background) + settings.depth_channel, settings.absgrad)
+    colors, _, depth, absgrad = settings.channels
+    floats = slot_size(colors + depth, absgrad)
     values = workspace.take("slots", done.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
     slots = Slots(values, np.zeros(done.pair_capacity, np.bool_))
     fill_slots(settings, done, gradients, slots)

@@ -49,24 +49,6 @@ class PairTiles(NamedTuple):
     tiles: np.ndarray  # (capacity,) int32
 
 
-class ViewSettings(NamedTuple):
-    """Settings of a rendering, as the kernel takes them."""
-
-    channels: tuple  # Channels
-    camera: tuple  # Camera
-    limits: tuple  # Limits
-
-
-class ProjectionScratch(NamedTuple):
-    """A thread's buffers for one group of LANES Gaussians; float32 ones hold registers."""
-
-    gathered: np.ndarray  # (GATHERED · LANES,) float32: parameters
-    group: np.ndarray  # (GROUP · LANES,) float32
-    basis: np.ndarray  # (16 · LANES,) float32: spherical harmonics
-    rows: np.ndarray  # (FLOATS · LANES,) float32: splats, one after the other
-    boxes: np.ndarray  # (4 · LANES,) int32
-
-
 class ProjectedView(NamedTuple):
     """Result of the projection by all threads."""
 
@@ -100,8 +82,7 @@ def project_candidates(
         workspace.take("radii", capacity, np.int32),
         workspace.take("means2d", (0 if source.parameters.raw else capacity, 2), np.float32),
     )
-    view = ViewSettings(settings.channels, settings.camera, settings.limits)
-    shared = (source.parameters, source.stale, view, splats, projected)
+    shared = (source.parameters, source.stale, settings, splats, projected)
     pairs = max(MIN_PAIRS, PAIRS_PER_CANDIDATE * capacity // len(spans))
     while True:
         tiles = scratch.take("tiles", (len(spans), pairs), np.int32)
@@ -126,23 +107,18 @@ def project_candidates(
 
 
 @kernel()
-def project_and_list(first, count, candidates, parameters, stale, view, splats, projected, pair_tiles, counts):
+def project_and_list(first, count, candidates, parameters, stale, settings, splats, projected, pair_tiles, counts):
     """Project candidates [first, first + count); rows of splats and projected are written from `first` on.
 
     candidates (n,) int32; the types of the others have their names; stale: of Gaussians with deferred steps, which are
     applied before they are read. counts (4,) int64, written: splats, pairs, projected, whether anything is
     NaN. Pairs beyond the capacity are counted, not written.
     """
-    channels, camera, limits, raw = view.channels, view.camera, view.limits, parameters.raw
+    channels, camera, limits, raw = settings.channels, settings.camera, settings.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
-    scratch = ProjectionScratch(
-        aligned_floats(GATHERED * LANES),
-        aligned_floats(GROUP * LANES),
-        aligned_floats(16 * LANES),
-        aligned_floats(FLOATS * LANES),
-        np.zeros(4 * LANES, np.int32),
-    )
-    gathered, group, rows, boxes = scratch.gathered, scratch.group, scratch.rows, scratch.boxes
+    # parameters, registers of the group, harmonics, splats one after the other, and boxes of LANES Gaussians
+    gathered, group, basis = aligned_floats(GATHERED * LANES), aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
+    rows, boxes = aligned_floats(FLOATS * LANES), np.zeros(4 * LANES, np.int32)
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
     # a reference in the loop costs an atomic operation
@@ -156,7 +132,7 @@ def project_and_list(first, count, candidates, parameters, stale, view, splats, 
         prefetch_group(parameters, stale, bases * channels.colors, candidates, k + PREFETCH_DISTANCE, end)
         collect(parameters, candidates, k, bases * channels.colors, gathered)
         mean, has_nan = project_group(group, gathered, raw, camera, limits, has_nan)
-        write_channels(group, gathered, channels, mean, camera, scratch.basis)
+        write_channels(group, gathered, channels, mean, camera, basis)
         turn_splats(group, rows)
         write_boxes(group, boxes)
         in_use = (U(1) << U(min(LANES, end - k))) - U(1)
@@ -198,14 +174,13 @@ def apply_steps(stale, candidates, k):
 
 @kernel(inline=True)
 def prefetch_group(parameters, stale, colors, candidates, k, end):
-    """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`, of rows."""
-    if parameters.raw:
-        for place in range(k, min(k + LANES, end)):
-            i = int64(candidates[U(place)])
-            if stale.deferred.now > stale.flushed:
-                prefetch_gaussian(stale.rows, i)
-            else:
-                prefetch_columns(parameters.means.values, i, parameters.means.stride, 0, COLORS_AT + colors)
+    """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`."""
+    for place in range(k, min(k + LANES, end)):
+        i = int64(candidates[U(place)])
+        if stale.deferred.now > stale.flushed:
+            prefetch_gaussian(stale.rows, i)
+        else:
+            prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + colors)
 
 
 @kernel(inline=True)

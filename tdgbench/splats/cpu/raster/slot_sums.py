@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu.adam import prefetch_gaussian
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
@@ -68,10 +69,8 @@ def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
 def prefetch_parameters(parameters, channels, step, i):
     """Prefetch what will be read of Gaussian i."""
     if not step.active:
-        means, colors = parameters.means, parameters.colors
         n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
-        prefetch(means.values, U(i * means.stride + means.first))
-        prefetch_columns(colors.values, i, colors.stride, colors.first, n_bases * channels.colors)
+        prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + n_bases * channels.colors)
     else:
         prefetch_gaussian(step.step.rows, i)
         prefetch_row(step.step.rows.bounds, U(i))

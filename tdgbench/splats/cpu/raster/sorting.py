@@ -8,6 +8,7 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.types import TileLists
 from tdgbench.splats.cpu.simd.memory import take_next
 
 U = np.uint64
@@ -26,24 +27,17 @@ class Lists(NamedTuple):
     slots: np.ndarray  # (pairs,) int32
 
 
-class Sorted(NamedTuple):
-    """Pairs, tile by tile, from near to far."""
-
-    splat_ids: np.ndarray  # (pairs,) int32
-    slots: np.ndarray  # (pairs,) int32
-
-
-def sort_tiles(starts: np.ndarray, lists: Lists, out: Sorted) -> None:
-    """Sort the pairs of each tile [starts[t], starts[t + 1]) by their keys, stably; starts (tiles + 1,) int64."""
-    longest = int(np.diff(starts).max(initial=0))
-    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, starts, lists, out)] * pool.get_threads())
+def sort_tiles(lists: Lists, out: TileLists) -> None:
+    """Write the pairs of each tile to `out`, which has their starts, sorted by their keys, stably."""
+    longest = int(np.diff(out.starts).max(initial=0))
+    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * pool.get_threads())
 
 
 @kernel()
-def sort_lists(counter, longest, starts, lists, out):
+def sort_lists(counter, longest, lists, out):
     """Sort the tiles that counter (1,) hands out, until none remains; longest: length of the longest list."""
     numbers, spare = np.empty(longest, np.uint64), np.empty(longest, np.uint64)
-    histograms = np.zeros((PASSES, DIGITS), np.int32)
+    histograms, starts = np.zeros((PASSES, DIGITS), np.int32), out.starts
     while True:
         tile = take_next(counter)
         if tile >= starts.shape[0] - 1:

@@ -1,48 +1,38 @@
-"""Where the kernels find Gaussians: flat float32 memory, with a stride and a first column for each parameter."""
+"""Where the kernels find Gaussians: rows as in `tdgbench.splats.columns`, and what culling tests of each."""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.columns import padded
 from tdgbench.splats.cpu.adam import NO_STALE, Stale
 
 Span = tuple[int, int]  # first, count
 BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
 
 
-class Columns(NamedTuple):
-    """One parameter of N Gaussians: that of Gaussian i begins at values[i · stride + first]."""
-
-    values: np.ndarray  # (any,) float32
-    stride: int
-    first: int
-
-
 class Parameters(NamedTuple):
-    """The five parameters of N Gaussians."""
+    """Rows of N Gaussians, which are padded to whole cache lines."""
 
-    means: Columns  # 3 world coordinates
-    quats: Columns  # 4, wxyz, any length
-    scales: Columns  # 3 standard deviations in world units
-    opacities: Columns  # 1
-    colors: Columns  # one per channel, or K coefficients × channels
+    values: np.ndarray  # (N · stride,) float32
+    stride: int
     raw: bool  # before activation: scales are natural logarithms, opacities are logits
 
 
 class Bounds(NamedTuple):
-    """What culling tests: means and deviations, which the true ones may exceed by a tolerance."""
+    """What culling tests: mean and largest deviation, which the true ones may exceed by a tolerance."""
 
-    means: Columns  # 3 world coordinates
-    scales: Columns  # `axes` standard deviations in world units, or their natural logarithms if raw
-    axes: int  # 1 (the largest) or 3
-    raw: bool  # rows of BOUNDS floats
-    tolerance: np.float32  # world units between a true mean and that of `means`
-    growth: np.float32  # by how much the logarithm of a true deviation may exceed that of `scales`
+    values: np.ndarray  # (N · BOUNDS,) float32: mean, and largest standard deviation, world units, or its logarithm
+    raw: bool  # whether it is the natural logarithm
+    tolerance: np.float32  # world units between a true mean and that of `values`
+    growth: np.float32  # by how much the logarithm of a true deviation may exceed that of `values`
 
 
 @dataclass(frozen=True)
@@ -56,24 +46,22 @@ class GaussianSource:
 
 
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
-    """Return means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …) as a source: C-contiguous."""
-    columns = [Columns(a.reshape(-1), int(np.prod(a.shape[1:])), 0) for a in arrays]
-    means, scales = columns[0], columns[2]
-    return GaussianSource(len(arrays[0]), Parameters(*columns, False), Bounds(means, scales, 3, False, _ZERO, _ZERO))
+    """Return the source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …), activated."""
+    parts = [torch.from_numpy(array).reshape(len(array), math.prod(array.shape[1:])) for array in arrays]
+    columns = sum(part.shape[1] for part in parts)
+    padding = torch.zeros(len(parts[0]), padded(columns) - columns)
+    values = torch.cat([*parts, padding], dim=1).numpy()  # NumPy takes twice as long
+    largest = functools.reduce(np.maximum, arrays[2].T)
+    bounds = np.concatenate([arrays[0], largest[:, None]], axis=1)
+    return source_of_rows(values, bounds, 0.0, 0.0, raw=False)
 
 
 def source_of_rows(
-    values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE
+    values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE, raw: bool = True
 ) -> GaussianSource:
-    """Return the source of rows (N, columns) as in `tdgbench.splats.columns`, before activation.
+    """Return the source of rows (N, columns), by default before activation.
 
-    bounds (N, 4): mean and largest log scale, each as of the last update of the bounds.
+    bounds (N, 4): mean and largest scale (raw: its logarithm), each as of the last update of the bounds.
     """
-    flat, stride, flat_bounds = values.reshape(-1), values.shape[1], bounds.reshape(-1)
-    columns = [Columns(flat, stride, first) for first in (MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT)]
-    means, scales = Columns(flat_bounds, BOUNDS, 0), Columns(flat_bounds, BOUNDS, 3)
-    tested = Bounds(means, scales, 1, True, np.float32(tolerance), np.float32(growth))
-    return GaussianSource(len(values), Parameters(*columns, True), tested, stale)
-
-
-_ZERO = np.float32(0)
+    tested = Bounds(bounds.reshape(-1), raw, np.float32(tolerance), np.float32(growth))
+    return GaussianSource(len(values), Parameters(values.reshape(-1), values.shape[1], raw), tested, stale)

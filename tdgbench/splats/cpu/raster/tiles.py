@@ -14,7 +14,7 @@ from numba import int64
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.sorting import Lists, Sorted, sort_tiles
+from tdgbench.splats.cpu.raster.sorting import Lists, sort_tiles
 from tdgbench.splats.cpu.raster.types import TileLists
 from tdgbench.splats.cpu.scratch import Workspace
 
@@ -147,9 +147,10 @@ def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) 
     pool.run(
         fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)]
     )
-    out = Sorted(workspace.take("splat ids", total, np.int32), workspace.take("slots of pairs", total, np.int32))
-    sort_tiles(starts, lists, out)
-    return TileLists(starts, *out)
+    near_to_far = (workspace.take(role, total, np.int32) for role in ("splat ids", "slots of pairs"))
+    out = TileLists(starts, *near_to_far)
+    sort_tiles(lists, out)
+    return out
 
 
 def cursors_of(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -66,27 +66,16 @@ class Channels(NamedTuple):
     depth: bool
     absgrad: bool = False  # two more numbers of a gradient slot: Σ |d/du| and Σ |d/dv| over pixels
 
-    def count_bases(self) -> int:
-        """Return the number of coefficients per colour."""
-        return (self.degree + 1) ** 2 if self.degree >= 0 else 1
 
-
-@dataclass(frozen=True)
-class Settings:
+class Settings(NamedTuple):
     """Camera, image size and options of a rendering."""
 
     camera: PackedCamera
     width: int  # px
     height: int
-    degree: int  # −1: colours as they are
-    depth_channel: bool
+    channels: Channels
     background: np.ndarray  # (colours,) float32
     limits: Limits
-    absgrad: bool = False  # the backward pass also sums absolute values of image gradients
-
-    @property
-    def channels(self) -> Channels:
-        return Channels(len(self.background), self.degree, self.depth_channel, self.absgrad)
 
 
 class Projected(NamedTuple):
@@ -157,10 +146,6 @@ class ForwardPass:
     visits: Visits
     pair_capacity: int  # every gradient slot lies below
     workspace: Workspace  # holds the arrays above
-
-    def count_pairs(self) -> int:
-        """Return the number of listed (tile, Gaussian) pairs."""
-        return len(self.tiles.splat_ids)
 
 
 @dataclass

@@ -5,13 +5,14 @@ import numpy as np
 from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu.raster.passes import forward
 from tdgbench.splats.cpu.raster.source import GaussianSource, source_of_arrays
-from tdgbench.splats.cpu.raster.types import ForwardPass, Settings, pack_camera, pack_limits
+from tdgbench.splats.cpu.raster.types import Channels, ForwardPass, Settings, pack_camera, pack_limits
 
 
 def settings_for(camera, width: int, height: int, colors: int, degree: int = -1, depth: bool = False) -> Settings:
     """Settings of a view: camera is viewmat (4, 4) and K (3, 3)."""
     packed = pack_camera(*camera, width, height, 0.2, 1e10, 0.3)
-    return Settings(packed, width, height, degree, depth, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
+    channels = Channels(colors, degree, depth)
+    return Settings(packed, width, height, channels, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
 
 
 def source_of(tensors) -> GaussianSource:

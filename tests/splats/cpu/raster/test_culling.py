@@ -6,7 +6,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu.raster.culling import _pack, cull
-from tdgbench.splats.cpu.raster.source import BOUNDS, Bounds, Columns
+from tdgbench.splats.cpu.raster.source import Bounds
 from tdgbench.splats.cpu.raster.types import pack_camera
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
@@ -18,11 +18,8 @@ def candidates_of(means, scales, camera, tolerance=0.0, growth=0.0, raw=False) -
     """The candidates of one piece that holds all."""
     count = len(means)
     out = np.full(-(-count // LANES) * LANES, -1, np.int32)
-    columns, axes = [Columns(tensor.numpy().reshape(-1), 3, 0) for tensor in (means, scales)], 3
-    if raw:
-        rows = torch.cat([means, scales.amax(dim=1, keepdim=True)], dim=1).numpy().reshape(-1)
-        columns, axes = [Columns(rows, BOUNDS, 0), Columns(rows, BOUNDS, 3)], 1
-    bounds = Bounds(*columns, axes, raw, np.float32(tolerance), np.float32(growth))
+    rows = torch.cat([means, scales.amax(dim=1, keepdim=True)], dim=1).numpy().reshape(-1)
+    bounds = Bounds(rows, raw, np.float32(tolerance), np.float32(growth))
     found = cull(0, count, bounds, camera, CUTOFF, out)
     assert (np.diff(out[:found]) > 0).all()
     filled = -(-found // LANES) * LANES

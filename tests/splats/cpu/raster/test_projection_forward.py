@@ -38,7 +38,7 @@ def test_a_faint_gaussian_is_projected_but_not_drawn():
     parameters, camera = random_gaussians(50, 2, None, 1), turned_camera(40, 30)
     parameters[3][:] = 0.001
     done = rendered(parameters, camera, 40, 30)
-    assert sum(n for _, n in done.splat_spans) == 0 and done.count_pairs() == 0
+    assert sum(n for _, n in done.splat_spans) == 0 and len(done.tiles.splat_ids) == 0
     radii = np.concatenate([done.projected.radii[a : a + n] for a, n in done.projected_spans])
     assert (radii > 0).sum() > 10
     assert torch.equal(torch.from_numpy(done.images.transmittance), torch.ones(30, 40))

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster.sorting import SHORT, Lists, Sorted, sort_tiles
+from tdgbench.splats.cpu.raster.sorting import SHORT, Lists, sort_tiles
+from tdgbench.splats.cpu.raster.types import TileLists
 
 
 @pytest.mark.parametrize("counts", [[0], [1, 0, 2], [SHORT, SHORT + 1, 0, 5000, 3], [700] * 40])
@@ -15,10 +16,10 @@ def test_every_tile_is_sorted_stably(counts, threads, far):
     depths = np.round(rng.uniform(0.2, 50, total), 1).astype(np.float32)
     depths[::97] = far
     splat_ids, slots = (rng.permutation(total).astype(np.int32) for _ in range(2))
-    out = Sorted(np.full(total, -1, np.int32), np.full(total, -1, np.int32))
+    out = TileLists(starts, np.full(total, -1, np.int32), np.full(total, -1, np.int32))
     try:
         pool.set_threads(threads)
-        sort_tiles(starts, Lists(depths.view(np.uint32), splat_ids, slots), out)
+        sort_tiles(Lists(depths.view(np.uint32), splat_ids, slots), out)
     finally:
         pool.set_threads(None)
     tile = np.repeat(np.arange(len(counts)), counts)
@@ -29,6 +30,6 @@ def test_every_tile_is_sorted_stably(counts, threads, far):
 def test_depths_that_differ_in_every_bit():
     keys = np.random.default_rng(1).integers(0, 2**32, 3000, dtype=np.uint32)
     ids = np.arange(3000, dtype=np.int32)
-    out = Sorted(np.empty(3000, np.int32), np.empty(3000, np.int32))
-    sort_tiles(np.array([0, 3000]), Lists(keys, ids, ids), out)
+    out = TileLists(np.array([0, 3000]), np.empty(3000, np.int32), np.empty(3000, np.int32))
+    sort_tiles(Lists(keys, ids, ids), out)
     assert np.array_equal(out.splat_ids, np.argsort(keys, kind="stable"))
