@@ -84,7 +84,7 @@ class Backend(Protocol):
         if torch.is_grad_enabled():
             rows = rows.requires_grad_()
         gaussians = (options.hook or Gaussians.activated)(state.split(rows), options.sh_degree)
-        view = self.render(*with_pose_gradient(gaussians, camera.to(rows)), options.of_view)
+        view = self.render(*with_pose_gradient(gaussians, camera), options.of_view)
         projection = view.projection
         if options.absgrad and (projection is None or projection.absgrad is None):
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager, nullcontext
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -90,14 +91,12 @@ def filled(struct: type, tensors: list[Tensor]):
 
 def view_of(camera: Pinhole, degree: int | None, blending: Blending) -> View:
     """Return the struct of a camera; of one on the host, without waiting for the device."""
-    viewmat, K = (t.detach().cpu().double() for t in (camera.viewmat, camera.K))
+    viewmat, K = (t.numpy(force=True).astype(np.float64) for t in (camera.viewmat, camera.K))
     rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
     view = View()
-    view.rotation = wp.mat33(*rotation.flatten().tolist())
-    view.translation = wp.vec3(*translation.tolist())
-    view.centre = wp.vec3(*(-rotation.T @ translation).tolist())
-    view.focal = wp.vec2(K[0, 0].item(), K[1, 1].item())
-    view.principal = wp.vec2(K[0, 2].item(), K[1, 2].item())
+    view.rotation, view.translation = wp.mat33(*rotation.ravel()), wp.vec3(*translation)
+    view.centre = wp.vec3(*(-rotation.T @ translation))
+    view.focal, view.principal = wp.vec2(K[0, 0], K[1, 1]), wp.vec2(K[0, 2], K[1, 2])
     view.width, view.height = camera.width, camera.height
     view.tiles_x, view.tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
     view.near, view.far, view.eps2d = camera.near_plane, camera.far_plane, camera.eps2d
