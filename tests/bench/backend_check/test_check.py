@@ -26,8 +26,9 @@ def one_scene(monkeypatch):
 def test_the_scenes_hold_what_they_are_for():
     """Degrees, channels, several tiles; Gaussians that no ray sees; few pixels that a rounding error could flip."""
     made = scenes()
-    assert len(made) == 3
-    assert {(c.degree, c.colors.shape[-1]) for c in made.values()} == {(3, 1), (None, 3), (1, 3)}
+    assert len(made) == 4
+    assert {(c.degree, c.colors.shape[-1]) for c in made.values()} == {(3, 1), (None, 3), (1, 3), (1, 1)}
+    assert (expected(made["opaque walls"], "reference").rendered.image[..., -1] > 0.999).double().mean() > 0.5
     for scene in made.values():
         assert scene.width > 48 and scene.height > 32
         want = expected(scene, "reference")
