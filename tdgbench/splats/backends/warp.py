@@ -45,9 +45,7 @@ class WarpBackend(Backend):
         probe = means.new_empty(len(means), 2).requires_grad_(torch.is_grad_enabled() and means.requires_grad)
         absgrad = torch.zeros_like(probe, requires_grad=False) if options.absgrad else None
         request = Request(view_of(camera, sh_degree, options.blending), options.depth, absgrad)
-        light, transmittance, radii, depths = Rasterize.apply(
-            means, quats, scales, opacities, colors, probe, request
-        )
+        light, transmittance, radii, depths = Rasterize.apply(means, quats, scales, opacities, colors, probe, request)
         image, depth = (light[..., :-1], light[..., -1]) if options.depth else (light, None)
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)

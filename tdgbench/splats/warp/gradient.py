@@ -24,9 +24,7 @@ def add_pairs(rows: wp.array2d(dtype=float), ends: wp.array(dtype=int), sums: wp
 
 
 @wp.func
-def by_center(
-    v: View, p: wp.vec3, axis: int, by_axis: wp.vec3, by_mean: float
-):
+def by_center(v: View, p: wp.vec3, axis: int, by_axis: wp.vec3, by_mean: float):
     """Return the gradient by p of what depends on an image coordinate (0: x, 1: y).
 
     by_axis: by `to_world`, in camera axes; by_mean: by the coordinate.

@@ -72,7 +72,9 @@ def test_a_gpu_that_is_wrong_is_not_taken(machine, checked):
     machine("A")
     choice = choose(checked(WrongGradient()))
     assert choice.backend == "cpu"
-    assert choice.line.startswith("the CPU trains, not A: warp: no Warp; cuda: gsplat 1.5.3 did not pass its check on A: ")
+    assert choice.line.startswith(
+        "the CPU trains, not A: warp: no Warp; cuda: gsplat 1.5.3 did not pass its check on A: "
+    )
     assert "gradients of the scene 'small'" in choice.line
     assert "backend=cuda trains with it all the same" in choice.line
 
@@ -87,7 +89,9 @@ def test_warp_comes_before_gsplat(machine):
         return BackendCheck("it is wrong") if len(asked) in (2, 4, 5) else GOOD
 
     choice = choose(run)
-    assert choice.backend == "warp" and choice.line.startswith("A trains: warp-lang 1.19.0 agrees") and asked == ["warp"]
+    assert (
+        choice.backend == "warp" and choice.line.startswith("A trains: warp-lang 1.19.0 agrees") and asked == ["warp"]
+    )
     choice = choose(run)
     assert choice.backend == "cuda" and asked == ["warp", "warp", "cuda"]
     assert choice.line.startswith("A trains: gsplat 1.5.3") and "; not warp: warp-lang 1.19.0 did not" in choice.line
