@@ -85,7 +85,7 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
 
 
 def _try(backend: str, models: dict[str, int], run: Callable[[str], BackendCheck]) -> tuple[str, str]:
-    """Return what the check of a backend found, and why it is refused, or nothing. models: an index of each GPU model."""
+    """Return what the check of a backend found, and why it is refused, or "". models: an index of each GPU model."""
     reason = load_backend(backend).why_not()
     if reason is not None:
         return "", reason

@@ -1,4 +1,4 @@
-"""From the gradients of the pairs to those of the Gaussians: sums in a fixed order, then the chain rule of `project`."""
+"""From the gradients of pairs to those of Gaussians: sums in a fixed order, then the chain rule of `project`."""
 
 import warp as wp
 

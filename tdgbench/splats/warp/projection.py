@@ -3,7 +3,7 @@
 import warp as wp
 
 from tdgbench.splats.warp.arrays import TILE, Projected, Source, View
-from tdgbench.splats.warp.harmonics import basis, vec16
+from tdgbench.splats.warp.harmonics import basis
 
 wp.set_module_options({"enable_backward": False})
 

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-import torch
 
 from tdgbench.bench.backend_check import choose as checking
 from tdgbench.bench.backend_check.choose import check, scenes

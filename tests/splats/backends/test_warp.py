@@ -163,7 +163,7 @@ def test_a_block_of_threads_adds_up_the_same_gradient():
 @needs_warp
 @pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient"])
 def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
-    """Sums in a fixed order: no instruction adds floats to memory that threads share. Only the blend's blocks add up."""
+    """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
     from tdgbench.splats.warp import blend, gradient, pairs, projection
