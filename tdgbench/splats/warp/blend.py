@@ -48,14 +48,9 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
 
     @wp.kernel(enable_backward=False, module=module)
     def forward(
-        v: View,
-        projected: Projected,
-        pairs: Pairs,
-        opacities: wp.array(dtype=float),
-        light: wp.array3d(dtype=float),
-        transmittance: wp.array2d(dtype=float),
-        last: wp.array2d(dtype=int),
-    ):
+        v: View, projected: Projected, pairs: Pairs, opacities: wp.array(dtype=float),
+        light: wp.array3d(dtype=float), transmittance: wp.array2d(dtype=float), last: wp.array2d(dtype=int),
+    ):  # fmt: skip
         """Blend a pixel: light (H, W, F), transmittance and the last pair that it blended, or −1."""
         i = wp.tid()
         tile = i // TILE_PIXELS
@@ -63,9 +58,7 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
         y = (tile // v.tiles_x) * TILE + (i % TILE_PIXELS) // TILE
         if x >= v.width or y >= v.height:
             return
-        remaining = float(1.0)
-        total = vec_f()
-        end = int(-1)
+        remaining, total, end = float(1.0), vec_f(), int(-1)
         for s in range(pairs.starts[tile], pairs.starts[tile + 1]):
             g = pairs.owners[pairs.slots[s]]
             u, dy = offset(projected.means2d[g], projected.shapes[g], x, y)
@@ -76,11 +69,9 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
                     break
                 for f in range(F):
                     total[f] += alpha * remaining * projected.features[g, f]
-                remaining = after
-                end = s
+                remaining, end = after, s
         if projected.broken[0] != 0:
-            remaining = wp.nan
-            end = -1
+            remaining, end = wp.nan, -1
         for f in range(F):
             light[y, x, f] = total[f] + 0.0 * remaining
         transmittance[y, x] = remaining
@@ -88,28 +79,19 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
 
     @wp.kernel(enable_backward=False, module=module)
     def backward(
-        v: View,
-        projected: Projected,
-        pairs: Pairs,
-        opacities: wp.array(dtype=float),
-        transmittance: wp.array2d(dtype=float),
-        last: wp.array2d(dtype=int),
-        by_light: wp.array3d(dtype=float),
-        by_transmittance: wp.array2d(dtype=float),
-        rows: wp.array(dtype=row_type),
-    ):
+        v: View, projected: Projected, pairs: Pairs, opacities: wp.array(dtype=float),
+        transmittance: wp.array2d(dtype=float), last: wp.array2d(dtype=int), by_light: wp.array3d(dtype=float),
+        by_transmittance: wp.array2d(dtype=float), rows: wp.array(dtype=row_type),
+    ):  # fmt: skip
         """Go through a tile from far to near, and write each pair's gradient to the row of its slot."""
         tile, lane = wp.tid()
-        left = (tile % v.tiles_x) * TILE
-        top = (tile // v.tiles_x) * TILE
+        left, top = (tile % v.tiles_x) * TILE, (tile // v.tiles_x) * TILE
         after = vec_p()  # transmittance behind the Gaussian
         behind = vec_p()  # d loss / d log of it: what lies behind
-        ends = vec_p_int()
-        farthest = int(-1)
+        ends, farthest = vec_p_int(), int(-1)
         for k in range(P):
             pixel = lane + k * lanes
-            x = left + pixel % TILE
-            y = top + pixel // TILE
+            x, y = left + pixel % TILE, top + pixel // TILE
             ends[k] = -1
             if x < v.width and y < v.height:
                 after[k] = transmittance[y, x]
@@ -120,13 +102,11 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
         while s >= pairs.starts[tile]:
             slot = pairs.slots[s]
             g = pairs.owners[slot]
-            shape = projected.shapes[g]
-            row = row_type()
+            shape, row = projected.shapes[g], row_type()
             for k in range(P):
                 if s <= ends[k]:
                     pixel = lane + k * lanes
-                    x = left + pixel % TILE
-                    y = top + pixel // TILE
+                    x, y = left + pixel % TILE, top + pixel // TILE
                     u, dy = offset(projected.means2d[g], shape, x, y)
                     weight = falloff(shape, u, dy)
                     free = opacities[g] * weight

@@ -14,10 +14,9 @@ wp.set_module_options({"enable_backward": False})
 def add_pairs(rows: wp.array2d(dtype=float), ends: wp.array(dtype=int), sums: wp.array2d(dtype=float)):
     """Add up the rows (pairs, columns) of each Gaussian, in the order of its tiles; a thread per column."""
     g, column = wp.tid()
-    first = int(0)
+    first, total = int(0), float(0.0)
     if g > 0:
         first = ends[g - 1]
-    total = float(0.0)
     for slot in range(first, ends[g]):
         total += rows[slot, column]
     sums[g, column] = total
@@ -29,8 +28,7 @@ def by_center(v: View, p: wp.vec3, axis: int, by_axis: wp.vec3, by_mean: float):
 
     by_axis: by `to_world`, in camera axes; by_mean: by the coordinate.
     """
-    iz = 1.0 / p[2]
-    focal = v.focal[axis]
+    iz, focal = 1.0 / p[2], v.focal[axis]
     ratio = p[axis] * iz
     kept = slope(ratio, wp.where(axis == 0, v.width, v.height), focal, v.principal[axis])
     by_ratio = focal * by_mean
@@ -49,10 +47,7 @@ def by_quaternion(q: wp.vec4, m: wp.mat33):
     if length == 0.0:
         return wp.vec4()
     n = q / length
-    w = n[0]
-    x = n[1]
-    y = n[2]
-    z = n[3]
+    w, x, y, z = n[0], n[1], n[2], n[3]
     by_n = 2.0 * wp.vec4(
         x * (m[2, 1] - m[1, 2]) + y * (m[0, 2] - m[2, 0]) + z * (m[1, 0] - m[0, 1]),
         w * (m[2, 1] - m[1, 2]) + y * (m[0, 1] + m[1, 0]) + z * (m[0, 2] + m[2, 0]) - 2.0 * x * (m[1, 1] + m[2, 2]),
@@ -88,26 +83,20 @@ def project_backward(source: Source, v: View, projected: Projected, sums: wp.arr
     g = wp.tid()
     if projected.shapes[g][0] == 0.0:
         return
-    q = source.quats[g]
-    s = source.scales[g]
+    q, s = source.quats[g], source.scales[g]
     p = v.rotation * source.means[g] + v.translation
     turn = rotation_of(wp.normalize(q))
-    world_x = to_world(v, p, 0)
-    world_y = to_world(v, p, 1)
-    local_x = wp.transpose(turn) * world_x
-    local_y = wp.transpose(turn) * world_y
-    x = wp.cw_mul(local_x, s)
-    y = wp.cw_mul(local_y, s)
+    world_x, world_y = to_world(v, p, 0), to_world(v, p, 1)
+    local_x, local_y = wp.transpose(turn) * world_x, wp.transpose(turn) * world_y
+    x, y = wp.cw_mul(local_x, s), wp.cw_mul(local_y, s)
     shape = projected.shapes[g]  # q = c / det, k = b / c, v = 1 / c of the covariance (a, b, c)
     k = shape[1]
     by_a = -shape[0] * shape[0] * sums[g, 2]
     by_b = -2.0 * k * by_a + shape[2] * sums[g, 3]
     by_c = k * k * by_a - k * shape[2] * sums[g, 3] - shape[2] * shape[2] * sums[g, 4]
-    by_x = 2.0 * by_a * x + by_b * y
-    by_y = 2.0 * by_c * y + by_b * x
+    by_x, by_y = 2.0 * by_a * x + by_b * y, 2.0 * by_c * y + by_b * x
     out.scales[g] = wp.cw_mul(by_x, local_x) + wp.cw_mul(by_y, local_y)
-    by_x = wp.cw_mul(by_x, s)
-    by_y = wp.cw_mul(by_y, s)
+    by_x, by_y = wp.cw_mul(by_x, s), wp.cw_mul(by_y, s)
     out.quats[g] = by_quaternion(q, wp.outer(world_x, by_x) + wp.outer(world_y, by_y))
     by_p = by_center(v, p, 0, v.rotation * (turn * by_x), sums[g, 0])
     by_p += by_center(v, p, 1, v.rotation * (turn * by_y), sums[g, 1])

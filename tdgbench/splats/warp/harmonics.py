@@ -14,12 +14,8 @@ c0, c1, c2, c3, c4, c5, c6 = (wp.constant(c) for c in C3)
 @wp.func
 def basis(d: wp.vec3):
     """Return the 16 basis functions at a unit direction."""
-    x = d[0]
-    y = d[1]
-    z = d[2]
-    xx = x * x
-    yy = y * y
-    zz = z * z
+    x, y, z = d[0], d[1], d[2]
+    xx, yy, zz = x * x, y * y, z * z
     return vec16(
         a0, -a1 * y, a1 * z, -a1 * x,
         b0 * x * y, b1 * y * z, b2 * (2.0 * zz - xx - yy), b3 * x * z, b4 * (xx - yy),
@@ -32,12 +28,8 @@ def basis(d: wp.vec3):
 @wp.func
 def basis_gradient(d: wp.vec3, w: vec16):
     """Return the gradient of Σ_k w_k basis_k by the direction."""
-    x = d[0]
-    y = d[1]
-    z = d[2]
-    xx = x * x
-    yy = y * y
-    zz = z * z
+    x, y, z = d[0], d[1], d[2]
+    xx, yy, zz = x * x, y * y, z * z
     by_x = vec16(
         0.0, 0.0, 0.0, -a1, b0 * y, 0.0, -2.0 * b2 * x, b3 * z, 2.0 * b4 * x,
         6.0 * c0 * x * y, c1 * y * z, -2.0 * c2 * x * y, -6.0 * c3 * x * z, c4 * (4.0 * zz - 3.0 * xx - yy),

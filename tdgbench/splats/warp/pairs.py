@@ -28,8 +28,7 @@ def list_pairs(projected: Projected, v: View, keys: wp.array(dtype=wp.int64), pa
 def find_starts(keys: wp.array(dtype=wp.int64), count: int, starts: wp.array(dtype=int)):
     """Find the first of the sorted pairs of each tile, by bisection."""
     tile = wp.tid()
-    low = int(0)
-    high = int(count)
+    low, high = int(0), int(count)
     while low < high:
         middle = (low + high) // 2
         if int(keys[middle] >> wp.int64(32)) < tile:

@@ -11,10 +11,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.func
 def rotation_of(n: wp.vec4):
     """Return the rotation of a unit quaternion wxyz; the identity for zeros."""
-    w = n[0]
-    x = n[1]
-    y = n[2]
-    z = n[3]
+    w, x, y, z = n[0], n[1], n[2], n[3]
     return wp.mat33(
         1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
         2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
@@ -64,8 +61,7 @@ def radius(center: wp.vec2, a: float, b: float, c: float, v: View):
     """Return 3DGS's radius in px, 3 σ rounded up, of a covariance (a, b, c); 0 if the square misses the tiles."""
     half = 0.5 * (a - c)
     r = wp.ceil(3.0 * wp.sqrt(0.5 * (a + c) + wp.sqrt(wp.max(half * half + b * b, 0.1))))
-    x = center[0] - 0.5
-    y = center[1] - 0.5
+    x, y = center[0] - 0.5, center[1] - 0.5
     seen = x + r >= 1.0 and y + r >= 1.0 and x - r < float(v.tiles_x * TILE) and y - r < float(v.tiles_y * TILE)
     return wp.where(seen, int(wp.min(r, 1.0e9)), 0)
 
@@ -100,9 +96,7 @@ def project(source: Source, v: View, out: Projected):
     turn = wp.transpose(rotation_of(wp.normalize(source.quats[g])))
     x = wp.cw_mul(turn * to_world(v, p, 0), source.scales[g])
     y = wp.cw_mul(turn * to_world(v, p, 1), source.scales[g])
-    a = wp.dot(x, x) + v.eps2d
-    b = wp.dot(x, y)
-    c = wp.dot(y, y) + v.eps2d
+    a, b, c = wp.dot(x, x) + v.eps2d, wp.dot(x, y), wp.dot(y, y) + v.eps2d
     cross = wp.cross(x, y)  # its square is the determinant without eps2d, and loses no digits
     det = wp.dot(cross, cross) + v.eps2d * (a + c - v.eps2d)
     center = wp.vec2(v.focal[0] * p[0] / p[2] + v.principal[0], v.focal[1] * p[1] / p[2] + v.principal[1])
@@ -112,8 +106,7 @@ def project(source: Source, v: View, out: Projected):
     if not opacity >= v.min_alpha:
         return
     reach = 1.0001 * wp.sqrt(2.0 * wp.log(opacity / v.min_alpha))  # in σ; beyond it, alpha is below min_alpha
-    half_x = reach * wp.sqrt(a) + 0.01
-    half_y = reach * wp.sqrt(c) + 0.01
+    half_x, half_y = reach * wp.sqrt(a) + 0.01, reach * wp.sqrt(c) + 0.01
     x0, x1 = covered(center[0] - half_x, center[0] + half_x, v.tiles_x)
     y0, y1 = covered(center[1] - half_y, center[1] + half_y, v.tiles_y)
     if x1 > x0 and y1 > y0:
