@@ -13,6 +13,8 @@ from tdgbench.splats.warp.gradient import add_pairs, project_backward
 from tdgbench.splats.warp.pairs import find_starts, list_pairs
 from tdgbench.splats.warp.projection import project
 
+LANES = tuple(str(2**power) for power in range(9))
+
 
 class Request(NamedTuple):
     """What to render. absgrad: (N, 2), to which the backward pass adds absolute gradients, or None."""
@@ -61,9 +63,12 @@ class Rasterize(torch.autograd.Function):
 def lanes_of(device: torch.device) -> int:
     """Return how many threads share a tile in the backward pass: on CUDA 256, with a block-wise reduction.
 
-    TDGBENCH_WARP_LANES changes it, to a power of 2 up to 256; 1 needs no reduction.
+    TDGBENCH_WARP_LANES changes it, to one of `LANES`; 1 needs no reduction. Raises ValueError for another one.
     """
-    return int(os.environ.get("TDGBENCH_WARP_LANES", TILE_PIXELS if device.type == "cuda" else 1))
+    asked = os.environ.get("TDGBENCH_WARP_LANES", LANES[-1] if device.type == "cuda" else LANES[0])
+    if asked not in LANES:
+        raise ValueError(f"TDGBENCH_WARP_LANES is {asked!r}; it must be one of {', '.join(LANES)}")
+    return int(asked)
 
 
 def count_pairs(ends: Tensor) -> int:
@@ -101,7 +106,7 @@ def _list_pairs(projected: list[Tensor], view: View) -> list[Tensor]:
     starts, slots, _ = pairs
     if count:
         _launch(list_pairs, len(ends), [filled(Projected, projected), view, array(keys), filled(Pairs, pairs)], ends)
-        wp.utils.radix_sort_pairs(array(keys), array(slots), count)
+        wp.utils.radix_sort_pairs(array(keys), array(slots), count, end_bit=32 + len(starts).bit_length())
     _launch(find_starts, len(starts), [array(keys), count, array(starts)], ends)
     return pairs
 

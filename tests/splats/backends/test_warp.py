@@ -81,6 +81,13 @@ def test_a_zero_min_alpha_is_refused():
 
 
 @needs_warp
+def test_other_numbers_of_threads_are_refused(monkeypatch):
+    monkeypatch.setenv("TDGBENCH_WARP_LANES", "48")
+    with pytest.raises(ValueError, match="TDGBENCH_WARP_LANES is '48'; it must be one of 1, 2, 4"):
+        rasterization(*random_gaussians(3, 0, None, 1), *turned_camera(8, 8), 8, 8, backend="warp")
+
+
+@needs_warp
 @pytest.mark.parametrize(("channels", "absgrad"), [(1, False), (3, True)])
 def test_a_state_has_the_gradients_of_the_reference(channels, absgrad):
     got = backward_pass(cloud(channels, 2), "warp", 1, absgrad=absgrad)
