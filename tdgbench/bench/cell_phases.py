@@ -133,7 +133,6 @@ class CellRun(SetupObserver):
             self.progress.start(len(scene.train))
         scorer: Scorer = instantiate(self.cfg.metrics)
         self.record.backend = training_backend(self.cfg.backend.name)
-        scorer.device = training_device(self.record.backend)
         self._describe_scene(scene, scorer)
         priors = self._cache("priors", "depth priors were")
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)

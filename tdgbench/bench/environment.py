@@ -19,7 +19,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
 
 ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
-PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "gsplat")
+PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "gsplat", "warp-lang")
 HASHED = (  # folders and files
     "tdgbench/scenes",
     "tdgbench/priors",

@@ -18,7 +18,6 @@ from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_tru
 
 Net = Literal["vgg", "alex", "squeeze"]
 Range = Literal["unit", "signed"]
-CPU = torch.device("cpu")
 ROWS = 64  # of features that are compared at once
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
@@ -27,8 +26,8 @@ class LPIPS:
     """Perceptual distance of two images.
 
     input_range `signed`: images are mapped to [−1, 1] as LPIPS expects; `unit`: they stay in [0, 1] as in 3DGS's
-    metrics.py (a quirk of published tables). device: where the network runs. Raises BackboneUnavailableError if no
-    weights are available.
+    metrics.py (a quirk of published tables). The network runs on the CPU, wherever the cell trained: a GPU would round
+    convolutions to TF32. Raises BackboneUnavailableError if no weights are available.
     """
 
     def __init__(
@@ -37,12 +36,11 @@ class LPIPS:
         input_range: Range,
         weights: str | None = None,
         download: bool = True,
-        device: torch.device = CPU,
     ) -> None:
         if net not in SPECS:
             raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
-        self.input_range, self.device = input_range, device
-        self.model = Network(net, trunk_weights(net, weights, download)).eval().requires_grad_(False).to(device)
+        self.input_range = input_range
+        self.model = Network(net, trunk_weights(net, weights, download)).eval().requires_grad_(False)
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
@@ -51,7 +49,7 @@ class LPIPS:
 
     def _prepare(self, image: np.ndarray) -> Tensor:
         tensor = torch.from_numpy(np.ascontiguousarray(image, np.float32)).permute(2, 0, 1)[None]
-        tensor = tensor.to(self.device).expand(1, 3, *tensor.shape[2:])
+        tensor = tensor.expand(1, 3, *tensor.shape[2:])
         return tensor * 2 - 1 if self.input_range == "signed" else tensor
 
 

@@ -13,7 +13,7 @@ import torch
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.at_once import map_views
 from tdgbench.scoring.backbones import BackboneUnavailableError
-from tdgbench.scoring.lpips import CPU, LPIPS, Net, Range
+from tdgbench.scoring.lpips import LPIPS, Net, Range
 from tdgbench.scoring.metric import Metric
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
 from tdgbench.scoring.scored_view import (
@@ -41,8 +41,6 @@ class Scorer:
     ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Threads score a
     view each (`at_once`); the scores do not depend on their number.
     """
-
-    device = CPU  # where the LPIPS network runs; set before the first score
 
     def __init__(
         self, convention: ConventionName, ssim_border: Border, lpips_range: Range, lpips: LPIPSOptions
@@ -93,7 +91,7 @@ class Scorer:
     def _lpips(self) -> LPIPS | BackboneUnavailableError:
         options = self.lpips_options
         try:
-            return LPIPS(options.net, self.lpips_range, options.weights, options.download, self.device)
+            return LPIPS(options.net, self.lpips_range, options.weights, options.download)
         except BackboneUnavailableError as error:
             return error
 

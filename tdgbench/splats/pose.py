@@ -14,7 +14,7 @@ def with_pose_gradient(gaussians: GaussianTensors, camera: Pinhole) -> tuple[Gau
     if not camera.viewmat.requires_grad:
         return gaussians, camera
     viewmat = camera.viewmat.to(gaussians.means)
-    return to_camera_space(gaussians, viewmat), camera._replace(viewmat=torch.eye(4).to(viewmat))
+    return to_camera_space(gaussians, viewmat), camera._replace(viewmat=torch.eye(4, dtype=viewmat.dtype))
 
 
 def to_camera_space(gaussians: GaussianTensors, viewmat: Tensor) -> GaussianTensors:

@@ -70,9 +70,13 @@ def test_rows_taken_some_at_a_time_give_the_same_bytes():
         assert torch.equal(_weighted(x, y, head), whole)
 
 
-def test_all_of_the_network_is_on_the_device():
-    model = Network("alex", random_state("alex")).to("meta")
-    assert {tensor.device.type for tensor in (*model.parameters(), *model.buffers())} == {"meta"}
+def test_the_network_is_on_the_cpu(tmp_path, monkeypatch):
+    """As in `tdgbench verify`, wherever a cell trains, so that both compute the same number."""
+    torch.save({f"features.{name}": value for name, value in random_state("alex").items()}, tmp_path / "alex.pth")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    model = LPIPS("alex", "unit", str(tmp_path / "alex.pth")).model
+    tensors = (*model.parameters(), *model.buffers())
+    assert {(tensor.device.type, tensor.dtype) for tensor in tensors} == {("cpu", torch.float32)}
     assert len(list(model.heads)) == len(SPECS["alex"].ends)
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends import load_backend
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -43,13 +44,17 @@ def test_past_autograd_is_the_reference(channels, degree, used):
     assert torch.equal(fast[3], exact[3])
 
 
-def test_an_iteration_leaves_nothing_behind():
+@pytest.mark.parametrize("backend", ["reference", "warp"])
+def test_an_iteration_leaves_nothing_behind(backend):
     """Backends with autograd: the view, its graph and the gradients go with the step."""
+    reason = load_backend(backend).why_not()
+    if reason is not None:
+        pytest.skip(reason)
     state = TrainingState(cloud(1, 1))
     camera, optimizer = Pinhole(*(t[0] for t in turned_camera(20, 20)), 20, 20), Adam(state, RATES, 1.0)
     left, collected = [], []
     for _ in range(2):
-        view = render_state(state, optimizer, camera, StateOptions(1, True), collected.append, "reference")
+        view = render_state(state, optimizer, camera, StateOptions(1, True), collected.append, backend)
         left += [weakref.ref(view), weakref.ref(view.image)]
         view.image.sum().backward()
         del view

@@ -9,7 +9,7 @@ import torch
 
 from tdgbench.splats.backends.backend import Backend
 
-AUTO = {"cpu": "cpu", "cuda": "cuda"}  # fast backend for float32, by type of device
+ON_GPU = ("warp", "cuda")  # fast backends for float32 on a CUDA GPU, the preferred one first
 
 
 def backend_names() -> list[str]:
@@ -40,14 +40,18 @@ def load_backend(name: str) -> Backend:
 def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
     """Return the name of the backend for tensors of a device and type.
 
-    `auto` is `cpu` or `cuda` for float32 tensors there, and `reference` for all others. Raises ValueError if the
-    backend does not take such tensors, RuntimeError if it cannot run on this machine.
+    `auto` is for float32 tensors `cpu` on the CPU, and on a CUDA GPU the first of `ON_GPU` that can run; for all others
+    it is `reference`. Raises ValueError if the backend does not take such tensors, RuntimeError if it cannot run on
+    this machine.
 
     >>> [choose_backend("auto", torch.device("cpu"), dtype) for dtype in (torch.float32, torch.float64)]
     ['cpu', 'reference']
     """
     if name == "auto":
-        return AUTO.get(device.type, "reference") if dtype == torch.float32 else "reference"
+        if dtype != torch.float32 or device.type not in ("cpu", "cuda"):
+            return "reference"
+        fast = ("cpu",) if device.type == "cpu" else ON_GPU
+        name = next((name for name in fast if load_backend(name).why_not() is None), fast[-1])
     backend = load_backend(name)
     if not backend.takes(device, dtype):
         raise ValueError(f"backend {name} takes {backend.inputs}, not {dtype} on {device}; use 'reference'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple, Protocol
@@ -48,6 +49,7 @@ class Backend(Protocol):
 
     device: str = "cpu"  # type of the device on which it trains
     inputs: str = "any float tensors"  # supported tensors, for error messages
+    package: str = ""  # the package that it runs with, if it is an extra
 
     def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
         """Return whether it renders tensors of a device and type."""
@@ -56,6 +58,13 @@ class Backend(Protocol):
     def why_not(self) -> str | None:
         """Return why it cannot run on this machine, or None."""
         return None
+
+    def version(self) -> str | None:
+        """Return the version of its package; None if that is not installed, or its files name none."""
+        try:
+            return importlib.metadata.version(self.package)
+        except (importlib.metadata.PackageNotFoundError, ValueError):
+            return None
 
     def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
         """Return the fixed blending constants of the backend; None if it uses the requested ones.
@@ -84,7 +93,7 @@ class Backend(Protocol):
         if torch.is_grad_enabled():
             rows = rows.requires_grad_()
         gaussians = (options.hook or Gaussians.activated)(state.split(rows), options.sh_degree)
-        view = self.render(*with_pose_gradient(gaussians, camera.to(rows)), options.of_view)
+        view = self.render(*with_pose_gradient(gaussians, camera), options.of_view)
         projection = view.projection
         if options.absgrad and (projection is None or projection.absgrad is None):
             raise ValueError(

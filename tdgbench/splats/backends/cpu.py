@@ -125,7 +125,7 @@ class CpuBackend(Backend):
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
         if options.hook is not None or camera.viewmat.requires_grad or state.channels + options.depth > MAX_CHANNELS:
-            return super().render_state(state, optimizer, camera, options, collect)
+            return super().render_state(state, optimizer, camera.to(state.values), options, collect)
         tolerance = options.tolerance or EVERYWHERE
         source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
         settings = _settings(camera, state.channels, options.sh_degree, options.of_view)

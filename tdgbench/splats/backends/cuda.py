@@ -11,7 +11,6 @@ accumulated z. Before 1.6, harmonics have three channels (rendering.py asserts i
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import importlib.util
 import re
 from collections.abc import Mapping
@@ -33,6 +32,7 @@ class CudaBackend(Backend):
     """Float32 on a CUDA GPU, by gsplat."""
 
     device = "cuda"
+    package = "gsplat"
     inputs = "float32 tensors on a CUDA GPU"
 
     def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
@@ -46,7 +46,7 @@ class CudaBackend(Backend):
         return _import_problem()
 
     def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
-        version = installed_version() if packages is None else packages.get("gsplat")
+        version = self.version() if packages is None else packages.get("gsplat")
         return AS_3DGS if _release(version) >= (1, 6) else replace(AS_3DGS, max_alpha=MAX_ALPHA_BEFORE_1_6)
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
@@ -100,14 +100,6 @@ def _import_problem() -> str | None:
             f"{torch.version.cuda}, for which torch was built, and a C++ compiler"
         )
     return None
-
-
-def installed_version() -> str | None:
-    """Return the version of gsplat; None if its files name none."""
-    try:
-        return importlib.metadata.version("gsplat")
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def _release(version: str | None) -> tuple[int, ...]:

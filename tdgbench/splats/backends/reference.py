@@ -104,7 +104,7 @@ class ReferenceBackend(Backend):
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         means, quats, scales, opacities, _, _ = gaussians
-        camera = camera._replace(viewmat=camera.viewmat.to(means.dtype), K=camera.K.to(means.dtype))
+        camera = camera.to(means)
         depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         in_front = ((depths > camera.near_plane) & (depths < camera.far_plane)).nonzero().squeeze(1)
         means2d, conics, covariance, z = project(

@@ -8,7 +8,10 @@ import torch
 from tdgbench.bench.backend_check import choose as choosing
 from tdgbench.bench.backend_check.choose import AutoBackend, BackendCheck, auto, check, choose, training_backend
 from tdgbench.bench.backend_check.compare import cloud
+from tdgbench.splats.backends import ON_GPU
+from tdgbench.splats.backends.backend import Backend
 from tdgbench.splats.backends.cuda import CudaBackend
+from tdgbench.splats.backends.warp import WarpBackend
 from tests.helpers.backends import StandIn, Unsteady, WrongGradient, register
 
 GOOD = BackendCheck("", 1e-6, 2e-5, 0.0, 3.1)
@@ -16,17 +19,18 @@ GOOD = BackendCheck("", 1e-6, 2e-5, 0.0, 3.1)
 
 @pytest.fixture
 def machine(monkeypatch):
-    """A machine with these GPUs, by name: `machine("A", "B")`."""
+    """A machine with these GPUs, by name: `machine("A", "B")`; why_not: of gsplat, no_warp: of Warp."""
     auto.cache_clear()
     monkeypatch.setattr(choosing, "choose", choose)  # other tests are on the CPU
     monkeypatch.setattr(choosing, "scenes", lambda: {"small": cloud(30, width=20, height=15)})
 
-    def with_gpus(*names, why_not=None):
+    def with_gpus(*names, why_not=None, no_warp="no Warp"):
         monkeypatch.setattr(torch.cuda, "is_available", lambda: bool(names))
         monkeypatch.setattr(torch.cuda, "device_count", lambda: len(names))
         monkeypatch.setattr(torch.cuda, "get_device_name", lambda index: names[index])
         monkeypatch.setattr(torch.cuda, "device", contextlib.nullcontext)
-        monkeypatch.setattr(choosing, "installed_version", lambda: "1.5.3")
+        monkeypatch.setattr(Backend, "version", lambda self: {"gsplat": "1.5.3", "warp-lang": "1.19.0"}[self.package])
+        monkeypatch.setattr(WarpBackend, "why_not", lambda self: no_warp)
         monkeypatch.setattr(CudaBackend, "why_not", lambda self: why_not)
 
     yield with_gpus
@@ -61,14 +65,38 @@ def test_a_gpu_that_is_right_is_taken(machine, checked):
     assert choice.backend == "cuda" and "\n" not in choice.line
     assert choice.line.startswith("NVIDIA A trains: gsplat 1.5.3 agrees with the reference (image within ")
     assert "of 5e-05, gradients within" in choice.line and "; deterministic; checked in" in choice.line
+    assert choice.line.endswith("; not warp: no Warp")
 
 
 def test_a_gpu_that_is_wrong_is_not_taken(machine, checked):
     machine("A")
     choice = choose(checked(WrongGradient()))
     assert choice.backend == "cpu"
-    assert choice.line.startswith("the CPU trains, not A: gsplat 1.5.3 did not pass its check: gradients of the scene")
+    assert choice.line.startswith(
+        "the CPU trains, not A: warp: no Warp; cuda: gsplat 1.5.3 did not pass its check on A: "
+    )
+    assert "gradients of the scene 'small'" in choice.line
     assert "backend=cuda trains with it all the same" in choice.line
+
+
+def test_warp_comes_before_gsplat(machine):
+    """Its check decides: gsplat is then checked, and only then the CPU trains."""
+    machine("A", no_warp=None)
+    asked = []
+
+    def run(backend):
+        asked.append(backend)
+        return BackendCheck("it is wrong") if len(asked) in (2, 4, 5) else GOOD
+
+    choice = choose(run)
+    assert (
+        choice.backend == "warp" and choice.line.startswith("A trains: warp-lang 1.19.0 agrees") and asked == ["warp"]
+    )
+    choice = choose(run)
+    assert choice.backend == "cuda" and asked == ["warp", "warp", "cuda"]
+    assert choice.line.startswith("A trains: gsplat 1.5.3") and "; not warp: warp-lang 1.19.0 did not" in choice.line
+    choice = choose(run)
+    assert choice.backend == "cpu" and asked[3:] == ["warp", "cuda"] and "; cuda: gsplat 1.5.3 did not" in choice.line
 
 
 def test_what_is_not_deterministic_is_said(machine, checked):
@@ -79,7 +107,7 @@ def test_what_is_not_deterministic_is_said(machine, checked):
 
 def test_a_gpu_without_gsplat_is_named(machine):
     machine("A", "A", why_not="gsplat is not installed: pip install -e '.[cuda]'")
-    line = "the CPU trains, not A: gsplat is not installed: pip install -e '.[cuda]'"
+    line = "the CPU trains, not A: warp: no Warp; cuda: gsplat is not installed: pip install -e '.[cuda]'"
     assert choose(never) == AutoBackend("cpu", line)
 
 
@@ -87,7 +115,7 @@ def test_every_model_has_to_pass(machine):
     machine("A", "A", "B")
     verdicts = iter([GOOD, BackendCheck("it is wrong")])
     choice = choose(lambda backend: next(verdicts))
-    assert choice.backend == "cpu" and choice.line.startswith("the CPU trains, not B:") and not list(verdicts)
+    assert choice.backend == "cpu" and "check on B: it is wrong" in choice.line and not list(verdicts)
 
 
 def test_the_line_is_printed_once(machine, monkeypatch, capsys):
@@ -103,6 +131,6 @@ def test_a_real_gpu_is_taken_or_named(monkeypatch, capsys):
     monkeypatch.setattr(choosing, "choose", choose)
     auto.cache_clear()
     try:
-        assert training_backend("auto") == "cuda", capsys.readouterr().err
+        assert training_backend("auto") in ON_GPU, capsys.readouterr().err
     finally:
         auto.cache_clear()

@@ -57,4 +57,4 @@ def test_table_and_status(tmp_path, data_root, capsys, monkeypatch):
     with pytest.raises(SystemExit):
         Stress().run(cfg)
     printed = capsys.readouterr().out
-    assert "SURPRISE" in printed and "expected so" in printed and "1 surprises" in printed
+    assert "SURPRISE" in printed and "expected so" in printed and f"{len(fast_backends())} surprises" in printed

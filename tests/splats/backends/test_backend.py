@@ -60,7 +60,7 @@ def double(tmp_path, monkeypatch):
 
 
 def test_a_new_backend_renders(double):
-    assert backend_names() == ["cpu", "cuda", "double", "reference"] and "double" in fast_backends()
+    assert backend_names() == ["cpu", "cuda", "double", "reference", "warp"] and "double" in fast_backends()
     given, camera = random_gaussians(20, 1, None, 1), turned_camera(16, 12)
     plain = rasterization(*given, *camera, 16, 12, backend="reference")[0]
     image, _, meta = rasterization(*given, *camera, 16, 12, backend="double")
@@ -88,16 +88,24 @@ def test_every_backend_has_its_yaml():
         assert config(f"backend={name}").backend.name == name and Backend in type(load_backend(name)).__mro__
 
 
-def test_auto_is_the_fast_backend_of_the_device():
+def test_auto_is_the_fast_backend_of_the_device(monkeypatch):
+    reasons = {"warp": None, "cuda": None}
+    for name, backend in ((name, load_backend(name)) for name in reasons):
+        monkeypatch.setattr(type(backend), "why_not", lambda self, name=name: reasons[name])
     cpu, gpu = torch.device("cpu"), torch.device("cuda")
     found = [choose_backend("auto", device, dtype) for device in (cpu, gpu) for dtype in (torch.float32, torch.float64)]
-    assert found == ["cpu", "reference", "cuda", "reference"]
+    assert found == ["cpu", "reference", "warp", "reference"]
+    reasons["warp"] = "not installed"
+    assert choose_backend("auto", gpu, torch.float32) == "cuda"
+    reasons["cuda"] = "no compiler"
+    with pytest.raises(RuntimeError, match="backend cuda cannot run: no compiler"):
+        choose_backend("auto", gpu, torch.float32)
     assert choose_backend("auto", torch.device("meta"), torch.float32) == "reference"
 
 
 @pytest.mark.parametrize("name", ["gpu", "backend", "", "cpu.Rasterize"])
 def test_other_names_are_refused(name):
-    with pytest.raises(ValueError, match="it must be one of auto, cpu, cuda, reference"):
+    with pytest.raises(ValueError, match="it must be one of auto, cpu, cuda, reference, warp"):
         load_backend(name)
 
 

@@ -1,0 +1,1 @@
+"""Kernels of the `warp` backend, a file per stage: one source for CUDA and for the CPU device of NVIDIA Warp."""
