@@ -13,7 +13,7 @@ from PIL import Image
 
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
-from tdgbench.data.prepare.sources import ViewFiles, find_sources
+from tdgbench.data.prepare.sources import Sources, ViewFiles
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, storage, whole_image, with_channels
@@ -80,15 +80,14 @@ class Capture:
 
 
 def read_capture(
-    folder: Path, work: Path, pairs: tuple[str, str] | None, scale: CountScale, thermal_alone: bool, report: Report
+    folder: Path, work: Path, sources: Sources, scale: CountScale, thermal_alone: bool, report: Report
 ) -> Capture:
-    """Read all files, and store their content in `work`.
+    """Read all files that were found in a folder, and store their content in `work`.
 
     scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. thermal_alone: RGB images are
     not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
     kinds.
     """
-    sources = find_sources(folder, pairs, thermal_alone)
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     radiometry = read_radiometry(folder / FILE)
     if not scale.is_known and radiometry is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,11 +13,12 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 import pycolmap
-from PIL import Image
 from pydantic import Field
 
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.inputs import listed
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
@@ -24,7 +26,8 @@ FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
-PAIRS_AT_A_TIME = 64  # between two steps of the progress
+PAIRS_AT_A_TIME = 64  # between two steps of the progress, and what a stopped run loses at most
+DATABASE = "database.db"
 
 
 @dataclass(frozen=True)
@@ -60,64 +63,84 @@ class Structure:
     matches: Counter[str]
 
 
-def reconstruct(images: Path, names: list[str], work: Path, options: SfmOptions) -> Structure:
-    """Run COLMAP on images of one size. images: their folder; names: their files; work: an empty folder.
+def reconstruct(images: Path, names: list[str], stages: Stages, options: SfmOptions) -> Structure:
+    """Run COLMAP on images of one size. images: their folder; names: their files; stages: what is done already.
 
     Raises SceneError if no model is found, with what was found instead.
     """
-    database = work / "database.db"
+    pairs = list(image_pairs(names, options.matching))
+    camera = options.camera_model, options.focal
     with _quiet():
-        pycolmap.set_random_seed(options.seed)
-        _extract(database, images, names, options)
-        _match(database, work / "pairs.txt", names, options)
-        models = _map(database, images, work / "models", len(names), options)
-    features, matches = _counts(database)
+        features = stages.make("features", names, lambda place: _extract(place, images, names, options))
+        matched = stages.make(
+            "matches", (pairs, camera, options.seed), lambda place: _set_camera(features, place, options)
+        )
+        database = matched / DATABASE
+        _match(database, pairs, options)
+        mapped = stages.make("models", None, lambda place: _map(database, images, place, len(names), options))
+        models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
+    keypoints, matches = _counts(database)
     sizes = sorted((model.num_reg_images() for model in models), reverse=True)
     if not sizes or sizes[0] < FEWEST_IMAGES:
-        raise SceneError(_no_model(names, features, matches, sizes, options.images))
+        raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
     best = max(models, key=lambda model: model.num_reg_images())
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
-    (camera,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
-    focal = camera.mean_focal_length()
-    if not FOCALS[0] < focal / camera.width < FOCALS[1]:
+    (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
+    focal = lens.mean_focal_length()
+    if not FOCALS[0] < focal / lens.width < FOCALS[1]:
         raise SceneError(
-            f"COLMAP finds a focal length of {focal:.0f} px for images {camera.width} px wide, as no lens has: views "
+            f"COLMAP finds a focal length of {focal:.0f} px for images {lens.width} px wide, as no lens has: views "
             "in one direction on a flat field do not settle it. Say it: --focal PX"
         )
     error = best.compute_mean_reprojection_error()
-    return Structure(camera, poses, _cloud(best), error, sizes, features, matches)
+    return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches)
 
 
-def _extract(database: Path, images: Path, names: list[str], options: SfmOptions) -> None:
+def _extract(place: Path, images: Path, names: list[str], options: SfmOptions) -> None:
     settings = pycolmap.FeatureExtractionOptions()
     settings.num_threads = options.threads or -1
-    reader = pycolmap.ImageReaderOptions()
-    reader.camera_model = options.camera_model
-    if options.focal is not None:
-        width, height = Image.open(images / names[0]).size
-        camera = pycolmap.Camera.create_from_model_name(1, options.camera_model, options.focal, width, height)
-        reader.camera_params = ",".join(map(str, camera.params))
     with step("features of images", len(names)) as count:
         pycolmap.extract_features(
-            database, images, names, pycolmap.CameraMode.SINGLE, reader, settings, pycolmap.Device.cpu
-        )
+            place / DATABASE, images, names, pycolmap.CameraMode.SINGLE, extraction_options=settings,
+            device=pycolmap.Device.cpu,
+        )  # fmt: skip
         count(len(names))
 
 
-def _match(database: Path, list_path: Path, names: list[str], options: SfmOptions) -> None:
+def _set_camera(features: Path, place: Path, options: SfmOptions) -> None:
+    """Copy the database, and give it the camera of the options. Its focal length, unless known, is COLMAP's guess."""
+    shutil.copyfile(features / DATABASE, place / DATABASE)
+    with pycolmap.Database.open(place / DATABASE) as stored:
+        (guess,) = stored.read_all_cameras()
+        focal = options.focal or guess.mean_focal_length()
+        camera = pycolmap.Camera.create_from_model_name(
+            guess.camera_id, options.camera_model, focal, guess.width, guess.height
+        )
+        camera.has_prior_focal_length = options.focal is not None or guess.has_prior_focal_length
+        stored.update_camera(camera)
+
+
+def _match(database: Path, pairs: list[tuple[str, str]], options: SfmOptions) -> None:
+    """Match pairs, in batches that COLMAP stores whole or not at all; batches that are stored already stay."""
     settings = pycolmap.FeatureMatchingOptions()
     settings.num_threads = options.threads or -1
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
     pairing = pycolmap.ImportedPairingOptions()
+    list_path = database.with_name("pairs.txt")
     pairing.match_list_path = str(list_path)
-    pairs = list(image_pairs(names, options.matching))
-    with step("pairs of images to match", len(pairs)) as count:
-        for first in range(0, len(pairs), PAIRS_AT_A_TIME):
-            some = pairs[first : first + PAIRS_AT_A_TIME]
+    with pycolmap.Database.open(database) as stored:
+        ids = {image.name: image.image_id for image in stored.read_all_images()}
+        batches = [pairs[first : first + PAIRS_AT_A_TIME] for first in range(0, len(pairs), PAIRS_AT_A_TIME)]
+        missing = [some for some in batches if not stored.exists_matches(*(ids[name] for name in some[-1]))]
+    if not missing:
+        return
+    with step("pairs of images to match", sum(map(len, missing))) as count:
+        done = 0
+        for some in missing:
             list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
             pycolmap.match_image_pairs(database, settings, pairing, verification, pycolmap.Device.cpu)
-            count(first + len(some))
+            count(done := done + len(some))
 
 
 def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
@@ -134,16 +157,16 @@ def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
         yield from ((name, names[index + away]) for away in steps if index + away < len(names))
 
 
-def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> list[pycolmap.Reconstruction]:
+def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> None:
+    pycolmap.set_random_seed(options.seed)
     settings = pycolmap.IncrementalPipelineOptions()
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
     settings.ba_refine_focal_length = options.focal is None
-    folder.mkdir()
     with step("images to register", total) as count:
         done = itertools.count(3)  # the first pair counts as two
-        models = pycolmap.incremental_mapping(
+        pycolmap.incremental_mapping(
             database,
             images,
             folder,
@@ -151,7 +174,6 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
             initial_image_pair_callback=lambda: count(2),
             next_image_callback=lambda: count(min(next(done), total)),
         )
-    return list(models.values())
 
 
 def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
 
 
@@ -21,6 +22,5 @@ def test_no_model_is_one_error(tmp_path):
     names = [f"{i}.png" for i in range(3)]
     for name in names:
         Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
-    (tmp_path / "work").mkdir()
     with pytest.raises(SceneError, match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features.*Take more pictures"):
-        reconstruct(tmp_path, names, tmp_path / "work", SfmOptions(threads=1))
+        reconstruct(tmp_path, names, Stages(tmp_path / "work"), SfmOptions(threads=1))
