@@ -15,6 +15,7 @@ from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_o
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
 from tdgbench.data.prepare.contrast import write_pictures
+from tdgbench.data.prepare.places import coordinates
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
@@ -67,12 +68,15 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
     thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
     capture, report = _read(folder, stages, options, thermal_alone, report)
+    positions = None
+    if options.sfm is not None and options.sfm.matching == "nearest":
+        positions = _positions(capture, report)
     if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     mapping, own = _choose_mapping(capture, options)
     structure = None
     if options.sfm is not None:
-        structure = reconstruct(capture.folder, list(capture.names.values()), stages, options.sfm)
+        structure = reconstruct(capture.folder, list(capture.names.values()), stages, options.sfm, positions)
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
@@ -117,6 +121,17 @@ def _read(
     return replace(capture, folder=place), report
 
 
+def _positions(capture: Capture, report: Report) -> np.ndarray:
+    """Return positions (N, 3) in m, or times (N, 1) in s, of the views that have one; others leave the capture."""
+    found = coordinates(capture.places)
+    what = "GPS position with altitude" if len(next(iter(found.values()))) == 3 else "time of capture"
+    for file in report.files:
+        if file.status == "written" and file.view not in found:
+            file.status, file.reason = "left out", f"no {what}, as --matching nearest needs where other files have one"
+    capture.names = {view: name for view, name in capture.names.items() if view in found}
+    return np.array(list(found.values()))
+
+
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
     """Return the mapping that the output is cropped by, and those of views for which the camera states others."""
     sizes = capture.kind.rgb, capture.kind.thermal
@@ -139,6 +154,7 @@ def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping,
 def _note_structure(structure: Structure, capture: Capture, report: Report) -> None:
     report.models, report.error_px = structure.models, structure.error_px
     report.points = len(structure.points.points)
+    report.assumptions += structure.notes
     report.camera = f"{structure.camera.model_name}, f = {structure.camera.mean_focal_length():.0f} px"
     for file in report.files:
         name = capture.names.get(file.view)

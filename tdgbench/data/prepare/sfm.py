@@ -7,7 +7,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -15,12 +15,14 @@ import numpy as np
 import pycolmap
 from pydantic import Field
 
+from tdgbench.data.prepare.places import nearest_pairs, to_metres
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
 from tdgbench.scenes.inputs import listed
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
+Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
@@ -40,7 +42,7 @@ class SfmOptions:
 
     images: Literal["rgb", "thermal"] = "rgb"
     focal: Annotated[float, Field(gt=0)] | None = None
-    matching: Literal["exhaustive", "sequential"] = "exhaustive"
+    matching: Matching = "exhaustive"
     camera_model: CameraModel = "SIMPLE_RADIAL"
     seed: Annotated[int, Field(ge=0)] = 0
     threads: Annotated[int, Field(ge=1)] | None = None
@@ -51,7 +53,7 @@ class Structure:
     """The largest model. poses: world-to-camera (4, 4) by image file. error_px: mean reprojection error.
 
     models: registered images of each model found. features, matches: by image file, keypoints and verified matches
-    with all other images.
+    with all other images. notes: what the report should say of the model's frame.
     """
 
     camera: pycolmap.Camera
@@ -61,14 +63,18 @@ class Structure:
     models: list[int]
     features: Counter[str]
     matches: Counter[str]
+    notes: list[str] = field(default_factory=list)
 
 
-def reconstruct(images: Path, names: list[str], stages: Stages, options: SfmOptions) -> Structure:
+def reconstruct(
+    images: Path, names: list[str], stages: Stages, options: SfmOptions, positions: np.ndarray | None = None
+) -> Structure:
     """Run COLMAP on images of one size. images: their folder; names: their files; stages: what is done already.
 
+    positions: of nearest matching, (N, 3) in m, which the model is aligned with, or (N, 1) in s.
     Raises SceneError if no model is found, with what was found instead.
     """
-    pairs = list(image_pairs(names, options.matching))
+    pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
     camera = options.camera_model, options.focal
     with _quiet():
         features = stages.make("features", names, lambda place: _extract(place, images, names, options))
@@ -84,6 +90,9 @@ def reconstruct(images: Path, names: list[str], stages: Stages, options: SfmOpti
     if not sizes or sizes[0] < FEWEST_IMAGES:
         raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
     best = max(models, key=lambda model: model.num_reg_images())
+    notes = []
+    if positions is not None and positions.shape[1] == 3:
+        notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
     focal = lens.mean_focal_length()
@@ -93,7 +102,7 @@ def reconstruct(images: Path, names: list[str], stages: Stages, options: SfmOpti
             "in one direction on a flat field do not settle it. Say it: --focal PX"
         )
     error = best.compute_mean_reprojection_error()
-    return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches)
+    return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches, notes)
 
 
 def _extract(place: Path, images: Path, names: list[str], options: SfmOptions) -> None:
