@@ -24,6 +24,8 @@ from tdgbench.scenes.inputs import listed
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
+LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest model
+MOST_APART = 2  # times, of these focal lengths
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
@@ -85,23 +87,21 @@ def reconstruct(
         _match(database, pairs, options)
         mapped = stages.make("models", None, lambda place: _map(database, images, place, len(names), options))
         models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
-    keypoints, matches = _counts(database)
-    sizes = sorted((model.num_reg_images() for model in models), reverse=True)
-    if not sizes or sizes[0] < FEWEST_IMAGES:
-        raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
-    best = max(models, key=lambda model: model.num_reg_images())
-    notes = []
+        models.sort(key=lambda model: -model.num_reg_images())
+        keypoints, matches = _counts(database)
+        sizes = [model.num_reg_images() for model in models]
+        if not sizes or sizes[0] < FEWEST_IMAGES:
+            raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
+        _check_focal_lengths(models)
+        best, notes = models[0], add_models(*models)
+        if best.num_reg_images() > sizes[0]:
+            refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
+            best = pycolmap.Reconstruction(refined)
     if positions is not None and positions.shape[1] == 3:
         notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
-    focal = lens.mean_focal_length()
-    if not FOCALS[0] < focal / lens.width < FOCALS[1]:
-        raise SceneError(
-            f"COLMAP finds a focal length of {focal:.0f} px for images {lens.width} px wide, as no lens has: views "
-            "in one direction on a flat field do not settle it. Say it: --focal PX"
-        )
-    error = best.compute_mean_reprojection_error()
+    error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
     return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches, notes)
 
 
@@ -166,23 +166,74 @@ def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
         yield from ((name, names[index + away]) for away in steps if index + away < len(names))
 
 
-def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> None:
-    pycolmap.set_random_seed(options.seed)
+def _pipeline(options: SfmOptions) -> pycolmap.IncrementalPipelineOptions:
     settings = pycolmap.IncrementalPipelineOptions()
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
     settings.ba_refine_focal_length = options.focal is None
+    return settings
+
+
+def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> None:
+    pycolmap.set_random_seed(options.seed)
     with step("images to register", total) as count:
         done = itertools.count(3)  # the first pair counts as two
         pycolmap.incremental_mapping(
             database,
             images,
             folder,
-            settings,
+            _pipeline(options),
             initial_image_pair_callback=lambda: count(2),
             next_image_callback=lambda: count(min(next(done), total)),
         )
+
+
+def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
+    """Raise SceneError for a focal length of the largest model that no lens has, or that another large model denies."""
+    large = [model for model in models if model.num_reg_images() >= min(LARGE, models[0].num_reg_images())]
+    cameras = [camera for model in large for camera in model.cameras.values()]
+    focals, width = [camera.mean_focal_length() for camera in cameras], cameras[0].width
+    remedy = "views in one direction on a flat field do not settle it. Say it: --focal PX"
+    if not FOCALS[0] < focals[0] / width < FOCALS[1]:
+        raise SceneError(
+            f"COLMAP finds a focal length of {focals[0]:.0f} px for images {width} px wide, as no lens has: {remedy}"
+        )
+    if max(focals) > MOST_APART * min(focals):
+        raise SceneError(
+            f"COLMAP finds {len(large)} models of one camera with focal lengths of {min(focals):.0f} to "
+            f"{max(focals):.0f} px: {remedy}"
+        )
+
+
+def add_models(largest: pycolmap.Reconstruction, *others: pycolmap.Reconstruction) -> list[str]:
+    """Add images, without points, of models that share images with the largest one; say what became of each.
+
+    A model is moved by the similarity that reprojects its points into the shared images.
+    """
+    notes = []
+    for other in others:
+        new = [image for key, image in other.images.items() if image.has_pose and not largest.exists_image(key)]
+        similarity = pycolmap.align_reconstructions_via_reprojections(other, largest) if new else None
+        if similarity is not None:
+            other.transform(similarity)
+            for image in new:
+                copy = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+                largest.add_image_with_trivial_frame(copy, image.cam_from_world())
+            notes.append(f"{len(new)} images come from a smaller model, joined by the images that both hold")
+        elif new:
+            notes.append(f"{len(new)} images are of a smaller model, which shares too little with the largest one")
+    return notes
+
+
+def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder: Path, options: SfmOptions) -> None:
+    """Triangulate the points of a joined model, refine all together, and write it."""
+    settings = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=options.focal is None)
+    settings.ceres.solver_options.num_threads = options.threads or -1
+    pycolmap.set_random_seed(options.seed)
+    joined = pycolmap.triangulate_points(model, database, images, folder, options=_pipeline(options))
+    pycolmap.bundle_adjustment(joined, settings)
+    joined.write(folder)
 
 
 def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:
