@@ -79,8 +79,8 @@ def nearest_pairs(names: list[str], positions: np.ndarray) -> list[tuple[str, st
 def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], seed: int) -> str:
     """Align a model with positions (3,) in m by image file, by a similarity, and say how well it fits.
 
-    The model stays as it is if the fit is no better than a tenth of the positions' spread across their main direction:
-    on a line, or with the errors of GPS as large as the flight, it would mean nothing.
+    The model stays as it is if the fit is worse than a quarter of the positions' spread across their main direction: on
+    a line, or with errors of GPS as large as the flight, it would mean nothing.
     """
     centres = {image.name: image.projection_center() for image in model.images.values() if image.has_pose}
     metres = np.array([positions[name] for name in centres])
@@ -91,7 +91,7 @@ def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], 
     error = np.linalg.norm(np.array([similarity * centre for centre in centres.values()]) - metres, axis=1)
     spread = np.linalg.svd(metres - metres.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(metres))
     fit = f"{np.median(error):.2f} m (median) from the GPS positions of {len(metres)} images"
-    if np.median(error) > spread / 10:
+    if np.median(error) > spread / 4:
         return (
             f"the model has no metric scale: at best, its cameras lie {fit}, which spread by {spread:.2f} m to the side"
         )
