@@ -93,6 +93,7 @@ def reconstruct(
         if not sizes or sizes[0] < FEWEST_IMAGES:
             raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
         _check_focal_lengths(models)
+        pycolmap.set_random_seed(options.seed)
         best, notes = models[0], add_models(*models)
         if best.num_reg_images() > sizes[0]:
             refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
@@ -230,7 +231,6 @@ def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder
     """Triangulate the points of a joined model, refine all together, and write it."""
     settings = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=options.focal is None)
     settings.ceres.solver_options.num_threads = options.threads or -1
-    pycolmap.set_random_seed(options.seed)
     joined = pycolmap.triangulate_points(model, database, images, folder, options=_pipeline(options))
     pycolmap.bundle_adjustment(joined, settings)
     joined.write(folder)
