@@ -92,9 +92,7 @@ def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], 
     spread = np.linalg.svd(metres - metres.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(metres))
     fit = f"{np.median(error):.2f} m (median) from the GPS positions of {len(metres)} images"
     if np.median(error) > spread / 4:
-        return (
-            f"the model has no metric scale: at best, its cameras lie {fit}, which spread by {spread:.2f} m to the side"
-        )
+        return f"the model has no metric scale: at best, its cameras lie {fit}, which spread by {spread:.1f} m aside"
     model.transform(similarity)
     return f"the model is in metres by GPS, x east, y north, z up: its cameras lie {fit}, {error.max():.2f} m at most"
 

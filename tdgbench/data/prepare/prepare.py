@@ -68,9 +68,8 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
     thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
     capture, report = _read(folder, stages, options, thermal_alone, report)
-    positions = None
-    if options.sfm is not None and options.sfm.matching == "nearest":
-        positions = _positions(capture, report)
+    is_nearest = options.sfm is not None and options.sfm.matching == "nearest"
+    positions = _positions(capture, report) if is_nearest else None
     if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     mapping, own = _choose_mapping(capture, options)
@@ -80,16 +79,13 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
+    report.assumptions += [] if thermal_alone else [mapping.assumption]
     if thermal_alone:
         report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
     elif structure is not None:
-        report.assumptions += [
-            mapping.assumption, "lens distortion is the RGB camera's, removed from both images alike"
-        ]  # fmt: skip
+        report.assumptions.append("lens distortion is the RGB camera's, removed from both images alike")
     else:
-        report.assumptions += [
-            mapping.assumption, "images are not undistorted, and there is no model: run COLMAP on rgb/, into sparse/0"
-        ]  # fmt: skip
+        report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
     report.size = grid.size
     views = _write_views(part, capture, (grid, mapping, own), report)
     views.temperature(options.range or _known_range(folder, capture), report)
@@ -104,10 +100,8 @@ def _read(
 ) -> tuple[Capture, Report]:
     """Read the camera's files, or what an earlier run stored of them: the capture, and the report until then."""
     sources = find_sources(folder, options.pairs, thermal_alone)
-    used = [path for view in sources.views for path in (view.thermal, view.rgb) if path is not None]
-    states = [
-        (str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (*used, folder / FILE) if is_there(path)
-    ]
+    used = [folder / FILE, *(path for view in sources.views for path in (view.thermal, view.rgb) if path is not None)]
+    states = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in used if is_there(path)]
 
     def write(place: Path) -> None:
         capture = read_capture(folder, place, sources, options.counts, thermal_alone, report)

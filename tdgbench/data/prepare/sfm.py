@@ -24,7 +24,7 @@ from tdgbench.scenes.inputs import listed
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
-LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest model
+LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest models
 MOST_APART = 2  # times, of these focal lengths
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
@@ -191,19 +191,14 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
 
 
 def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
-    """Raise SceneError for a focal length of the largest model that no lens has, or that another large model denies."""
+    """Raise SceneError for focal lengths that no lens has, or that differ between large models of one camera."""
     large = [model for model in models if model.num_reg_images() >= min(LARGE, models[0].num_reg_images())]
     cameras = [camera for model in large for camera in model.cameras.values()]
-    focals, width = [camera.mean_focal_length() for camera in cameras], cameras[0].width
-    remedy = "views in one direction on a flat field do not settle it. Say it: --focal PX"
-    if not FOCALS[0] < focals[0] / width < FOCALS[1]:
+    focals, width = sorted(camera.mean_focal_length() for camera in cameras), cameras[0].width
+    if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, MOST_APART * focals[0]):
         raise SceneError(
-            f"COLMAP finds a focal length of {focals[0]:.0f} px for images {width} px wide, as no lens has: {remedy}"
-        )
-    if max(focals) > MOST_APART * min(focals):
-        raise SceneError(
-            f"COLMAP finds {len(large)} models of one camera with focal lengths of {min(focals):.0f} to "
-            f"{max(focals):.0f} px: {remedy}"
+            f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, images being {width} px "
+            "wide, as no lens has: views in one direction on a flat field do not settle it. Say it: --focal PX"
         )
 
 
