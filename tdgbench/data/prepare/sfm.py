@@ -197,8 +197,8 @@ def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
     focals, width = sorted(camera.mean_focal_length() for camera in cameras), cameras[0].width
     if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, MOST_APART * focals[0]):
         raise SceneError(
-            f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, images being {width} px "
-            "wide, as no lens has: views in one direction on a flat field do not settle it. Say it: --focal PX"
+            f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, as no lens has, in "
+            f"images {width} px wide: views in one direction on a flat field do not settle it. Say it: --focal PX"
         )
 
 
