@@ -30,7 +30,7 @@ FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
-PAIRS_AT_A_TIME = 64  # between two steps of the progress, and what a stopped run loses at most
+PAIRS_AT_A_TIME = 64  # between two steps of the progress
 DATABASE = "database.db"
 
 
@@ -131,7 +131,7 @@ def _set_camera(features: Path, place: Path, options: SfmOptions) -> None:
 
 
 def _match(database: Path, pairs: list[tuple[str, str]], options: SfmOptions) -> None:
-    """Match pairs, in batches that COLMAP stores whole or not at all; batches that are stored already stay."""
+    """Match pairs. COLMAP stores each when it is verified, and those that are stored already stay."""
     settings = pycolmap.FeatureMatchingOptions()
     settings.num_threads = options.threads or -1
     verification = pycolmap.TwoViewGeometryOptions()
@@ -141,16 +141,15 @@ def _match(database: Path, pairs: list[tuple[str, str]], options: SfmOptions) ->
     pairing.match_list_path = str(list_path)
     with pycolmap.Database.open(database) as stored:
         ids = {image.name: image.image_id for image in stored.read_all_images()}
-        batches = [pairs[first : first + PAIRS_AT_A_TIME] for first in range(0, len(pairs), PAIRS_AT_A_TIME)]
-        missing = [some for some in batches if not stored.exists_matches(*(ids[name] for name in some[-1]))]
+        missing = [(a, b) for a, b in pairs if not stored.exists_two_view_geometry(ids[a], ids[b])]
     if not missing:
         return
-    with step("pairs of images to match", sum(map(len, missing))) as count:
-        done = 0
-        for some in missing:
+    with step("pairs of images to match", len(missing)) as count:
+        for first in range(0, len(missing), PAIRS_AT_A_TIME):
+            some = missing[first : first + PAIRS_AT_A_TIME]
             list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
             pycolmap.match_image_pairs(database, settings, pairing, verification, pycolmap.Device.cpu)
-            count(done := done + len(some))
+            count(first + len(some))
 
 
 def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:

@@ -38,12 +38,12 @@ def test_a_changed_input_starts_again_from_its_stage(tmp_path):
 
 @pytest.mark.slow
 def test_killed_at_five_moments_it_ends_with_the_same_bytes(tmp_path):
-    """Each run is killed in a later step than the one before. No run repeats a finished step, or batch of matches."""
+    """Each run is killed in a later step than the one before. None repeats a finished step or a matched pair."""
     for name in ("killed", "whole"):
         write_relief(tmp_path / name / "camera", places(6, 3))
     pairs = [begun_until(step, tmp_path / "killed", STEPS[max(index - 1, 0) : index + 1])
              for index, step in enumerate(STEPS)]  # fmt: skip
-    assert pairs[2] == 153 and pairs[3] in (25, 89)  # the batch before, of 64, was stored or not
+    assert pairs[2] == 153 and pairs[3] <= 153 - 64
     content = {}
     for name, begun in (("killed", STEPS[4:]), ("whole", STEPS)):
         run = tdgbench(tmp_path / name, *COMMAND)
