@@ -35,7 +35,7 @@ def read_place(path: Path) -> Place:
     """
     with suppress(SceneError), opened_image(path) as image:
         exif = image.getexif()
-        xmp = dict(DRONE.findall(_bytes(image.info.get("xmp"))))
+        xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
         gps = _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
         if gps is None and len(xmp) == 3:
             gps = float(xmp[b"GpsLat"]), float(xmp[b"GpsLon"]), float(xmp[b"Abs"])
@@ -120,7 +120,3 @@ def _seconds(exif: Image.Exif) -> float | None:
         whole = (datetime.strptime(taken, "%Y:%m:%d %H:%M:%S") - datetime(1970, 1, 1)).total_seconds()
         return whole + float(f"0.{fraction}" if fraction.isdigit() else 0)
     return None
-
-
-def _bytes(text: object) -> bytes:
-    return text if isinstance(text, bytes) else str(text or "").encode()

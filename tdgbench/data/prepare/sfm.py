@@ -52,10 +52,10 @@ class SfmOptions:
 
 @dataclass(frozen=True)
 class Structure:
-    """The largest model. poses: world-to-camera (4, 4) by image file. error_px: mean reprojection error.
+    """The largest model, with those joined to it. poses: world-to-camera (4, 4) by image file.
 
-    models: registered images of each model found. features, matches: by image file, keypoints and verified matches
-    with all other images. notes: what the report should say of the model's frame.
+    error_px: mean reprojection error. models: registered images of each model found. features, matches: by
+    image file, keypoints and verified matches with all other images. notes: for the report, on joining and scale.
     """
 
     camera: pycolmap.Camera
@@ -77,12 +77,10 @@ def reconstruct(
     Raises SceneError if no model is found, with what was found instead.
     """
     pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
-    camera = options.camera_model, options.focal
+    inputs = pairs, options.camera_model, options.focal, options.seed
     with _quiet():
         features = stages.make("features", names, lambda place: _extract(place, images, names, options))
-        matched = stages.make(
-            "matches", (pairs, camera, options.seed), lambda place: _set_camera(features, place, options)
-        )
+        matched = stages.make("matches", inputs, lambda place: _set_camera(features, place, options))
         database = matched / DATABASE
         _match(database, pairs, options)
         mapped = stages.make("models", None, lambda place: _map(database, images, place, len(names), options))
@@ -110,10 +108,8 @@ def _extract(place: Path, images: Path, names: list[str], options: SfmOptions) -
     settings = pycolmap.FeatureExtractionOptions()
     settings.num_threads = options.threads or -1
     with step("features of images", len(names)) as count:
-        pycolmap.extract_features(
-            place / DATABASE, images, names, pycolmap.CameraMode.SINGLE, extraction_options=settings,
-            device=pycolmap.Device.cpu,
-        )  # fmt: skip
+        mode, device = pycolmap.CameraMode.SINGLE, pycolmap.Device.cpu
+        pycolmap.extract_features(place / DATABASE, images, names, mode, extraction_options=settings, device=device)
         count(len(names))
 
 
@@ -121,13 +117,11 @@ def _set_camera(features: Path, place: Path, options: SfmOptions) -> None:
     """Copy the database, and give it the camera of the options. Its focal length, unless known, is COLMAP's guess."""
     shutil.copyfile(features / DATABASE, place / DATABASE)
     with pycolmap.Database.open(place / DATABASE) as stored:
-        (guess,) = stored.read_all_cameras()
-        focal = options.focal or guess.mean_focal_length()
-        camera = pycolmap.Camera.create_from_model_name(
-            guess.camera_id, options.camera_model, focal, guess.width, guess.height
-        )
-        camera.has_prior_focal_length = options.focal is not None or guess.has_prior_focal_length
-        stored.update_camera(camera)
+        (old,) = stored.read_all_cameras()
+        focal = options.focal or old.mean_focal_length()
+        new = pycolmap.Camera.create_from_model_name(old.camera_id, options.camera_model, focal, old.width, old.height)
+        new.has_prior_focal_length = options.focal is not None or old.has_prior_focal_length
+        stored.update_camera(new)
 
 
 def _match(database: Path, pairs: list[tuple[str, str]], options: SfmOptions) -> None:

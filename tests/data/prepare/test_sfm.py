@@ -73,9 +73,7 @@ def model_of(images, focal):
 
 def test_focal_lengths_that_no_lens_has():
     sfm._check_focal_lengths([model_of(20, 1500), model_of(12, 800), model_of(4, 300)])
-    with pytest.raises(
-        SceneError, match=r"focal lengths of 700, 1500 px, as no lens has.*1024 px.*--focal PX"
-    ):
+    with pytest.raises(SceneError, match=r"focal lengths of 700, 1500 px, as no lens has.*1024 px.*--focal PX"):
         sfm._check_focal_lengths([model_of(20, 1500), model_of(12, 700)])
     with pytest.raises(SceneError, match=r"focal lengths of 40000 px.*--focal PX"):
         sfm._check_focal_lengths([model_of(5, 40000)])
