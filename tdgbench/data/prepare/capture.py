@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
+from tdgbench.data.prepare.places import Place, read_place
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
-from tdgbench.data.prepare.sources import ViewFiles, find_sources
+from tdgbench.data.prepare.sources import Sources, ViewFiles
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, storage, whole_image, with_channels
@@ -62,13 +63,15 @@ class ViewContent:
 class Capture:
     """Views of one kind, whose images wait in a folder. names: image file by view.
 
-    mappings: where thermal images lie in the photos inside their files, by view, where the files state it.
+    mappings: where thermal images lie in the photos inside their files, by view, where the files state it. places: of
+    the pictures that COLMAP sees, by view.
     """
 
     folder: Path
     kind: Kind
     names: dict[str, str] = field(default_factory=dict)
     mappings: dict[str, PhotoMapping] = field(default_factory=dict)
+    places: dict[str, Place] = field(default_factory=dict)
 
     def rgb(self, view: str) -> np.ndarray | None:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
@@ -80,15 +83,14 @@ class Capture:
 
 
 def read_capture(
-    folder: Path, work: Path, pairs: tuple[str, str] | None, scale: CountScale, thermal_alone: bool, report: Report
+    folder: Path, work: Path, sources: Sources, scale: CountScale, thermal_alone: bool, report: Report
 ) -> Capture:
-    """Read all files, and store their content in `work`.
+    """Read all files that were found in a folder, and store their content in `work`.
 
     scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. thermal_alone: RGB images are
     not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
     kinds.
     """
-    sources = find_sources(folder, pairs, thermal_alone)
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     radiometry = read_radiometry(folder / FILE)
     if not scale.is_known and radiometry is not None:
@@ -192,6 +194,7 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
     capture.names[files.view] = name
+    capture.places[files.view] = read_place(files.rgb or files.thermal)
     if content.mapping is not None:
         capture.mappings[files.view] = content.mapping
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import get_args
 
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
-from tdgbench.data.prepare.sfm import CAMERA_MODELS, SfmOptions
+from tdgbench.data.prepare.sfm import CAMERA_MODELS, Matching, SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import CountScale
@@ -31,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
     parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
     parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
-    parser.add_argument("--matching", choices=("exhaustive", "sequential"), default="exhaustive",
-                        help="sequential: neighbours by name, for videos")  # fmt: skip
+    parser.add_argument("--matching", choices=get_args(Matching), default="exhaustive",
+                        help="sequential: neighbours by name, for videos; nearest: by GPS, else time")  # fmt: skip
     parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of these images")
     parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
     parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import json
-import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 from PIL import Image
+from pydantic import ConfigDict, TypeAdapter
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
 from tdgbench.data.prepare.contrast import write_pictures
+from tdgbench.data.prepare.places import coordinates
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
+from tdgbench.data.prepare.sources import find_sources
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import Camera, PointCloud, SceneError
 from tdgbench.scenes.colmap import write_model
+from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, robust_range
 
 SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
 NARROWEST = 0.01  # °C, of a range
+READ = TypeAdapter(tuple[Capture, Report], config=ConfigDict(ser_json_inf_nan="constants"))  # what was read, as JSON
 
 
 @dataclass(frozen=True)
@@ -51,47 +56,74 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.
     """
+    stages = Stages(out.with_name(f".{out.name}.work"))
     with new_folder(out) as part:
-        report = Report(str(folder), str(out))
-        _prepare(folder, part, options, report)
+        report = _prepare(folder, part, stages, options, Report(str(folder), str(out)))
         (part / "report.txt").write_text(report.text(), encoding="utf-8")
         (part / "report.json").write_text(report.json(), encoding="utf-8")
+    stages.remove()
     return report
 
 
-def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) -> None:
-    work = part / "work"
-    work.mkdir()
+def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
     thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
-    capture = read_capture(folder, work, options.pairs, options.counts, thermal_alone, report)
+    capture, report = _read(folder, stages, options, thermal_alone, report)
+    is_nearest = options.sfm is not None and options.sfm.matching == "nearest"
+    positions = _positions(capture, report) if is_nearest else None
     if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     mapping, own = _choose_mapping(capture, options)
     structure = None
-    if thermal_alone:
-        write_pictures(capture)
     if options.sfm is not None:
-        structure = reconstruct(work, list(capture.names.values()), work, options.sfm)
+        structure = reconstruct(capture.folder, list(capture.names.values()), stages, options.sfm, positions)
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
+    report.assumptions += [] if thermal_alone else [mapping.assumption]
     if thermal_alone:
         report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
     elif structure is not None:
-        report.assumptions += [
-            mapping.assumption, "lens distortion is the RGB camera's, removed from both images alike"
-        ]  # fmt: skip
+        report.assumptions.append("lens distortion is the RGB camera's, removed from both images alike")
     else:
-        report.assumptions += [
-            mapping.assumption, "images are not undistorted, and there is no model: run COLMAP on rgb/, into sparse/0"
-        ]  # fmt: skip
+        report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
     report.size = grid.size
     views = _write_views(part, capture, (grid, mapping, own), report)
     views.temperature(options.range or _known_range(folder, capture), report)
     if structure is not None:
         poses = {view: structure.poses[capture.names[view]] for view in views.names}
         views.model({f"{view}.png": grid.camera(pose) for view, pose in poses.items()}, structure.points)
-    shutil.rmtree(work)
+    return report
+
+
+def _read(
+    folder: Path, stages: Stages, options: PrepareOptions, thermal_alone: bool, report: Report
+) -> tuple[Capture, Report]:
+    """Read the camera's files, or what an earlier run stored of them: the capture, and the report until then."""
+    sources = find_sources(folder, options.pairs, thermal_alone)
+    used = [folder / FILE, *(path for view in sources.views for path in (view.thermal, view.rgb) if path is not None)]
+    states = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in used if is_there(path)]
+
+    def write(place: Path) -> None:
+        capture = read_capture(folder, place, sources, options.counts, thermal_alone, report)
+        if thermal_alone:
+            write_pictures(capture)
+        (place / "capture.json").write_bytes(READ.dump_json((capture, report)))
+
+    inputs = states, sources.left_out, options.counts, thermal_alone, report
+    place = stages.make("images", inputs, write)
+    capture, report = READ.validate_json((place / "capture.json").read_bytes())
+    return replace(capture, folder=place), report
+
+
+def _positions(capture: Capture, report: Report) -> np.ndarray:
+    """Return positions (N, 3) in m, or times (N, 1) in s, of the views that have one; others leave the capture."""
+    found = coordinates(capture.places)
+    what = "GPS position with altitude" if len(next(iter(found.values()))) == 3 else "time of capture"
+    for file in report.files:
+        if file.status == "written" and file.view not in found:
+            file.status, file.reason = "left out", f"no {what}, as --matching nearest needs where other files have one"
+    capture.names = {view: name for view, name in capture.names.items() if view in found}
+    return np.array(list(found.values()))
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
@@ -116,6 +148,7 @@ def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping,
 def _note_structure(structure: Structure, capture: Capture, report: Report) -> None:
     report.models, report.error_px = structure.models, structure.error_px
     report.points = len(structure.points.points)
+    report.assumptions += structure.notes
     report.camera = f"{structure.camera.model_name}, f = {structure.camera.mean_focal_length():.0f} px"
     for file in report.files:
         name = capture.names.get(file.view)

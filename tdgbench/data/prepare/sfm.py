@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 import pycolmap
-from PIL import Image
 from pydantic import Field
 
+from tdgbench.data.prepare.places import nearest_pairs, to_metres
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.inputs import listed
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
+Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
+LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest models
+MOST_APART = 2  # times, of these focal lengths
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
+DATABASE = "database.db"
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class SfmOptions:
 
     images: Literal["rgb", "thermal"] = "rgb"
     focal: Annotated[float, Field(gt=0)] | None = None
-    matching: Literal["exhaustive", "sequential"] = "exhaustive"
+    matching: Matching = "exhaustive"
     camera_model: CameraModel = "SIMPLE_RADIAL"
     seed: Annotated[int, Field(ge=0)] = 0
     threads: Annotated[int, Field(ge=1)] | None = None
@@ -45,10 +52,10 @@ class SfmOptions:
 
 @dataclass(frozen=True)
 class Structure:
-    """The largest model. poses: world-to-camera (4, 4) by image file. error_px: mean reprojection error.
+    """The largest model, with those joined to it. poses: world-to-camera (4, 4) by image file.
 
-    models: registered images of each model found. features, matches: by image file, keypoints and verified matches
-    with all other images.
+    error_px: mean reprojection error. models: registered images of each model found. features, matches: by
+    image file, keypoints and verified matches with all other images. notes: for the report, on joining and scale.
     """
 
     camera: pycolmap.Camera
@@ -58,63 +65,82 @@ class Structure:
     models: list[int]
     features: Counter[str]
     matches: Counter[str]
+    notes: list[str] = field(default_factory=list)
 
 
-def reconstruct(images: Path, names: list[str], work: Path, options: SfmOptions) -> Structure:
-    """Run COLMAP on images of one size. images: their folder; names: their files; work: an empty folder.
+def reconstruct(
+    images: Path, names: list[str], stages: Stages, options: SfmOptions, positions: np.ndarray | None = None
+) -> Structure:
+    """Run COLMAP on images of one size. images: their folder; names: their files; stages: what is done already.
 
+    positions: of nearest matching, (N, 3) in m, which the model is aligned with, or (N, 1) in s.
     Raises SceneError if no model is found, with what was found instead.
     """
-    database = work / "database.db"
+    pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
+    inputs = pairs, options.camera_model, options.focal, options.seed
     with _quiet():
+        features = stages.make("features", names, lambda place: _extract(place, images, names, options))
+        matched = stages.make("matches", inputs, lambda place: _set_camera(features, place, options))
+        database = matched / DATABASE
+        _match(database, pairs, options)
+        mapped = stages.make("models", None, lambda place: _map(database, images, place, len(names), options))
+        models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
+        models.sort(key=lambda model: -model.num_reg_images())
+        keypoints, matches = _counts(database)
+        sizes = [model.num_reg_images() for model in models]
+        if not sizes or sizes[0] < FEWEST_IMAGES:
+            raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
+        _check_focal_lengths(models)
         pycolmap.set_random_seed(options.seed)
-        _extract(database, images, names, options)
-        _match(database, work / "pairs.txt", names, options)
-        models = _map(database, images, work / "models", len(names), options)
-    features, matches = _counts(database)
-    sizes = sorted((model.num_reg_images() for model in models), reverse=True)
-    if not sizes or sizes[0] < FEWEST_IMAGES:
-        raise SceneError(_no_model(names, features, matches, sizes, options.images))
-    best = max(models, key=lambda model: model.num_reg_images())
+        best, notes = models[0], add_models(*models)
+        if best.num_reg_images() > sizes[0]:
+            refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
+            best = pycolmap.Reconstruction(refined)
+    if positions is not None and positions.shape[1] == 3:
+        notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
-    (camera,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
-    focal = camera.mean_focal_length()
-    if not FOCALS[0] < focal / camera.width < FOCALS[1]:
-        raise SceneError(
-            f"COLMAP finds a focal length of {focal:.0f} px for images {camera.width} px wide, as no lens has: views "
-            "in one direction on a flat field do not settle it. Say it: --focal PX"
-        )
-    error = best.compute_mean_reprojection_error()
-    return Structure(camera, poses, _cloud(best), error, sizes, features, matches)
+    (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
+    error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
+    return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches, notes)
 
 
-def _extract(database: Path, images: Path, names: list[str], options: SfmOptions) -> None:
+def _extract(place: Path, images: Path, names: list[str], options: SfmOptions) -> None:
     settings = pycolmap.FeatureExtractionOptions()
     settings.num_threads = options.threads or -1
-    reader = pycolmap.ImageReaderOptions()
-    reader.camera_model = options.camera_model
-    if options.focal is not None:
-        width, height = Image.open(images / names[0]).size
-        camera = pycolmap.Camera.create_from_model_name(1, options.camera_model, options.focal, width, height)
-        reader.camera_params = ",".join(map(str, camera.params))
     with step("features of images", len(names)) as count:
-        pycolmap.extract_features(
-            database, images, names, pycolmap.CameraMode.SINGLE, reader, settings, pycolmap.Device.cpu
-        )
+        mode, device = pycolmap.CameraMode.SINGLE, pycolmap.Device.cpu
+        pycolmap.extract_features(place / DATABASE, images, names, mode, extraction_options=settings, device=device)
         count(len(names))
 
 
-def _match(database: Path, list_path: Path, names: list[str], options: SfmOptions) -> None:
+def _set_camera(features: Path, place: Path, options: SfmOptions) -> None:
+    """Copy the database, and give it the camera of the options. Its focal length, unless known, is COLMAP's guess."""
+    shutil.copyfile(features / DATABASE, place / DATABASE)
+    with pycolmap.Database.open(place / DATABASE) as stored:
+        (old,) = stored.read_all_cameras()
+        focal = options.focal or old.mean_focal_length()
+        new = pycolmap.Camera.create_from_model_name(old.camera_id, options.camera_model, focal, old.width, old.height)
+        new.has_prior_focal_length = options.focal is not None or old.has_prior_focal_length
+        stored.update_camera(new)
+
+
+def _match(database: Path, pairs: list[tuple[str, str]], options: SfmOptions) -> None:
+    """Match pairs. COLMAP stores each when it is verified, and those that are stored already stay."""
     settings = pycolmap.FeatureMatchingOptions()
     settings.num_threads = options.threads or -1
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
     pairing = pycolmap.ImportedPairingOptions()
+    list_path = database.with_name("pairs.txt")
     pairing.match_list_path = str(list_path)
-    pairs = list(image_pairs(names, options.matching))
-    with step("pairs of images to match", len(pairs)) as count:
-        for first in range(0, len(pairs), PAIRS_AT_A_TIME):
-            some = pairs[first : first + PAIRS_AT_A_TIME]
+    with pycolmap.Database.open(database) as stored:
+        ids = {image.name: image.image_id for image in stored.read_all_images()}
+        missing = [(a, b) for a, b in pairs if not stored.exists_two_view_geometry(ids[a], ids[b])]
+    if not missing:
+        return
+    with step("pairs of images to match", len(missing)) as count:
+        for first in range(0, len(missing), PAIRS_AT_A_TIME):
+            some = missing[first : first + PAIRS_AT_A_TIME]
             list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
             pycolmap.match_image_pairs(database, settings, pairing, verification, pycolmap.Device.cpu)
             count(first + len(some))
@@ -134,24 +160,68 @@ def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
         yield from ((name, names[index + away]) for away in steps if index + away < len(names))
 
 
-def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> list[pycolmap.Reconstruction]:
+def _pipeline(options: SfmOptions) -> pycolmap.IncrementalPipelineOptions:
     settings = pycolmap.IncrementalPipelineOptions()
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
     settings.ba_refine_focal_length = options.focal is None
-    folder.mkdir()
+    return settings
+
+
+def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOptions) -> None:
+    pycolmap.set_random_seed(options.seed)
     with step("images to register", total) as count:
         done = itertools.count(3)  # the first pair counts as two
-        models = pycolmap.incremental_mapping(
+        pycolmap.incremental_mapping(
             database,
             images,
             folder,
-            settings,
+            _pipeline(options),
             initial_image_pair_callback=lambda: count(2),
             next_image_callback=lambda: count(min(next(done), total)),
         )
-    return list(models.values())
+
+
+def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
+    """Raise SceneError for focal lengths that no lens has, or that differ between large models of one camera."""
+    large = [model for model in models if model.num_reg_images() >= min(LARGE, models[0].num_reg_images())]
+    cameras = [camera for model in large for camera in model.cameras.values()]
+    focals, width = sorted(camera.mean_focal_length() for camera in cameras), cameras[0].width
+    if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, MOST_APART * focals[0]):
+        raise SceneError(
+            f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, as no lens has, in "
+            f"images {width} px wide: views in one direction on a flat field do not settle it. Say it: --focal PX"
+        )
+
+
+def add_models(largest: pycolmap.Reconstruction, *others: pycolmap.Reconstruction) -> list[str]:
+    """Add images, without points, of models that share images with the largest one; say what became of each.
+
+    A model is moved by the similarity that reprojects its points into the shared images.
+    """
+    notes = []
+    for other in others:
+        new = [image for key, image in other.images.items() if image.has_pose and not largest.exists_image(key)]
+        similarity = pycolmap.align_reconstructions_via_reprojections(other, largest) if new else None
+        if similarity is not None:
+            other.transform(similarity)
+            for image in new:
+                copy = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+                largest.add_image_with_trivial_frame(copy, image.cam_from_world())
+            notes.append(f"{len(new)} images come from a smaller model, joined by the images that both hold")
+        elif new:
+            notes.append(f"{len(new)} images are of a smaller model, which shares too little with the largest one")
+    return notes
+
+
+def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder: Path, options: SfmOptions) -> None:
+    """Triangulate the points of a joined model, refine all together, and write it."""
+    settings = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=options.focal is None)
+    settings.ceres.solver_options.num_threads = options.threads or -1
+    joined = pycolmap.triangulate_points(model, database, images, folder, options=_pipeline(options))
+    pycolmap.bundle_adjustment(joined, settings)
+    joined.write(folder)
 
 
 def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:

@@ -16,6 +16,7 @@ from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
 from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, read_celsius
 from tdgbench.scenes.temperature import CountScale
+from tests.helpers.exif import degrees, exif_gps, write_placed
 from tests.helpers.flir import FlirCamera, with_segments, write_flir
 from tests.helpers.layouts import celsius
 from tests.helpers.paths import SHARED
@@ -36,7 +37,7 @@ def capture(scene, folder, views=6):
 def known_structure(scene, left_out=()):
     """Stands in for COLMAP: the scene's own cameras, seen through some lens distortion."""
 
-    def reconstruct(images, names, work, options):
+    def reconstruct(images, names, work, options, positions=None):
         views = scene.views[: len(names)]
         K = views[0].camera.K
         camera = pycolmap.Camera(
@@ -244,7 +245,7 @@ def structure_of_thermal(scene):
     """Stands in for COLMAP: the scene's own cameras; the pictures that it is given are kept."""
     pictures = {}
 
-    def reconstruct(images, names, work, options):
+    def reconstruct(images, names, work, options, positions=None):
         pictures.update({name: np.asarray(Image.open(images / name)) for name in names})
         views = scene.views[: len(names)]
         K, size = views[0].camera.K, (views[0].camera.width, views[0].camera.height)
@@ -274,6 +275,28 @@ def test_thermal_images_alone(tmp_path, small_gray_scene, monkeypatch):
     assert not (tmp_path / "scene" / "rgb").exists() and scene.channels == 1
     stored = np.asarray(Image.open(tmp_path / "scene" / "thermal" / f"{scene.views[0].name}.png"))
     assert 4990 < stored.min() < stored.max() < 5310
+
+
+@pytest.mark.parametrize("has_gps", [True, False])
+def test_nearest_matching_leaves_out_files_without_a_place(tmp_path, small_gray_scene, monkeypatch, has_gps):
+    """By GPS where a file has it, else by time; the report says what is missing."""
+    reconstruct, _ = structure_of_thermal(small_gray_scene)
+    seen = []
+    monkeypatch.setattr(module, "reconstruct", lambda *given: seen.append(given) or reconstruct(*given))
+    (tmp_path / "camera").mkdir()
+    for index, view in enumerate(small_gray_scene.views[:5]):
+        gps = exif_gps(GPSAltitude=degrees(100 + index)[0]) if has_gps and index != 2 else None
+        write_placed(
+            tmp_path / "camera" / f"{view.name}.jpg", gps, f"2025:01:01 00:00:0{index}" if index != 3 else None
+        )
+    options = PrepareOptions(sfm=SfmOptions("thermal", matching="nearest"))
+    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
+    ((_, names, _, _, positions),) = seen
+    lost = report.files[2 if has_gps else 3]
+    assert lost.status == "left out" and ("no GPS position" if has_gps else "no time of capture") in lost.reason
+    assert len(names) == report.count("written") == 4 and len(set(names)) == 4
+    heights = positions[:, -1] - positions[0, -1]
+    assert heights == pytest.approx([0, 1, 3, 4] if has_gps else [0, 1, 2, 4], abs=1e-3)
 
 
 def write_dji(path, counts, height=None):

@@ -1,11 +1,16 @@
 import itertools
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
+from tdgbench.data.prepare import sfm
+from tdgbench.data.prepare.contrast import picture
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
+from tests.helpers.relief import FOCAL, places, write_relief
 
 
 def test_pairs():
@@ -21,6 +26,54 @@ def test_no_model_is_one_error(tmp_path):
     names = [f"{i}.png" for i in range(3)]
     for name in names:
         Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
-    (tmp_path / "work").mkdir()
     with pytest.raises(SceneError, match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features.*Take more pictures"):
-        reconstruct(tmp_path, names, tmp_path / "work", SfmOptions(threads=1))
+        reconstruct(tmp_path, names, Stages(tmp_path / "work"), SfmOptions(threads=1))
+
+
+@pytest.mark.slow
+def test_models_that_share_images_are_joined(tmp_path, monkeypatch):
+    """Two halves of a capture, mapped apart: joined, they are as good as the model of all; else the larger is kept."""
+    centres = places(4, 3)
+    names = [f"{path.stem}.png" for path in write_relief(tmp_path / "camera", centres)]
+    for name in names:
+        degC = np.asarray(Image.open(tmp_path / "camera" / name.replace("png", "tiff")))
+        Image.fromarray(picture(degC)).save(tmp_path / "camera" / name)
+    options = SfmOptions("thermal", FOCAL, threads=1)
+    halves = [names[:8], names[3:]]
+    monkeypatch.setattr(sfm, "_map", lambda *given: map_apart(halves, *given))
+    joined = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "work"), options)
+    assert sorted(joined.poses) == names and joined.models == [12, 8] and joined.error_px < 0.2
+    assert joined.notes == ["3 images come from a smaller model, joined by the images that both hold"]
+    found = np.stack([-joined.poses[name][:3, :3].T @ joined.poses[name][:3, 3] for name in names])
+    similarity = pycolmap.estimate_sim3d(found, centres)
+    assert np.abs([similarity * one for one in found] - centres).max() < 0.05
+    halves[:] = [names[:6], names[7:]]
+    apart = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "other"), options)
+    assert sorted(apart.poses) == names[:6] and apart.models == [6, 5]
+    assert apart.notes == ["5 images are of a smaller model, which shares too little with the largest one"]
+
+
+def map_apart(groups, database, images, folder, total, options):
+    for index, names in enumerate(groups):
+        settings = sfm._pipeline(options)
+        settings.image_names = names
+        (folder / str(index)).mkdir()
+        (model,) = pycolmap.incremental_mapping(database, images, folder / str(index), settings).values()
+        model.write(folder / str(index))
+
+
+def model_of(images, focal):
+    """A model with a focal length, in px of images 1024 px wide."""
+    settings = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=images, num_points3D=20)
+    model = pycolmap.synthesize_dataset(settings)
+    for camera in model.cameras.values():
+        camera.focal_length = focal
+    return model
+
+
+def test_focal_lengths_that_no_lens_has():
+    sfm._check_focal_lengths([model_of(20, 1500), model_of(12, 800), model_of(4, 300)])
+    with pytest.raises(SceneError, match=r"focal lengths of 700, 1500 px, as no lens has.*1024 px.*--focal PX"):
+        sfm._check_focal_lengths([model_of(20, 1500), model_of(12, 700)])
+    with pytest.raises(SceneError, match=r"focal lengths of 40000 px.*--focal PX"):
+        sfm._check_focal_lengths([model_of(5, 40000)])

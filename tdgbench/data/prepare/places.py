@@ -1,0 +1,122 @@
+"""Where and when pictures were taken, as their files say: neighbours to match, and metres."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pycolmap
+from PIL import ExifTags, Image
+from scipy.spatial import cKDTree
+
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.images import opened_image
+
+NEIGHBOURS = 10  # that each image is matched with
+GPS_ERROR = 5.0  # m, of a position that counts for the alignment: what receivers without corrections keep to
+DRONE = re.compile(rb'drone-dji:(GpsLat|GpsLon|Abs)\w*(?:="|>)\s*([-+.\d]+)')  # fields of DJI's XMP
+
+
+class Place(NamedTuple):
+    """gps: latitude and longitude in degrees (WGS 84) and altitude in m. seconds: of the camera's clock."""
+
+    gps: tuple[float, float, float] | None = None
+    seconds: float | None = None
+
+
+def read_place(path: Path) -> Place:
+    """Read a file's EXIF data, and for the position XMP of DJI where EXIF has none; None for what neither says.
+
+    A position of 0° N, 0° E stands for a receiver without satellites.
+    """
+    with suppress(SceneError), opened_image(path) as image:
+        exif = image.getexif()
+        xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
+        gps = _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
+        if gps is None and len(xmp) == 3:
+            gps = float(xmp[b"GpsLat"]), float(xmp[b"GpsLon"]), float(xmp[b"Abs"])
+        return Place(gps if gps is not None and any(gps[:2]) else None, _seconds(exif))
+    return Place()
+
+
+def coordinates(places: dict[str, Place]) -> dict[str, np.ndarray]:
+    """Return metres to the east, north and top of the mean GPS position, (3,), by view; without any, seconds, (1,).
+
+    Views whose files do not say them are left out. Raises SceneError if none does.
+    """
+    gps = {view: place.gps for view, place in places.items() if place.gps is not None}
+    if gps:
+        degrees = np.array(list(gps.values()))
+        metres = pycolmap.GPSTransform().ellipsoid_to_enu(degrees, *degrees.mean(axis=0))
+        return dict(zip(gps, metres, strict=True))
+    times = {view: np.array([place.seconds]) for view, place in places.items() if place.seconds is not None}
+    if not times:
+        raise SceneError(
+            "--matching nearest: no file says where or when it was taken (EXIF or XMP, which exports often lose); "
+            "choose --matching sequential for pictures in order, else exhaustive"
+        )
+    return times
+
+
+def nearest_pairs(names: list[str], positions: np.ndarray) -> list[tuple[str, str]]:
+    """Return pairs of images to match: each with its nearest ones, and with the next by name.
+
+    positions: (N, D). The next by name joins pictures that share one position, as between two signals of GPS.
+
+    >>> nearest_pairs(["a", "b", "c"], np.array([[0.0], [1.0], [5.0]]))
+    [('a', 'b'), ('a', 'c'), ('b', 'c')]
+    """
+    _, near = cKDTree(positions).query(positions, k=min(NEIGHBOURS + 1, len(names)))
+    found = {(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row if i != j}
+    found |= {(i, i + 1) for i in range(len(names) - 1)}
+    return [(names[i], names[j]) for i, j in sorted(found)]
+
+
+def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], seed: int) -> str:
+    """Align a model with positions (3,) in m by image file, by a similarity, and say how well it fits.
+
+    The model stays as it is if the fit is worse than a quarter of the positions' spread across their main direction: on
+    a line, or with errors of GPS as large as the flight, it would mean nothing.
+    """
+    centres = {image.name: image.projection_center() for image in model.images.values() if image.has_pose}
+    metres = np.array([positions[name] for name in centres])
+    options = pycolmap.RANSACOptions(max_error=GPS_ERROR, random_seed=seed)
+    similarity = pycolmap.align_reconstruction_to_locations(model, list(centres), metres, 3, options)
+    if similarity is None:
+        return f"the model has no metric scale: it fits fewer than 3 GPS positions within {GPS_ERROR:g} m"
+    error = np.linalg.norm(np.array([similarity * centre for centre in centres.values()]) - metres, axis=1)
+    spread = np.linalg.svd(metres - metres.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(metres))
+    fit = f"{np.median(error):.2f} m (median) from the GPS positions of {len(metres)} images"
+    if np.median(error) > spread / 4:
+        return f"the model has no metric scale: at best, its cameras lie {fit}, which spread by {spread:.1f} m aside"
+    model.transform(similarity)
+    return f"the model is in metres by GPS, x east, y north, z up: its cameras lie {fit}, {error.max():.2f} m at most"
+
+
+def _exif_gps(tags: dict[int, Any]) -> tuple[float, float, float] | None:
+    """Return a position from EXIF tags: degrees, minutes, seconds and hemisphere; metres above or below the sea."""
+    with suppress(KeyError, TypeError, ValueError, ZeroDivisionError):
+        base = ExifTags.GPS
+        angles = [
+            float(np.dot([float(part) for part in tags[tag]], [1, 1 / 60, 1 / 3600]))
+            * (-1 if tags[tag - 1] in ("S", "W") else 1)
+            for tag in (base.GPSLatitude, base.GPSLongitude)
+        ]
+        under = tags.get(base.GPSAltitudeRef) in (b"\x01", 1)
+        gps = angles[0], angles[1], float(tags[base.GPSAltitude]) * (-1 if under else 1)
+        return gps if np.isfinite(gps).all() else None
+    return None
+
+
+def _seconds(exif: Image.Exif) -> float | None:
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    taken = str(tags.get(ExifTags.Base.DateTimeOriginal) or exif.get(ExifTags.Base.DateTime))
+    fraction = str(tags.get(ExifTags.Base.SubsecTimeOriginal, "")).strip()
+    with suppress(ValueError):
+        whole = (datetime.strptime(taken, "%Y:%m:%d %H:%M:%S") - datetime(1970, 1, 1)).total_seconds()
+        return whole + float(f"0.{fraction}" if fraction.isdigit() else 0)
+    return None

@@ -1,0 +1,81 @@
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tdgbench.data.prepare.stages import Stages
+from tests.helpers.command import tdgbench
+from tests.helpers.paths import ROOT
+from tests.helpers.relief import FOCAL, places, write_relief
+from tests.helpers.waiting import waited
+
+COMMAND = ("data", "prepare", "camera", "out", "--sfm", "thermal", "--focal", str(FOCAL), "--threads", "1")
+STEPS = "files to read", "features of images", "pairs of images to match", "images to register", "views to write"
+
+
+def test_a_changed_input_starts_again_from_its_stage(tmp_path):
+    made = []
+
+    def run(first, second):
+        stages = Stages(tmp_path / "work")
+        for name, inputs in (("first", first), ("second", second)):
+            place = stages.make(name, inputs, lambda place, name=name: made.append(name) or (place / name).touch())
+            assert (place / name).exists()
+
+    run(1, 1)
+    run(1, 1)
+    assert made == ["first", "second"]
+    run(1, 2)
+    assert made == ["first", "second", "second"]
+    run(2, 2)
+    assert made[3:] == ["first", "second"] and len(list((tmp_path / "work").iterdir())) == 2
+    with pytest.raises(ZeroDivisionError):
+        Stages(tmp_path / "work").make("first", 3, lambda place: 1 / 0)
+    assert [path.name.split("-")[0] for path in (tmp_path / "work").iterdir()] == ["second"]
+
+
+@pytest.mark.slow
+def test_killed_at_five_moments_it_ends_with_the_same_bytes(tmp_path):
+    """Each run is killed in a later step than the one before. None repeats a finished step or a matched pair."""
+    for name in ("killed", "whole"):
+        write_relief(tmp_path / name / "camera", places(6, 3))
+    pairs = [begun_until(step, tmp_path / "killed", STEPS[max(index - 1, 0) : index + 1])
+             for index, step in enumerate(STEPS)]  # fmt: skip
+    assert pairs[2] == 153 and pairs[3] <= 153 - 64
+    content = {}
+    for name, begun in (("killed", STEPS[4:]), ("whole", STEPS)):
+        run = tdgbench(tmp_path / name, *COMMAND)
+        assert run.returncode == 0, run.stderr
+        assert [step for step in STEPS if f"{step}: " in run.stdout] == list(begun)
+        assert sorted(path.name for path in (tmp_path / name).iterdir()) == [".out.lock", "camera", "out"]
+        files = (path for path in (tmp_path / name / "out").rglob("*") if path.is_file())
+        content[name] = {str(path.relative_to(tmp_path / name)): path.read_bytes() for path in files}
+    assert content["killed"] == content["whole"] and len(content["killed"]) > 18
+    assert "COLMAP registers 18 images" in content["killed"]["out/report.txt"].decode()
+
+
+def begun_until(step, folder, expected):
+    """Run the command until it is in the step; kill it. Return the number of pairs to match, if it begins with them."""
+    found, pairs = [], None
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-m", "tdgbench", *COMMAND], cwd=folder, env=environment,
+                          stdout=subprocess.PIPE, text=True) as run:  # fmt: skip
+        for line in run.stdout:
+            name, _, what = line.strip().partition(": ")
+            if name in STEPS and not what.startswith("done"):
+                found.append(name)
+                pairs = int(what) if name == STEPS[2] else pairs
+            if name == step:
+                if step == STEPS[2]:
+                    waited(lambda: in_second_batch(folder), 60, "a second batch of pairs")
+                run.kill()
+                break
+    assert run.returncode == -signal.SIGKILL and found == list(expected)
+    return pairs
+
+
+def in_second_batch(folder):
+    lists = [path.read_text(encoding="utf-8") for path in folder.glob(".out.work/matches-*/pairs.txt")]
+    return any(lists) and not lists[0].startswith("000000.png 000001.png")
