@@ -146,7 +146,7 @@ def _ring(radius: float, height: float, target: tuple[float, float, float], arc:
 
 
 def _one_side(radius: float, height: float, target: tuple[float, float, float], arc: float, center_angle: float):
-    """Return cameras on an arc as `_ring` does; every `APART`th stands on the whole ring instead, the first at its middle."""
+    """Return cameras on an arc as `_ring` does, but every `APART`th, from the first on, on the whole ring."""
     side, around = (_ring(radius, height, target, angle, center_angle) for angle in (arc, 2 * np.pi))
 
     def cameras(count: int, rng: np.random.Generator):
