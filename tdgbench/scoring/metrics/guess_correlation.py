@@ -24,6 +24,7 @@ def seen_pixels(shown: ScoredView) -> SeenPixels:
     """Return the pixels of all test views, which the views of one scoring share."""
     if shown.scene is None:
         raise NotApplicableError("training views are what determines the others")
+    _ = shown.valid  # a view without valid pixels has no score
     if METRIC.name not in shown.common:  # threads that begin at once each find it out
         views = [(view, shown.renders[view.name]) for view in shown.scene.test]
         known = [at_valid(view.valid, rendered.known_determinacy).ravel() for view, rendered in views]
