@@ -1,4 +1,4 @@
-"""`cameras.json`: the cameras of a cell, to render its model again and count coverage without the data."""
+"""`cameras.json`: the cameras of a cell, to render its model again without the data."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ THERMAL = "inferno"  # colour map of gray thermal images
 MIN_ALPHA = 0.5  # below, a pixel shows no surface
 UNKNOWN = 128  # gray of pixels without a value
 LEVELS = 256
+GUESSED = (70, 160, 255)  # blue, which the colour maps of temperatures, errors and depth do not have
 
 
 @cache
@@ -37,6 +38,16 @@ def colored(values: np.ndarray, name: str, low: float, high: float) -> np.ndarra
     if unknown is not None:
         picture[unknown] = UNKNOWN
     return picture
+
+
+def shaded(picture: np.ndarray, determinacy: np.ndarray) -> np.ndarray:
+    """Return a picture (H, W, 3) uint8 in blue where a model guesses: the lower the determinacy (H, W), the more.
+
+    >>> shaded(np.full((1, 2, 3), 10, np.uint8), np.array([[1.0, 0.0]])).tolist()
+    [[[10, 10, 10], [70, 160, 255]]]
+    """
+    known = determinacy[..., None]
+    return np.asarray(known * picture + (1 - known) * np.array(GUESSED) + 0.5).clip(0, 255).astype(np.uint8)
 
 
 def in_colour(picture: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.thermal import IDEAL, ImageResponse, read_response
@@ -27,7 +29,19 @@ from tdgbench.training.trainer import Trainer
 
 def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
     """Render each view, by name, in all of the method's modalities. response: of the thermal camera."""
-    return {view.name: render_images(trainer, view, response) for view in views}
+    renders = {view.name: render_images(trainer, view, response) for view in views}
+    if THERMAL not in trainer.gaussians:
+        return renders
+    known = determinacy_of(trainer.gaussians[THERMAL].gaussians, (view.camera for view in trainer.context.scene.train))
+    return {view.name: replace(renders[view.name], determinacy=known.image(view.camera).numpy()) for view in views}
+
+
+def determinacy_of(gaussians: Gaussians, cameras: Iterable[Camera]) -> Determinacy:
+    """Return the determinacy of renders of a model. cameras: of the training views.
+
+    The Gaussians are taken as their PLY file has them: without filters, deformations and the thermal camera's rig.
+    """
+    return Determinacy(gaussians.activated(0), cameras)
 
 
 @torch.no_grad()

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tdgbench.bench import colours, masks
-from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.failures import message
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
+from tdgbench.scoring.metrics.barely_seen import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
@@ -51,13 +51,13 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
     """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
     psnr, described = cell.record.scores.get("psnr"), MEASURES["psnr"]
     shown = {
-        **dict.fromkeys(("truth", "render", "error", "depth", "coverage"), ""),
-        **dict.fromkeys(("depth_range", "train_views"), "n/a"),
+        **dict.fromkeys(("truth", "render", "error", "depth", "guesses"), ""),
+        **dict.fromkeys(("depth_range", "barely_seen"), "n/a"),
         "label": label,
         "psnr": "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}",
     }
     only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
-    for draw in (_pictures,) if only_images else (_pictures, _depth):
+    for draw in (_pictures,) if only_images else (_pictures, _geometry):
         try:
             shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
@@ -75,17 +75,16 @@ def _pictures(folder: Path, view: str) -> dict[str, Any]:
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
 
-def _depth(folder: Path, view: str) -> dict[str, Any]:
-    depth, camera = views.depth_of(folder, view)
-    others = list(read_cameras(folder)["train"].values())
-    covered = views.coverage(depth, camera, others)
+def _geometry(folder: Path, view: str) -> dict[str, Any]:
+    depth, determinacy = views.geometry_of(folder, view)
+    render = colours.in_colour(views.stored_view(folder, view).render)
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
         "depth": views.embedded(colours.colored(depth, views.DEPTH, low, high)),
         "depth_range": f"{low:.3g} to {high:.3g}",
-        "coverage": views.embedded(colours.colored(covered, views.COVERAGE, 0, len(others))),
-        "train_views": len(others),
+        "guesses": views.embedded(colours.shaded(render, determinacy)),
+        "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",
     }
 
 

@@ -1,4 +1,4 @@
-"""Pictures of one test view: temperatures, errors, depth, and coverage by training views."""
+"""Pictures of one test view: temperatures, errors, depth, and where the model guesses."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from tdgbench.bench.colours import UNKNOWN, expected_depth
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.read_files import read_picture
-from tdgbench.bench.renders import render_model
-from tdgbench.scenes import Camera
+from tdgbench.bench.renders import determinacy_of, render_model
 from tdgbench.splats.ply import load_ply
 
 FILES = files_of("thermal")  # the report shows thermal images
-ERROR, DEPTH, COVERAGE = "magma", "viridis", "cividis"
+ERROR, DEPTH = "magma", "viridis"
 ERROR_RANGE = 0.15  # upper end of the colour scale of errors
 
 
@@ -65,25 +64,9 @@ def stored_view(folder: Path, view: str) -> StoredView:
     return StoredView(truth, image, error if valid is None else np.where(valid, error, np.nan), valid)
 
 
-def depth_of(folder: Path, view: str) -> tuple[np.ndarray, Camera]:
-    """Return the expected z (H, W) of a cell's model in a test view, NaN without a surface, and the view's camera."""
-    camera = read_cameras(folder)["test"][view]
-    gaussians = load_ply(folder / FILES.model)
-    return expected_depth(render_model(gaussians, camera, depth=True)), camera
-
-
-def coverage(depth: np.ndarray, camera: Camera, others: list[Camera]) -> np.ndarray:
-    """Return the number of other cameras that see each pixel's point (H, W), occluded or not; NaN without a point.
-
-    depth: z (H, W) in scene units. Few training views constrain a region of low coverage.
-    """
-    rows, columns = np.indices(depth.shape) + 0.5
-    rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
-    local = rays * depth[..., None]
-    to_world = np.linalg.inv(camera.world_to_camera)
-    points = (local @ to_world[:3, :3].T + to_world[:3, 3]).reshape(-1, 3)
-    count = np.zeros(len(points))
-    for other in others:
-        with np.errstate(invalid="ignore"):
-            count += other.shows(points)
-    return np.where(np.isfinite(depth), count.reshape(depth.shape), np.nan)
+def geometry_of(folder: Path, view: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return z (H, W) of a cell's model in a test view, NaN without a surface, and the determinacy (H, W)."""
+    cameras, gaussians = read_cameras(folder), load_ply(folder / FILES.model)
+    camera = cameras["test"][view]
+    determinacy = determinacy_of(gaussians, cameras["train"].values()).image(camera).numpy()
+    return expected_depth(render_model(gaussians, camera, depth=True)), determinacy

@@ -27,13 +27,15 @@ class RenderedImages:
     image: (H, W, C) float32 with the response of the thermal camera, not clipped. depth: (H, W) expected z in scene
     units, 0 where nothing was rendered; None: the renders are images alone. others: (H, W, C) float32 of the method's
     models of other modalities, by modality. without_response: (H, W, C) float32, the render before that response; None:
-    equal to `image`.
+    equal to `image`. determinacy: (H, W) float32 in [0, 1], how well the training views determine each pixel
+    (`tdgbench.splats.determinacy`); None: the method has no Gaussians.
     """
 
     image: np.ndarray
     depth: np.ndarray | None
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
     without_response: np.ndarray | None = None
+    determinacy: np.ndarray | None = None
 
     @property
     def ideal(self) -> np.ndarray:
@@ -46,6 +48,13 @@ class RenderedImages:
         if self.depth is None:
             raise NotApplicableError("the renders have no depth")
         return self.depth
+
+    @property
+    def known_determinacy(self) -> np.ndarray:
+        """`determinacy`. Raises NotApplicableError without."""
+        if self.determinacy is None:
+            raise NotApplicableError("the renders have no Gaussians, whose footprints tell what training views saw")
+        return self.determinacy
 
 
 @dataclass(frozen=True)

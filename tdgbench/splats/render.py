@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from tdgbench.splats.backends import choose_backend, load_backend
@@ -45,6 +46,21 @@ def render_view(
     chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
     gaussians, camera = with_pose_gradient(gaussians, camera)
     return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending, absgrad))
+
+
+def footprint_sums(
+    gaussians: GaussianTensors, camera: Pinhole, maps: Tensor, backend: str = "auto"
+) -> tuple[Tensor, Render]:
+    """Return the sums (N, D) of maps (H, W, D) over the Gaussians' footprints, and a render of black Gaussians.
+
+    Each pixel is weighted as in the blend: the gradient of a Gaussian's colour, where the image's gradient is the maps.
+    """
+    with torch.enable_grad():
+        colors = maps.new_zeros(len(gaussians.means), maps.shape[2], requires_grad=True)
+        view = render_view(gaussians._replace(colors=colors, sh_degree=None), camera, backend=backend)
+        view.image.backward(maps)
+    assert colors.grad is not None
+    return colors.grad, view
 
 
 def render_state(

@@ -21,7 +21,7 @@ from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import GrowthDecision
-from tdgbench.splats.render import render_view
+from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
@@ -113,13 +113,8 @@ def footprints(
     known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
     maps = torch.cat([counts, known], dim=-1)
     n = len(gaussians)
-    parts = split_in_halves(gaussians)
-    with torch.enable_grad():
-        colors = parts.means.new_zeros(2 * n, maps.shape[2], requires_grad=True)
-        view = render_view(parts._replace(colors=colors), Pinhole.of(camera).to(parts.means), backend=backend)
-        view.image.backward(maps)
-    sums = colors.grad
-    assert sums is not None and view.projection is not None
+    sums, view = footprint_sums(split_in_halves(gaussians), Pinhole.of(camera).to(maps), maps, backend)
+    assert view.projection is not None
     first, second = sums[:n], sums[n:]
     radii = view.projection.radii
     return Footprints(

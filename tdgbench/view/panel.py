@@ -95,6 +95,7 @@ class Panel:
             span=(low / 100, max(high, low + 1) / 100),
             beside="" if self._beside.value == ALONE else self._beside.value,
             divide=self._divide.value / 100,
+            guesses=self._guesses.value,
         )
 
     def describe(self, frame: RenderedLook) -> None:
@@ -134,8 +135,10 @@ class Panel:
             self._quantity = gui.add_dropdown("Show", list(self._quantities))
             self._colors = gui.add_dropdown("Colours", COLOR_MAPS)
             self._span = gui.add_multi_slider("Range, %", 0, 100, 1, (0, 100), min_range=1)
+            self._guesses = gui.add_checkbox("Guesses in blue", False)
             self._bar = gui.add_html("")
-        for control in (self._cell, self._beside, self._divide, self._quantity, self._colors, self._span):
+        choices = (self._cell, self._beside, self._divide, self._quantity, self._colors, self._span, self._guesses)
+        for control in choices:
             control.on_update(lambda _: self._on_look())
 
     def _add_views(self, gui: viser.GuiApi) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from tdgbench.bench.colours import colored, expected_depth
-from tdgbench.bench.renders import background_of
+from tdgbench.bench.colours import colored, expected_depth, shaded
+from tdgbench.bench.renders import background_of, determinacy_of
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import to_8bit
+from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.view.cells import ViewedCell
@@ -57,6 +58,7 @@ class Look(NamedTuple):
     span: tuple[float, float] = (0.0, 1.0)  # part of the quantity's range that the colour map covers
     beside: str = ""  # cell to the right of the divide
     divide: float = 0.5  # share of the width
+    guesses: bool = False  # whether pixels are blue where the model guesses
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class Renderer:
     def __init__(self, cells: Mapping[str, ViewedCell]) -> None:
         self.cells = cells
         self._models: dict[tuple[str, str], GaussianTensors] = {}
+        self._determinacy: dict[str, Determinacy] = {}
         self._depth_range: tuple[float, float] | None = None
 
     def prepare(self) -> None:
@@ -159,13 +162,23 @@ class Renderer:
         image: np.ndarray = render.image.numpy()
         return cell.response.temperatures(image) if modality == THERMAL else image
 
+    def determinacy(self, name: str, camera: Camera) -> np.ndarray:
+        """Return the determinacy (H, W) of a cell's pixels from a camera; the first time, of all training views."""
+        if name not in self._determinacy:
+            cell = self.cells[name]
+            self._determinacy[name] = determinacy_of(cell.models[THERMAL], cell.train.values())
+        determinacy: np.ndarray = self._determinacy[name].image(camera).numpy()
+        return determinacy
+
     def _part(self, name: str, look: Look, camera: Camera) -> CellRender:
         values = self.values(name, look.quantity, camera)
         whole = self.range_of(name, look.quantity)
         if whole is None:
-            return CellRender(values, to_8bit(values), name)
-        low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
-        return CellRender(values, colored(values[..., 0], look.colors, low, high), name)
+            picture = to_8bit(values)
+        else:
+            low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
+            picture = colored(values[..., 0], look.colors, low, high)
+        return CellRender(values, shaded(picture, self.determinacy(name, camera)) if look.guesses else picture, name)
 
     def _model(self, name: str, modality: str) -> GaussianTensors:
         """Return the activated Gaussians of a model, kept for the next frames."""

@@ -6,6 +6,7 @@ from PIL import Image
 
 from tdgbench.bench.masks import read_mask
 from tdgbench.bench.record import read_all
+from tdgbench.bench.scores import read_views
 from tdgbench.report.scene import scene_section
 from tdgbench.tables.cell import finished_cells
 
@@ -20,6 +21,19 @@ def test_a_scene_shows_the_middle_view_of_every_method(small_results):
     psnr = {method["label"]: method["psnr"] for method in section["methods"]}
     scores = {cell.record.method: cell.record.scores["psnr"] for cell in cells}
     assert psnr == {"MSMG": f"{scores['msmg']:.2f} dB", "TDg": f"{scores['tdg']:.2f} dB"}
+
+
+def test_the_render_is_blue_where_the_scores_say_that_it_guesses(small_results):
+    cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
+    section = scene_section("synthetic", "turntable", cells)
+    for cell, method in zip(cells, section["methods"], strict=True):
+        share = read_views(cell.folder / "views.csv")[section["view"]]["barely_seen"]
+        assert method["barely_seen"] == f"{share:.0%}" and 0 < share < 1
+        redness = [
+            np.mean(pixels[..., 0] - pixels[..., 2].astype(float))
+            for pixels in map(shown, (method["render"], method["guesses"]))
+        ]
+        assert redness[1] < redness[0] - 1
 
 
 def test_masked_pixels_are_gray_and_named(masked_results):

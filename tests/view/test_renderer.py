@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.colours import colored
+from tdgbench.bench.colours import colored, shaded
 from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.renders import render_model
 from tdgbench.scoring import to_8bit
@@ -99,3 +99,9 @@ def test_models_are_activated_once(renderer, camera, monkeypatch):
     renderer.render(Look("tdg"), camera)
     monkeypatch.setattr(torch.Tensor, "exp", lambda _: pytest.fail("activated again"))
     renderer.render(Look("tdg"), camera)
+
+
+def test_guesses_are_blue_as_far_as_training_views_do_not_determine_them(renderer, camera):
+    plain, blue = (renderer.render(Look("tdg", guesses=guesses), camera).picture for guesses in (False, True))
+    determinacy = renderer.determinacy("tdg", camera)
+    assert np.ptp(determinacy) > 0.1 and np.array_equal(blue, shaded(plain, determinacy))

@@ -42,7 +42,7 @@ class SyntheticDataset(Outlines):
     width, height: of the images, px. views: cameras per scene. points: sparse points per scene. errors: of the capture.
 
     >>> SyntheticDataset("data", ReadOptions()).names()
-    ['orbit', 'night', 'turntable', 'facade', 'field', 'hills', 'wall']
+    ['orbit', 'night', 'turntable', 'facade', 'field', 'hills', 'wall', 'half_seen']
     """
 
     def __init__(
@@ -147,7 +147,9 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
             np.save(part / "temperature" / f"{name}.npy", degC.astype(np.float32))
             names.append(name)
             images.append((rgb, surface))
-        cloud = _sparse_points(cameras, images, round(shot.points * world.point_share), rng)
+        seen = [i for i in range(len(cameras)) if world.apart is None or i % world.apart]
+        shown = [cameras[i] for i in seen], [images[i] for i in seen]
+        cloud = _sparse_points(*shown, round(shot.points * world.point_share), rng)
         given = shot.errors.given(cameras, shot.seed)
         files = [f"{name}.png" for name in names]  # of the model; thermal files may have another extension
         write_model(part / "sparse" / "0", list(zip(files, given, strict=True)), cloud)

@@ -29,6 +29,7 @@ class World:
     point_share: float = 1.0  # of the requested number of sparse points
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)  # direction that is up in the images
     length: float | None = None  # of what the cameras see, along x; None: no axis is longer than the others
+    apart: int | None = None  # every so manieth view, the first one too, shows none of the sparse points; None: all do
     degC_per_metre: float = 0.0  # along x, beside what the materials have
 
     def with_gradient(self, degC: float) -> World:

@@ -1,9 +1,11 @@
-"""The synthetic scenes: one per group of the paper's table, and three of a camera that moves along a surface.
+"""The synthetic scenes: one per group of the paper's table, three surveys of a surface, and a building.
 
 `orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
 with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal.
 
-The others are surveys, line after line: `field`: nadir flight over flat ground. `hills`: the same flight over
+`half_seen`: a building photographed from one side; test views are taken from all around it.
+
+The surveys go line after line: `field`: nadir flight over flat ground. `hills`: the same flight over
 undulating ground. `wall`: a camera along a wall. A point of a flat surface lies in the image where it lies from the
 camera: image = focal (point − camera) / distance. So a vignette that is linear in the image, offsets of the views that
 are linear in the camera's position and a linear gradient of the surface's temperature cancel: images do not tell them
@@ -46,6 +48,7 @@ VIEWS_PER_LINE = 2.5  # × number of lines
 STRAY = 0.003  # standard deviation of the cameras' places, × distance to the surface
 TILT = 0.001  # of their directions, radians
 HEIGHT, HALF_FLIGHT, HALF_LINES = 20.0, 14.0, 7.0  # m; of the flight, half its lines' length, half its width
+APART = 5  # every so manieth view of half_seen is from elsewhere: those that the split eighty_twenty tests
 RELIEF = 0.15  # of the hills, highest to lowest, × HEIGHT
 
 
@@ -138,6 +141,18 @@ def _ring(radius: float, height: float, target: tuple[float, float, float], arc:
             eye[2] = height * (1.0 + 0.25 * (i % 2)) + rng.normal(0, 0.02)
             result.append((eye + np.array([target[0], target[1], 0]), np.array(target)))
         return result
+
+    return cameras
+
+
+def _one_side(radius: float, height: float, target: tuple[float, float, float], arc: float, center_angle: float):
+    """Return cameras on an arc as `_ring` does, but every `APART`th, from the first on, on the whole ring."""
+    side, around = (_ring(radius, height, target, angle, center_angle) for angle in (arc, 2 * np.pi))
+
+    def cameras(count: int, rng: np.random.Generator):
+        tests = iter(around(-(-count // APART), rng))
+        trained = iter(side(count - -(-count // APART), rng))
+        return [next(trained if i % APART else tests) for i in range(count)]
 
     return cameras
 
@@ -240,6 +255,29 @@ def _facade(seed: int) -> World:
     return World("forward", False, objects, _grid(3.2, 0.9, 0.5, 1.5), (4.0, 34.0), 0.95, (0.3, -0.8, 0.5))
 
 
+def _half_seen(seed: int) -> World:
+    wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    leaks = (
+        Spot((0.2, -1.3, 0.9), (0.4, 0.3, 0.3), 7.0), Spot((-1.8, 0.5, 0.6), (0.3, 0.5, 0.4), 8.0),
+        Spot((-0.2, 1.3, 1.6), (0.5, 0.3, 0.4), 9.0), Spot((1.8, 0.2, 1.2), (0.3, 0.4, 0.5), 6.0),
+    )  # fmt: skip
+    objects: list[tuple[Solid, Material]] = [
+        (Sphere((0, 0, 0), 16.0), Material((0.55, 0.70, 0.90), (0.80, 0.85, 0.90), wave(1, 0.08), 2.0, 2.0)),
+        (Rectangle((0, 0, 0), (15.5, 0, 0), (0, 15.5, 0)), Material(*GROUND[0], wave(2, 0.4), 9.0, 3.0)),
+        (Cuboid((0, 0, 1.1), (1.8, 1.3, 1.1)), Material(BRICK, MORTAR, wave(3, 1.0), 14.0, 2.5, 0.6, leaks)),
+        (Cuboid((0, 0, 2.3), (2.0, 1.5, 0.1)), Material(DARK_WOOD, WOOD, wave(4, 0.9), 6.0, 2.0)),
+        (Cuboid((-1.0, 0.6, 2.8), (0.22, 0.22, 0.5)), Material(BRICK, STAIN, wave(5, 1.5), 19.0, 3.0, 3.0)),
+        (Cylinder((2.6, 1.2, 0.0), 0.35, 1.2), Material(STEEL, PAINT, wave(6, 1.4), 22.0, 2.0, 3.0)),
+        (Sphere((-1.6, -2.3, 0.4), 0.4), Material(GLAZE, CERAMIC, wave(7, 1.4), 18.0, 3.0)),
+        (Cuboid((-0.8, 1.9, 0.45), (0.5, 0.25, 0.45), 0.2), Material(STEEL, PAINT, wave(8, 1.6), 25.0, 3.0)),
+    ]
+    for number, (x, y) in enumerate(((-1.0, -1.3), (1.0, -1.3), (-0.9, 1.3), (0.9, 1.3))):
+        window = Material(GLASS[0], GLASS[1], wave(10 + number, 1.4), 19.0 + number, 2.0)
+        objects.append((Cuboid((x, y, 1.3), (0.35, 0.06, 0.45)), window))
+    cameras = _one_side(6.0, 2.6, (0, 0, 1.1), np.radians(140), np.radians(-90))
+    return World("", False, objects, cameras, (-1.0, 33.0), 0.95, (0.3, -0.6, 0.75), apart=APART)
+
+
 WORLDS: dict[str, Callable[[int], World]] = {
     "orbit": _orbit,
     "night": _night,
@@ -248,4 +286,5 @@ WORLDS: dict[str, Callable[[int], World]] = {
     "field": _field,
     "hills": _hills,
     "wall": _wall,
+    "half_seen": _half_seen,
 }

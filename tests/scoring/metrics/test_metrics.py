@@ -9,14 +9,14 @@ from tests.helpers.configs import config
 
 COLUMNS = ["psnr", "ssim", "lpips", "channel_psnr", "psnr_affine", "psnr_right_half", "psnr_true",
            "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "mae_degC_without_offset", "depth_abs_rel", "floaters",
-           "depth_inconsistency"]  # fmt: skip
+           "depth_inconsistency", "barely_seen", "psnr_well_seen", "psnr_barely_seen", "guess_correlation"]  # fmt: skip
 
 
 def test_columns_of_views_csv():
     assert list(METRICS) == COLUMNS
     assert all(metric.label and metric.meaning for metric in METRICS.values())
     assert [name for name, metric in METRICS.items() if metric.higher_is_better] == [
-        name for name in COLUMNS if "psnr" in name or "ssim" in name
+        name for name in COLUMNS if "psnr" in name or "ssim" in name or name == "guess_correlation"
     ]
 
 

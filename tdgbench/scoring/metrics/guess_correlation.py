@@ -1,0 +1,63 @@
+"""Whether a render is wrong where the training views do not determine it, over the pixels of all test views."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.scored_view import NotApplicableError, ScoredView, as_saved, at_valid
+
+MOST_PIXELS = 1_000_000  # whose ranks are correlated; of more, every n-th is
+
+
+class SeenPixels(NamedTuple):
+    """The valid pixels of all test views: determinacy (N,) and mean squared error over the channels (N,)."""
+
+    determinacy: np.ndarray
+    squared_error: np.ndarray
+
+
+def seen_pixels(shown: ScoredView) -> SeenPixels:
+    """Return the pixels of all test views, which the views of one scoring share."""
+    if shown.scene is None:
+        raise NotApplicableError("training views are what determines the others")
+    _ = shown.valid  # a view without valid pixels has no score
+    if METRIC.name not in shown.common:  # threads that begin at once each find it out
+        views = [(view, shown.renders[view.name]) for view in shown.scene.test]
+        known = [at_valid(view.valid, rendered.known_determinacy).ravel() for view, rendered in views]
+        errors = [
+            at_valid(view.valid, np.square(as_saved(rendered.image) - as_saved(view.thermal)).mean(axis=2)).ravel()
+            for view, rendered in views
+        ]
+        shown.common[METRIC.name] = SeenPixels(np.concatenate(known), np.concatenate(errors))
+    pixels: SeenPixels = shown.common[METRIC.name]
+    return pixels
+
+
+def guess_correlation(determinacy: np.ndarray, error: np.ndarray) -> float:
+    """Return Spearman's rank correlation of 1 − determinacy (N,) and error (N,), of at most a million pixels.
+
+    >>> guess_correlation(np.array([0.9, 0.5, 0.1]), np.array([0.0, 0.1, 0.4]))
+    1.0
+    """
+    step = -(-len(error) // MOST_PIXELS)
+    some = determinacy[::step], error[::step]
+    if any(np.ptp(values) == 0 for values in some):
+        raise NotApplicableError("all pixels are determined equally well, or all errors are equal")
+    return -float(spearmanr(*some).statistic)
+
+
+METRIC = ViewMetric(
+    name="guess_correlation",
+    label="guesses and errors",
+    meaning="rank correlation of 1 − determinacy and the error, over the pixels of all test views",
+    order=126,
+    digits=2,
+    higher_is_better=True,
+    limits=(-1.0, 1.0),
+    needs="Gaussians",
+    of_view=lambda shown: guess_correlation(*seen_pixels(shown)),
+)

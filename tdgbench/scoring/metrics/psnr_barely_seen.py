@@ -1,0 +1,43 @@
+"""PSNR of the pixels that the training views hardly determine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tdgbench.scoring.metric import ViewMetric
+from tdgbench.scoring.metrics.barely_seen import is_barely_seen
+from tdgbench.scoring.metrics.guess_correlation import seen_pixels
+from tdgbench.scoring.metrics.psnr import MAX_PSNR
+from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
+
+
+def psnr_where(shown: ScoredView, barely: bool) -> float:
+    """Return the PSNR (dB) over all barely-seen pixels of the test views, or over all others."""
+    pixels = seen_pixels(shown)
+    errors = pixels.squared_error[is_barely_seen(pixels.determinacy) == barely]
+    if not errors.size:
+        raise NotApplicableError(f"no pixel of the test views is {'barely' if barely else 'well'} seen")
+    return psnr_of(errors)
+
+
+def psnr_of(squared_error: np.ndarray) -> float:
+    """Return the PSNR (dB) of squared errors of values in [0, 1].
+
+    >>> psnr_of(np.array([0.01, 0.03]))
+    16.989700043360187
+    """
+    return -10 * float(np.log10(max(squared_error.mean(dtype=np.float64), 10 ** (-MAX_PSNR / 10))))
+
+
+METRIC = ViewMetric(
+    name="psnr_barely_seen",
+    label="PSNR, barely seen",
+    meaning="PSNR over all barely-seen pixels of the test views",
+    order=124,
+    unit="dB",
+    digits=2,
+    higher_is_better=True,
+    limits=(0.0, MAX_PSNR),
+    needs="Gaussians, barely-seen pixels",
+    of_view=lambda shown: psnr_where(shown, barely=True),
+)

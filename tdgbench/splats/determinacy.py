@@ -1,0 +1,61 @@
+"""How well the training views determine each pixel of a render; where they do not, a model guesses.
+
+A Gaussian's colour is taken for a linear function of the direction d that it is seen from, c(d) = xᵀ β with
+x = T (1, d). Each training view measures one value of it with the weight s = min(footprint, 1 px), and the prior
+variance of each of the four β is that of one measurement: colours from directions at an angle θ have a covariance
+T² (1 + cos θ). Then the variance of c(d), in units of that of a measurement, is the leverage
+h(d) = xᵀ (I + Σ_views s x xᵀ)⁻¹ x, and the determinacy is exp(−h). It is low for a Gaussian that few views see, and
+from directions beyond those of its views, the more so the smaller the angles between these are. Pixels blend it as
+colour; where nothing is rendered, it is 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+
+from tdgbench.splats.render import footprint_sums, render_view
+from tdgbench.splats.view import CameraLike, GaussianTensors, Pinhole
+
+T = 2.0  # standard deviation of a colour's mean, and of its change over a radian, × that of a measurement
+ONE_VIEW = math.exp(-2 * T**2 / (1 + 2 * T**2))  # 0.41: of a Gaussian that one view sees, from the place of that view
+
+
+class Determinacy:
+    """The determinacy of renders of some Gaussians, whose footprints in all training views the constructor finds."""
+
+    def __init__(self, gaussians: GaussianTensors, cameras: Iterable[CameraLike], backend: str = "auto") -> None:
+        """gaussians: colours are not used. cameras: of the training views."""
+        self.gaussians, self.backend = gaussians, backend
+        information = torch.eye(4, dtype=torch.float64, device=gaussians.means.device).repeat(
+            len(gaussians.means), 1, 1
+        )
+        for camera in cameras:
+            pinhole = Pinhole.of(camera).to(gaussians.means)
+            counts = gaussians.means.new_ones(pinhole.height, pinhole.width, 1)
+            sums, _ = footprint_sums(gaussians, pinhole, counts, backend)
+            x = self._terms(pinhole)
+            information += sums.clamp(max=1).double()[:, :, None] * x[:, :, None] * x[:, None, :]
+        self.covariance = torch.linalg.inv(information)
+
+    @torch.no_grad()
+    def of_gaussians(self, camera: Pinhole) -> Tensor:
+        """Return the determinacy (N,) of each Gaussian as a camera sees it, in [0, 1]."""
+        x = self._terms(camera)
+        return torch.exp(-torch.einsum("ni,nij,nj->n", x, self.covariance, x)).to(self.gaussians.means)
+
+    @torch.no_grad()
+    def image(self, camera: CameraLike) -> Tensor:
+        """Return the determinacy (H, W) of a render's pixels, in [0, 1], on the CPU."""
+        pinhole = Pinhole.of(camera).to(self.gaussians.means)
+        coloured = self.gaussians._replace(colors=self.of_gaussians(pinhole)[:, None], sh_degree=None)
+        return render_view(coloured, pinhole, backend=self.backend).image[..., 0].cpu()
+
+    def _terms(self, camera: Pinhole) -> Tensor:
+        """Return x (N, 4) of the directions from a camera to the Gaussians."""
+        rays = self.gaussians.means.double() @ camera.viewmat[:3, :3].double().T + camera.viewmat[:3, 3].double()
+        directions = torch.nn.functional.normalize(rays, dim=1) @ camera.viewmat[:3, :3].double()
+        return T * torch.cat([torch.ones_like(directions[:, :1]), directions], dim=1)
