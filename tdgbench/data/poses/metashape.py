@@ -100,7 +100,7 @@ def _values(block: Element, path: Path) -> dict[str, float]:
     values = dict.fromkeys(("cx", "cy", "k1", "k2", "k3", "p1", "p2", "b1", *BEYOND_OPENCV), 0.0)
     for name in ("f", "width", "height", *values):
         if name in texts or name not in values:
-            (values[name],) = _numbers([texts.get(name, "")], 1, f"{path}: {name} of the calibration")
+            values[name] = float(_numbers([texts.get(name, "")], 1, f"{path}: {name} of the calibration")[0])
     return values
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,8 @@ from PIL import Image
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
-from tdgbench.data.prepare.capture import Capture, read_capture, too_few
+from tdgbench.data.prepare.calibration import exif_focal
+from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few
 from tdgbench.data.prepare.contrast import write_pictures
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
@@ -71,7 +72,8 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
     if thermal_alone:
         write_pictures(capture)
     if options.sfm is not None:
-        structure = reconstruct(work, list(capture.names.values()), work, options.sfm)
+        sfm = _with_lens(options.sfm, report, capture.kind)
+        structure = reconstruct(work, list(capture.names.values()), work, sfm)
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
@@ -92,6 +94,25 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
         poses = {view: structure.poses[capture.names[view]] for view in views.names}
         views.model({f"{view}.png": grid.camera(pose) for view, pose in poses.items()}, structure.points)
     shutil.rmtree(work)
+
+
+def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
+    """Return options with the focal length that all files state in EXIF data, unless one is known; and report it.
+
+    COLMAP itself reads that of JPEG files, but not of the pictures that are written for it.
+    """
+    if options.focal is not None or options.calibration:
+        what = f"focal length {options.focal:g} px" if options.focal is not None else "lens of --calibration"
+        report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
+        return options
+    paths = [Path(one.rgb or one.file) for one in report.files if one.status == "written" and one.rgb != "inside"]
+    written = [path for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG]
+    stated = {exif_focal(path, kind.rgb) for path in written}
+    (focal,) = stated if len(stated) == 1 else (None,)
+    if focal is None:
+        return options
+    report.assumptions.append(f"COLMAP begins with the focal length that the files' EXIF data state, {focal:.0f} px")
+    return replace(options, focal=focal, refine=True)
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:

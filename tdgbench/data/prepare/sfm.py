@@ -15,14 +15,15 @@ import pycolmap
 from PIL import Image
 from pydantic import Field
 
+from tdgbench.data.prepare.calibration import FOCALS, start_camera
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.colmap.tables import CameraEntry
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
-FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
 
@@ -31,8 +32,8 @@ PAIRS_AT_A_TIME = 64  # between two steps of the progress
 class SfmOptions:
     """Options of COLMAP. One camera is shared by all images.
 
-    images: which ones COLMAP sees. focal: focal length in px, which is kept; None: estimated. threads: None for all
-    processors.
+    images: which ones COLMAP sees. focal: focal length in px; None: estimated. calibration: of the lens, or of
+    several. refine: COLMAP begins with these; else they are kept. threads: None for all processors.
     """
 
     images: Literal["rgb", "thermal"] = "rgb"
@@ -41,6 +42,8 @@ class SfmOptions:
     camera_model: CameraModel = "SIMPLE_RADIAL"
     seed: Annotated[int, Field(ge=0)] = 0
     threads: Annotated[int, Field(ge=1)] | None = None
+    calibration: tuple[CameraEntry, ...] = ()
+    refine: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,9 +96,10 @@ def _extract(database: Path, images: Path, names: list[str], options: SfmOptions
     settings.num_threads = options.threads or -1
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = options.camera_model
-    if options.focal is not None:
-        width, height = Image.open(images / names[0]).size
-        camera = pycolmap.Camera.create_from_model_name(1, options.camera_model, options.focal, width, height)
+    size = Image.open(images / names[0]).size
+    camera = start_camera(size, options.camera_model, options.focal, options.calibration)
+    if camera is not None:
+        reader.camera_model = camera.model_name
         reader.camera_params = ",".join(map(str, camera.params))
     with step("features of images", len(names)) as count:
         pycolmap.extract_features(
@@ -139,7 +143,8 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
-    settings.ba_refine_focal_length = options.focal is None
+    settings.ba_refine_focal_length = options.refine or (options.focal is None and not options.calibration)
+    settings.ba_refine_extra_params = options.refine or not options.calibration
     folder.mkdir()
     with step("images to register", total) as count:
         done = itertools.count(3)  # the first pair counts as two
