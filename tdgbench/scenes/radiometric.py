@@ -78,15 +78,13 @@ def count_scale(path: Path, given: CountScale) -> CountScale:
         is_counts = image.format == "TIFF" and image.mode in COUNT_MODES
         found = TLINEAR.search(image.info.get("xmp") or b"") if is_counts else None
     gain = 0.0 if found is None else float(found[1])
-    stated = CountScale(gain, TEMPERATURES[0])
-    if gain == 0 or given == stated or (given.is_known and gain not in TLINEAR_GAINS):
+    stated, is_named = CountScale(gain, TEMPERATURES[0]), gain in TLINEAR_GAINS
+    if gain == 0 or (given.is_known and not is_named):
         return given
-    if given.is_known or gain not in TLINEAR_GAINS:
-        what = "degC_per_count and degC_at_zero say otherwise: leave them out" if given.is_known else (
-            "FLIR's manuals do not name this gain: say degC_per_count and degC_at_zero"
-        )  # fmt: skip
-        raise SceneError(f"{path} states TlinearGain {gain:g} (°C = counts × {gain:g} - 273.15); {what}")
-    return stated
+    if is_named and (not given.is_known or given == stated):
+        return stated
+    what = "which FLIR's manuals do not name: say" if not is_named else "counts × gain - 273.15 °C: leave out"
+    raise SceneError(f"{path} states TlinearGain {gain:g}, {what} degC_per_count and degC_at_zero")
 
 
 def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:

@@ -58,13 +58,9 @@ def read_poses(path: Path) -> dict[str, Pose]:
 
 
 def _of_images(images: Iterable[RegisteredImage]) -> dict[str, Pose]:
-    """Return poses of a model's images; the lens is that before images were undistorted."""
-    poses = {}
-    for image in images:
-        source = None if image.undistortion is None else image.undistortion.source
-        focal = float(image.camera.K[0, 0]) if source is None else source.mean_focal_length()
-        poses[image.name] = Pose(image.camera.world_to_camera, focal, image.source_size[0])
-    return poses
+    """Return poses of a model's images, whose distorted cameras have become pinholes of the same focal length."""
+    cameras = {image.name: image.camera for image in images}
+    return {name: Pose(one.world_to_camera, float(one.K[0, 0]), one.width) for name, one in cameras.items()}
 
 
 def _read_json(path: Path) -> dict[str, Pose]:

@@ -40,8 +40,11 @@ def read_calibration(path: Path) -> tuple[CameraEntry, ...]:
         raise SceneError(f"{path} holds no calibration; give one of Metashape, OpenCV or COLMAP (docs/data.md)")
     for camera in found:
         to_pinhole(camera, f"{path}: the calibration")
-    simpler = [(c._replace(model="OPENCV", params=c.params[:8]) if not any(c.params[8:]) else c) for c in found]
-    return tuple(new if old.model == "FULL_OPENCV" else old for old, new in zip(found, simpler, strict=True))
+    is_simple = [camera.model == "FULL_OPENCV" and not any(camera.params[8:]) for camera in found]
+    return tuple(
+        camera._replace(model="OPENCV", params=camera.params[:8]) if simple else camera
+        for camera, simple in zip(found, is_simple, strict=True)
+    )
 
 
 def start_camera(
@@ -72,23 +75,19 @@ def exif_focal(path: Path, size: Size) -> float | None:
     """
     with opened_image(path) as image:
         tags = image.getexif().get_ifd(EXIF)
-    length, plane, equivalent, of_width = (_positive(tags.get(tag)) for tag in (FOCAL, X_RESOLUTION, FOCAL_35MM, WIDTH))
+    try:
+        known = [float(tags.get(tag) or math.nan) for tag in (FOCAL, X_RESOLUTION, FOCAL_35MM)]
+        original_width = float(tags.get(WIDTH) or size[0])
+    except (TypeError, ValueError):  # text where numbers belong
+        return None
+    length, plane, equivalent = known
     unit = UNITS.get(tags.get(UNIT, 2), math.nan)
     choices = (
         equivalent * math.hypot(*size) / DIAGONAL_35MM,
-        length * plane / unit * size[0] / (of_width if of_width > 0 else size[0]),
+        length * plane / unit * size[0] / original_width,
         length * size[0] / (plane * unit),
     )
     return next((focal for focal in choices if FOCALS[0] < focal / size[0] < FOCALS[1]), None)
-
-
-def _positive(value: object) -> float:
-    """Return a number of EXIF data; NaN if it is none, or not positive."""
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return math.nan
-    return number if 0 < number < math.inf else math.nan
 
 
 def _of_opencv(text: str, path: Path) -> CameraEntry:
