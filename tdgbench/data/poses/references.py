@@ -13,7 +13,7 @@ from tdgbench.data.poses.metashape import chunk_poses, read_xml, table_poses
 from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_folder, read_json
+from tdgbench.scenes.inputs import is_folder, read_json, regular_file
 from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.layouts.transforms import read_transforms
 from tdgbench.scenes.validate import check_pose
@@ -43,7 +43,7 @@ def read_poses(path: Path) -> dict[str, Pose]:
     elif path.suffix.lower() in (".xml", ".zip"):
         poses = {name: Pose(*pose) for name, pose in chunk_poses(read_xml(path), path).items()}
     else:
-        raise SceneError(f"{path} holds no poses that are read here; give {READ}")
+        raise SceneError(f"{regular_file(path)} holds no poses that are read here; give {READ}")
     if not poses:
         raise SceneError(f"{path} has no registered view; align the images first, and export again")
     named: dict[str, Pose] = {}
