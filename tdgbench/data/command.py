@@ -1,4 +1,4 @@
-"""`tdgbench data get|check|prepare|export`."""
+"""`tdgbench data get|check|prepare|export|poses`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ ACTIONS = {
     "check": "say what is in a folder of scenes",
     "prepare": "make a scene of camera files",
     "export": "write a scene as other systems read it",
+    "poses": "compare the poses of a scene with a reference",
 }
 
 

@@ -8,6 +8,7 @@ window temperatures that the file itself states (`flyr/thermogram.py`); T = B / 
 from __future__ import annotations
 
 import io
+import re
 import struct
 import warnings
 from dataclasses import dataclass
@@ -28,6 +29,9 @@ DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool'
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
 NO_SCALE = CountScale()
+TLINEAR = re.compile(rb'TlinearGain(?:>|=")([\d.]+)')  # in XMP of FLIR's TIFF, which is not always well-formed
+# K per count. Duo Pro R User Guide 1.0, p. 39: 0.04 (range -25 to 135 °C), 0.40 (-40 to 550 °C); Duo's, 5.1.7.3.1: 0.01
+TLINEAR_GAINS = (0.01, 0.04, 0.4)
 
 
 @dataclass(frozen=True)
@@ -64,17 +68,37 @@ def is_radiometric(path: Path) -> bool:
         return _maker(image) is not None
 
 
+def count_scale(path: Path, given: CountScale) -> CountScale:
+    """Return what 16-bit counts of a TIFF mean: kelvin × 1 / TlinearGain where its XMP states one, else `given`.
+
+    Vue Pro's TIFF without TLinear states 0 (chuckaustin/devilsRiver 156557a). Raises SceneError if `given` contradicts
+    it, and for a gain that FLIR's manuals do not name unless `given` is known.
+    """
+    with opened_image(path) as image:
+        is_counts = image.format == "TIFF" and image.mode in COUNT_MODES
+        found = TLINEAR.search(image.info.get("xmp") or b"") if is_counts else None
+    gain = 0.0 if found is None else float(found[1])
+    stated, is_named = CountScale(gain, TEMPERATURES[0]), gain in TLINEAR_GAINS
+    if gain == 0 or (given.is_known and not is_named):
+        return given
+    if is_named and (not given.is_known or given == stated):
+        return stated
+    what = "which FLIR's manuals do not name: say" if not is_named else "counts × gain - 273.15 °C: leave out"
+    raise SceneError(f"{path} states TlinearGain {gain:g}, {what} degC_per_count and degC_at_zero")
+
+
 def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     """Read temperatures (H, W) float64 in °C; NaN where the file holds none.
 
     FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
-    counts, of which `scale` says the temperature. Raises SceneError naming the file.
+    counts, of which the file (`count_scale`) or `scale` says the temperature. Raises SceneError naming the file.
     """
     with opened_image(path) as image:
         if image.format in ("JPEG", "MPO"):
             return read_thermogram(path).celsius
         mode, values = image.mode, np.asarray(image).astype(np.float64)
     if mode in COUNT_MODES:
+        scale = count_scale(path, scale)
         if not scale.is_known:
             raise SceneError(
                 f"{path} holds counts; say which temperature they mean: degC_per_count and degC_at_zero "

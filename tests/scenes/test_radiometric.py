@@ -4,7 +4,7 @@ from pathlib import Path
 import flyr
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import (
@@ -153,3 +153,38 @@ def test_real_flir_files(name):
     assert thermogram.mapping == PhotoMapping(pytest.approx(1.2446, abs=1e-4), -10, -45)
     counts = np.array([thermogram.celsius.min(), np.median(thermogram.celsius), thermogram.celsius.max()])
     assert -26 < counts[0] < -20 < 10 < counts[1] < 20 < counts[2] < 30  # a clear sky above a warm facade
+
+
+def with_gain(path, text):
+    """A TIFF of counts with FLIR's XMP, as the Vue Pro writes it: the description's start tag is not closed."""
+    directory = TiffImagePlugin.ImageFileDirectory_v2()
+    directory[700] = f'<rdf:Description xmlns:FLIR="http://ns.flir.com/xmp/1.0/"\r\n<Camera:{text}'.encode()
+    Image.fromarray(np.full((4, 5), 7300, np.uint16)).save(path, tiffinfo=directory)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "degC"),
+    [
+        ("TlinearGain>0.04</Camera:TlinearGain>", CountScale(), 7300 * 0.04 - 273.15),
+        ('x FLIR:TlinearGain="0.01"', CountScale(0.01, -273.15), 7300 * 0.01 - 273.15),
+        ("TlinearGain>0.00</Camera:TlinearGain>", CountScale(0.002, 1), 15.6),  # TLinear is off
+        ("TlinearGain>0.1</Camera:TlinearGain>", CountScale(0.002, 1), 15.6),
+        ("BandName>LWIR", CountScale(0.002, 1), 15.6),
+    ],
+)
+def test_counts_mean_what_the_file_states(tmp_path, text, given, degC):
+    assert np.allclose(read_celsius(with_gain(tmp_path / "a.tiff", text), given), degC)
+
+
+@pytest.mark.parametrize(
+    ("gain", "given", "what"),
+    [
+        ("0.00", CountScale(), "a.tiff holds counts; say which temperature"),
+        ("0.1", CountScale(), "a.tiff states TlinearGain 0.1, .*manuals do not name: say degC_per_count"),
+        ("0.04", CountScale(0.4, -273.15), "a.tiff states TlinearGain 0.04, .*: leave out degC_per_count"),
+    ],
+)
+def test_no_gain_is_guessed(tmp_path, gain, given, what):
+    with pytest.raises(SceneError, match=what):
+        read_celsius(with_gain(tmp_path / "a.tiff", f"TlinearGain>{gain}<"), given)

@@ -19,7 +19,14 @@ from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, storage, whole_image, with_channels
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, is_radiometric, read_celsius, read_thermogram
+from tdgbench.scenes.radiometric import (
+    PhotoMapping,
+    count_scale,
+    dji_counts,
+    is_radiometric,
+    read_celsius,
+    read_thermogram,
+)
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 JPEG = (".jpg", ".jpeg")
@@ -149,7 +156,8 @@ def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
         photo = thermogram.photo.astype(np.float32) / 255
         return ViewContent(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
     if holds_celsius(files.thermal, scale):
-        return ViewContent(read_celsius(files.thermal, scale), with_channels(read_image(files.rgb), 3))
+        celsius, photo = read_celsius(files.thermal, scale), with_channels(read_image(files.rgb), 3)
+        return ViewContent(celsius, photo, None, _tlinear(files.thermal, scale))
     return ViewContent(read_image(files.thermal), with_channels(read_image(files.rgb), 3))
 
 
@@ -158,13 +166,13 @@ def read_thermal(path: Path, scale: CountScale) -> ViewContent:
     counts = dji_counts(path)
     if counts is not None:
         return ViewContent((counts[:, :, None] / MOST_COUNTS).astype(np.float32), None)
-    is_scaled = scale.is_known or storage(path) != "16-bit"
+    is_scaled = storage(path) != "16-bit" or count_scale(path, scale).is_known
     if not (is_scaled and holds_celsius(path, scale)):
         return ViewContent(read_image(path), None)
     if path.suffix.lower() in JPEG:
         thermogram = read_thermogram(path)
         return ViewContent(thermogram.celsius, None, None, _in_words(thermogram.settings))
-    return ViewContent(read_celsius(path, scale), None)
+    return ViewContent(read_celsius(path, scale), None, None, _tlinear(path, scale))
 
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:
@@ -197,6 +205,12 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
     capture.places[files.view] = read_place(files.rgb or files.thermal)
     if content.mapping is not None:
         capture.mappings[files.view] = content.mapping
+
+
+def _tlinear(path: Path, scale: CountScale) -> str:
+    """Say how a file's temperatures were computed if the file itself states it."""
+    stated = count_scale(path, scale)
+    return "" if stated == scale else f"TLinear, °C = counts × {stated.degC_per_count:g} - 273.15"
 
 
 def _in_words(settings: dict[str, float]) -> str:

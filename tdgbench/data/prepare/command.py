@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import get_args
 
+from tdgbench.data.prepare.calibration import read_calibration
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, Matching, SfmOptions
 from tdgbench.scenes import SceneError
@@ -31,6 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sfm", choices=("rgb", "thermal"), default="rgb",
                         help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
     parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
+    parser.add_argument("--calibration", type=Path, metavar="FILE",
+                        help="lens of these images, by Metashape, OpenCV or COLMAP (docs/data.md)")  # fmt: skip
+    parser.add_argument("--refine", action="store_true",
+                        help="begin with --focal or --calibration; default: they are kept")  # fmt: skip
     parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     parser.add_argument("--matching", choices=get_args(Matching), default="exhaustive",
                         help="sequential: neighbours by name, for videos; nearest: by GPS, else time")  # fmt: skip
@@ -61,9 +66,15 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--focal must be positive: the focal length in px")
     if arguments.sfm == "thermal" and (arguments.no_sfm or arguments.mapping or arguments.homography):
         raise SceneError("--sfm thermal has no RGB images: --no-sfm, --mapping and --homography are about them")
+    if arguments.focal is not None and arguments.calibration is not None:
+        raise SceneError("--focal and --calibration both state the focal length; give one of them")
+    if arguments.refine and arguments.focal is None and arguments.calibration is None:
+        raise SceneError("--refine is about --focal or --calibration; give one of them")
+    calibration = () if arguments.calibration is None else read_calibration(arguments.calibration)
     sfm = SfmOptions(
-        arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads
-    )
+        arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads,
+        calibration, arguments.refine,
+    )  # fmt: skip
     return PrepareOptions(
         pairs=None if arguments.pairs is None else (arguments.pairs[0], arguments.pairs[1]),
         counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),

@@ -13,7 +13,8 @@ from pydantic import ConfigDict, TypeAdapter
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
-from tdgbench.data.prepare.capture import Capture, read_capture, too_few
+from tdgbench.data.prepare.calibration import exif_focal
+from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few
 from tdgbench.data.prepare.contrast import write_pictures
 from tdgbench.data.prepare.places import coordinates
 from tdgbench.data.prepare.report import Report
@@ -75,7 +76,8 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
     mapping, own = _choose_mapping(capture, options)
     structure = None
     if options.sfm is not None:
-        structure = reconstruct(capture.folder, list(capture.names.values()), stages, options.sfm, positions)
+        sfm = _with_lens(options.sfm, report, capture.kind)
+        structure = reconstruct(capture.folder, list(capture.names.values()), stages, sfm, positions)
         _note_structure(structure, capture, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal, options.width)
@@ -124,6 +126,25 @@ def _positions(capture: Capture, report: Report) -> np.ndarray:
             file.status, file.reason = "left out", f"no {what}, as --matching nearest needs where other files have one"
     capture.names = {view: name for view, name in capture.names.items() if view in found}
     return np.array(list(found.values()))
+
+
+def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
+    """Return options with the focal length that all files state in EXIF data, unless one is known; and report it.
+
+    COLMAP itself reads that of JPEG files, but not of the pictures that are written for it.
+    """
+    if options.focal is not None or options.calibration:
+        what = f"focal length {options.focal:g} px" if options.focal is not None else "lens of --calibration"
+        report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
+        return options
+    paths = [Path(one.rgb or one.file) for one in report.files if one.status == "written" and one.rgb != "inside"]
+    written = [path for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG]
+    stated = {exif_focal(path, kind.rgb) for path in written}
+    (focal,) = stated if len(stated) == 1 else (None,)
+    if focal is None:
+        return options
+    report.assumptions.append(f"COLMAP begins with the focal length that the files' EXIF data state, {focal:.0f} px")
+    return replace(options, focal=focal, refine=True)
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:

@@ -15,10 +15,12 @@ import numpy as np
 import pycolmap
 from pydantic import Field
 
+from tdgbench.data.prepare.calibration import FOCALS, start_camera
 from tdgbench.data.prepare.places import nearest_pairs, to_metres
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.inputs import listed
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
@@ -28,7 +30,6 @@ LARGE = 10  # images of a model whose focal length must agree with others, as of
 MOST_APART = 2  # times, of these focal lengths
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
-FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
 DATABASE = "database.db"
@@ -38,8 +39,8 @@ DATABASE = "database.db"
 class SfmOptions:
     """Options of COLMAP. One camera is shared by all images.
 
-    images: which ones COLMAP sees. focal: focal length in px, which is kept; None: estimated. threads: None for all
-    processors.
+    images: which ones COLMAP sees. focal: focal length in px; None: estimated. calibration: of the lens, or of
+    several. refine: COLMAP begins with these; else they are kept. threads: None for all processors.
     """
 
     images: Literal["rgb", "thermal"] = "rgb"
@@ -48,6 +49,8 @@ class SfmOptions:
     camera_model: CameraModel = "SIMPLE_RADIAL"
     seed: Annotated[int, Field(ge=0)] = 0
     threads: Annotated[int, Field(ge=1)] | None = None
+    calibration: tuple[CameraEntry, ...] = ()
+    refine: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,13 +80,13 @@ def reconstruct(
     Raises SceneError if no model is found, with what was found instead.
     """
     pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
-    inputs = pairs, options.camera_model, options.focal, options.seed
+    inputs = pairs, options.camera_model, options.focal, options.calibration, options.seed
     with _quiet():
         features = stages.make("features", names, lambda place: _extract(place, images, names, options))
         matched = stages.make("matches", inputs, lambda place: _set_camera(features, place, options))
         database = matched / DATABASE
         _match(database, pairs, options)
-        mapped = stages.make("models", None, lambda place: _map(database, images, place, len(names), options))
+        mapped = stages.make("models", options.refine, lambda place: _map(database, images, place, len(names), options))
         models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
         models.sort(key=lambda model: -model.num_reg_images())
         keypoints, matches = _counts(database)
@@ -118,9 +121,12 @@ def _set_camera(features: Path, place: Path, options: SfmOptions) -> None:
     shutil.copyfile(features / DATABASE, place / DATABASE)
     with pycolmap.Database.open(place / DATABASE) as stored:
         (old,) = stored.read_all_cameras()
-        focal = options.focal or old.mean_focal_length()
-        new = pycolmap.Camera.create_from_model_name(old.camera_id, options.camera_model, focal, old.width, old.height)
-        new.has_prior_focal_length = options.focal is not None or old.has_prior_focal_length
+        size = old.width, old.height
+        known = start_camera(size, options.camera_model, options.focal, options.calibration)
+        guess = pycolmap.Camera.create_from_model_name(1, options.camera_model, old.mean_focal_length(), *size)
+        new = guess if known is None else known
+        new.camera_id = old.camera_id
+        new.has_prior_focal_length = known is not None or old.has_prior_focal_length
         stored.update_camera(new)
 
 
@@ -165,7 +171,8 @@ def _pipeline(options: SfmOptions) -> pycolmap.IncrementalPipelineOptions:
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
     settings.min_model_size = FEWEST_IMAGES
-    settings.ba_refine_focal_length = options.focal is None
+    settings.ba_refine_focal_length = options.refine or (options.focal is None and not options.calibration)
+    settings.ba_refine_extra_params = options.refine or not options.calibration
     return settings
 
 
@@ -191,7 +198,7 @@ def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
     if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, MOST_APART * focals[0]):
         raise SceneError(
             f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, as no lens has, in "
-            f"images {width} px wide: views in one direction on a flat field do not settle it. Say it: --focal PX"
+            f"images {width} px wide: views in one direction on a flat field do not settle it; say it: --focal PX"
         )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from tdgbench.data.prepare import prepare as module
 from tdgbench.data.prepare.contrast import picture
@@ -297,6 +297,23 @@ def test_nearest_matching_leaves_out_files_without_a_place(tmp_path, small_gray_
     assert len(names) == report.count("written") == 4 and len(set(names)) == 4
     heights = positions[:, -1] - positions[0, -1]
     assert heights == pytest.approx([0, 1, 3, 4] if has_gps else [0, 1, 2, 4], abs=1e-3)
+
+
+@pytest.mark.parametrize("gain", ["0.04", "0.00"])
+def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypatch, gain):
+    """With TLinear, the scene is in °C; without, it holds counts."""
+    monkeypatch.setattr(module, "reconstruct", structure_of_thermal(small_gray_scene)[0])
+    (tmp_path / "camera").mkdir()
+    directory = TiffImagePlugin.ImageFileDirectory_v2()
+    directory[700] = f"<Camera:TlinearGain>{gain}</Camera:TlinearGain>".encode()
+    for view in small_gray_scene.views[:6]:
+        counts = np.round(7300 + 100 * view.thermal[..., 0]).astype(np.uint16)
+        Image.fromarray(counts).save(tmp_path / "camera" / f"{view.name}.tiff", tiffinfo=directory)
+    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", THERMAL_ALONE)
+    is_celsius = gain == "0.04"
+    assert ("TLinear, °C = counts × 0.04 - 273.15" in report.text()) == is_celsius
+    assert ("without °C" in report.text()) != is_celsius
+    assert report.temperature is None or 18.8 < report.temperature[0] < report.temperature[1] < 22.9
 
 
 def write_dji(path, counts, height=None):

@@ -10,6 +10,8 @@ from tdgbench.data.prepare.contrast import picture
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.colmap.tables import CameraEntry
+from tests.helpers.paths import SHARED
 from tests.helpers.relief import FOCAL, places, write_relief
 
 
@@ -77,3 +79,16 @@ def test_focal_lengths_that_no_lens_has():
         sfm._check_focal_lengths([model_of(20, 1500), model_of(12, 700)])
     with pytest.raises(SceneError, match=r"focal lengths of 40000 px.*--focal PX"):
         sfm._check_focal_lengths([model_of(5, 40000)])
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_calibration_is_kept_or_refined(tmp_path, refine):
+    if not (SHARED / "arco").is_dir():
+        pytest.skip("needs the real scene arco")
+    images = sorted((SHARED / "arco" / "rgb" / "train").iterdir())[:4]
+    lens = CameraEntry(1, "OPENCV", 640, 480, (840.0, 841.0, 321.0, 239.0, 0.01, 0.0, 0.001, -0.001))
+    options = SfmOptions(threads=1, calibration=(lens,), refine=refine)
+    found = reconstruct(images[0].parent, [image.name for image in images], Stages(tmp_path), options)
+    assert len(found.poses) >= 3 and found.camera.model_name == "OPENCV"
+    assert (tuple(found.camera.params) == lens.params) != refine
+    assert found.camera.params[:2] == pytest.approx((840, 841), rel=0.1)

@@ -1,0 +1,69 @@
+"""Compare two sets of poses after the similarity that brings their positions together."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pycolmap
+from scipy.spatial.distance import pdist
+
+from tdgbench.data.poses.references import Pose
+from tdgbench.scenes.errors import SceneError
+
+FEWEST = 3  # views: three positions determine a similarity
+OUTLIER = 3.0  # × the median position error
+ROUNDS = 20  # of fitting without outliers, at most
+THINNEST = 0.01  # spread of positions across a line, × along it, from which rotations about the line are known
+
+
+class Comparison(NamedTuple):
+    """Errors of N views after a similarity."""
+
+    rotation: np.ndarray | None  # (N,) degrees; None if the positions lie on a line
+    position: np.ndarray  # (N,) × extent
+    extent: float  # greatest distance of two of the reference's positions, in its units
+    fitted: int  # views that determine the similarity; others are outliers
+    scale: float  # reference units per unit
+
+
+def compare(poses: dict[str, Pose], reference: dict[str, Pose]) -> Comparison:
+    """Compare the views that both have, by name. Raises SceneError for too few, or positions without extent."""
+    views = [name for name in poses if name in reference]
+    if len(views) < FEWEST:
+        names, others = (f"{', '.join(sorted(one)[:2])} …" for one in (poses, reference))
+        raise SceneError(
+            f"{len(views)} views have one name in both ({names} against {others}); {FEWEST} are needed. Rename the "
+            "images of one, without their folders and extensions"
+        )
+    ours, theirs = (np.stack([one[name].world_to_camera for name in views]) for one in (poses, reference))
+    source, target = (-np.einsum("nji,nj->ni", one[:, :3, :3], one[:, :3, 3]) for one in (ours, theirs))
+    similarity, errors, fitted = _fit(source, target)
+    # the angle from sine and cosine: arccos alone loses small angles
+    relative = ours[:, :3, :3] @ similarity.rotation.matrix().T @ theirs[:, :3, :3].transpose(0, 2, 1)
+    sine = np.linalg.norm(relative - relative.transpose(0, 2, 1), axis=(1, 2)) / np.sqrt(8)
+    rotation = np.degrees(np.arctan2(sine, (np.trace(relative, axis1=1, axis2=2) - 1) / 2))
+    along, across, _ = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
+    extent = float(pdist(target).max())
+    known = rotation if across > THINNEST * along else None
+    return Comparison(known, errors / extent, extent, fitted, float(similarity.scale))
+
+
+def _fit(source: np.ndarray, target: np.ndarray) -> tuple[pycolmap.Sim3d, np.ndarray, int]:
+    """Return the similarity (Umeyama 1991) from positions (N, 3) to others, distances (N,) after it, and inliers.
+
+    It is fitted again without those farther off than OUTLIER medians, until they stay the same.
+    """
+    kept = np.ones(len(source), bool)
+    for _ in range(ROUNDS):
+        found = pycolmap.estimate_sim3d(source[kept], target[kept])
+        if found is None or not found.scale > 0:
+            raise SceneError("the common views have one position: no similarity brings them together")
+        similarity: pycolmap.Sim3d = found
+        moved = source @ (similarity.scale * similarity.rotation.matrix()).T + similarity.translation
+        errors = np.linalg.norm(moved - target, axis=1)
+        near = errors <= max(OUTLIER * np.median(errors), 1e-9 * np.ptp(target))
+        if np.array_equal(near, kept):
+            break
+        kept = near
+    return similarity, errors, int(kept.sum())
