@@ -28,17 +28,17 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-from benchmarks.geometry.colmap import SEED, THREADS, from_motion, summary, triangulated
-from benchmarks.geometry.metashape import read_project
+from benchmarks.common.motion import SEED, THREADS, from_motion, summary, triangulated
+from tdgbench.data.poses.metashape import chunk_poses, lenses, read_xml
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.radiometric import dji_counts
 from tdgbench.scenes.temperature import CountScale
 
 RGB_SIZE = 960, 540  # of fresco, half that of the files: thermal images have 640×512 px
 RGB_TO_THERMAL = "0.8916 0.0023 -122.53 -0.0028 0.8822 18.07 -5.5e-6 -6.5e-6 1"  # homography, px; to 1 px RMS
-APP3, SCAN = 0xE3, 0xDA  # segments of a JPEG: DJI's raw counts, the image
 
 
 class Capture(NamedTuple):
@@ -92,14 +92,18 @@ def river(source: Path, out: Path, views: int) -> None:
 
 def orchard(source: Path, out: Path, views: int) -> None:
     files = sorted((source / "examples").glob("*.JPG"))[:views]
-    counts = {path.stem: dji_counts(path) for path in files}
+    counts = {path.stem: found for path in files if (found := dji_counts(path)) is not None}
     model = from_motion(image_names(counts))
     write_scene(out / "orchard", {path.stem: np.asarray(Image.open(path).convert("L")) for path in files}, model)
     write_scene(out / "orchard_counts", counts, model)
 
 
 def plots(source: Path, out: Path, views: int) -> None:
-    camera, poses = read_project(source / "Output" / "CH_1260_P004_20210701.13.50.1_40m_Therm.files")
+    archive = source / "Output" / "CH_1260_P004_20210701.13.50.1_40m_Therm.files" / "0" / "chunk.zip"
+    chunk = read_xml(archive)
+    (lens,) = lenses(chunk, archive)
+    camera = pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=lens.params)
+    poses = {label: np.linalg.inv(pose) for label, (pose, *_) in chunk_poses(chunk, archive).items()}
     first, last = "DJI_0016", "DJI_0131"  # from the start of a flight line to the end; those from 0897 on are before
     images = sorted((source / "ThermalData" / "1" / "Grayscale").glob("*.tiff"))
     files = [path for path in images if first <= path.stem <= last]
@@ -135,21 +139,6 @@ def read_frames(files: list[Path]) -> dict[str, np.ndarray]:
 
 def image_names(frames: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {f"{view}.png": frame for view, frame in frames.items()}
-
-
-def dji_counts(path: Path) -> np.ndarray:
-    """Raw counts (H, W) uint16 of a DJI radiometric JPEG: its APP3 segments, one after the other, little endian."""
-    content, start, raw = path.read_bytes(), 2, b""
-    while content[start + 1] != SCAN:
-        length = int.from_bytes(content[start + 2 : start + 4], "big")
-        if content[start + 1] == APP3:
-            raw += content[start + 4 : start + 2 + length]
-        start += 2 + length
-    with Image.open(path) as image:
-        width, height = image.size
-    if len(raw) != 2 * width * height:
-        sys.exit(f"{path} has {len(raw)} bytes of raw data for {width}×{height} counts; another model of DJI's camera")
-    return np.frombuffer(raw, "<u2").reshape(height, width)
 
 
 def write_scene(folder: Path, frames: Mapping[str, np.ndarray], model: pycolmap.Reconstruction) -> None:

@@ -1,1 +1,0 @@
-"""Geometry of thermal captures: `python -m benchmarks.captures` makes scenes with it."""
