@@ -4,25 +4,69 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube
-from tdgbench.scenes import SceneError
+from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube, SfmThermal
+from tdgbench.scenes import ReadOptions, SceneError
+from tdgbench.scenes.scene import Tracks
+from tdgbench.scenes.synthetic import SyntheticDataset
 from tests.helpers.configs import config
 
 
 def test_colmap(small_scene):
     init = ColmapPoints()
     assert init.points(small_scene) is small_scene.points
-    description = init.describe(small_scene)
+    description = init.describe(small_scene, small_scene.points)
     assert (description["kind"], description["points"]) == ("colmap", len(small_scene.points.points))
     with pytest.raises(SceneError, match="use init=random"):
         init.points(dataclasses.replace(small_scene, points=None))
 
 
+def test_points_that_two_training_views_see(small_scene):
+    """Point 0 is seen by two training views, point 1 by one of them twice and a test view, point 2 by test views."""
+    a, b, *_ = (view.name for view in small_scene.train)
+    names = dict(enumerate([a, b, *(view.name for view in small_scene.test[:2])]))
+    tracks = Tracks(np.array([0, 0, 1, 1, 1, 2, 2]), np.array([0, 1, 0, 0, 2, 2, 3], np.uint32), names)
+    scene = dataclasses.replace(small_scene, points=dataclasses.replace(small_scene.points, tracks=tracks))
+    init = ColmapPoints(train_only=True)
+    cloud = init.points(scene)
+    assert np.array_equal(cloud.points, small_scene.points.points[:1])
+    assert f"two training views see, 1 of {len(scene.points.points)}" in init.describe(scene, cloud)["how"]
+    with pytest.raises(SceneError, match="have no tracks"):
+        init.points(dataclasses.replace(small_scene, points=dataclasses.replace(small_scene.points, tracks=None)))
+    none = dataclasses.replace(small_scene.points, tracks=Tracks(tracks.points, tracks.images, {}))
+    with pytest.raises(SceneError, match="no two training views"):
+        init.points(dataclasses.replace(small_scene, points=none))
+
+
+def test_points_of_thermal_images_alone(tmp_path):
+    """The points lie on the surfaces; neither RGB images, sparse points nor test views matter; they are bytes again."""
+    dataset = SyntheticDataset(tmp_path, ReadOptions(), width=160, height=120, views=24, points=0)
+    scene = dataset.load("facade")
+    init: SfmThermal = instantiate(config("init=sfm_thermal").init.points)
+    cloud = init.points(scene)
+    errors = []
+    for view in scene.train:
+        pixels, depths = view.camera.project(cloud.points)
+        inside = view.camera.holds(pixels, depths)
+        columns, rows = pixels[inside].astype(int).T
+        errors.append(np.full(len(inside), np.nan))
+        errors[-1][inside] = np.abs(depths[inside] / view.true_depth[rows, columns] - 1)
+    assert len(cloud.points) > 30 and np.median(np.nanmedian(errors, axis=0)) < 0.05  # random ones in their box: 0.11
+    assert init.describe(scene, cloud)["points"] == len(cloud.points)
+    blind = dataclasses.replace(scene, points=None, test=[])
+    for view in blind.train:
+        view.load_rgb = None
+    again = init.points(blind)
+    assert np.array_equal(again.points, cloud.points) and np.array_equal(again.colors, cloud.colors)
+    with pytest.raises(SceneError, match="lower init"):
+        dataclasses.replace(init, views=20).points(blind)
+
+
 def test_random_points_fill_their_cube(small_scene):
     init = CubeAroundCameras(5000, 2.0, seed=0)
     cloud = init.points(small_scene)
-    low, high = np.array(init.describe(small_scene)["box"])
-    assert "5000 points, uniform in a cube of half side 2 × extent" in init.describe(small_scene)["how"]
+    description = init.describe(small_scene, cloud)
+    low, high = np.array(description["box"])
+    assert "5000 points, uniform in a cube of half side 2 × extent" in description["how"]
     assert np.allclose(high - low, 4 * small_scene.extent)
     assert (cloud.points >= low).all() and (cloud.points <= high).all()
     assert np.allclose(cloud.points.mean(axis=0), (low + high) / 2, atol=0.1 * small_scene.extent)
@@ -39,7 +83,7 @@ def test_the_released_random_points_do_not_depend_on_the_scene(small_scene):
     cloud = init.points(small_scene)
     assert np.abs(cloud.points).max() <= 1.3 and np.allclose(np.ptp(cloud.points, axis=0), 2.6, atol=0.02)
     assert np.allclose(cloud.colors, 127 / 255)  # SH2RGB of almost nothing, stored in 8 bits
-    assert "±" not in init.kind and init.describe(small_scene)["box"] == [[-1.3] * 3, [1.3] * 3]
+    assert "±" not in init.kind and init.describe(small_scene, cloud)["box"] == [[-1.3] * 3, [1.3] * 3]
 
 
 def test_random_points_in_the_box_of_the_sfm_points(small_scene):

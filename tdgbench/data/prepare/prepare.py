@@ -14,7 +14,6 @@ from PIL import Image
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.prepare.capture import Capture, read_capture, too_few
-from tdgbench.data.prepare.contrast import write_pictures
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
@@ -23,6 +22,7 @@ from tdgbench.scenes import Camera, PointCloud, SceneError
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, robust_range
+from tdgbench.thermal.contrast import picture
 
 SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
 NARROWEST = 0.01  # °C, of a range
@@ -69,7 +69,10 @@ def _prepare(folder: Path, part: Path, options: PrepareOptions, report: Report) 
     mapping, own = _choose_mapping(capture, options)
     structure = None
     if thermal_alone:
-        write_pictures(capture)
+        with step("pictures to write", len(capture.names)) as count:  # under the names that COLMAP reads
+            for index, (view, name) in enumerate(capture.names.items()):
+                Image.fromarray(picture(capture.thermal(view))).save(capture.folder / name)
+                count(index + 1)
     if options.sfm is not None:
         structure = reconstruct(work, list(capture.names.values()), work, options.sfm)
         _note_structure(structure, capture, report)

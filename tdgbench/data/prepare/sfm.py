@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -17,6 +16,7 @@ from pydantic import Field
 
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.colmap import quiet
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
@@ -66,7 +66,7 @@ def reconstruct(images: Path, names: list[str], work: Path, options: SfmOptions)
     Raises SceneError if no model is found, with what was found instead.
     """
     database = work / "database.db"
-    with _quiet():
+    with quiet():
         pycolmap.set_random_seed(options.seed)
         _extract(database, images, names, options)
         _match(database, work / "pairs.txt", names, options)
@@ -188,14 +188,3 @@ def _cloud(model: pycolmap.Reconstruction) -> PointCloud:
     points = [model.points3D[key] for key in sorted(model.points3D)]
     colors = np.array([point.color for point in points], np.float32).reshape(-1, 3) / np.float32(255)
     return PointCloud(np.array([point.xyz for point in points], np.float64).reshape(-1, 3), colors)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence COLMAP's log, except for errors."""
-    before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before

@@ -4,7 +4,8 @@ The files are read and checked here; pycolmap, whose reader allocates without en
 camera models and writes models.
 """
 
+from tdgbench.scenes.colmap.log import quiet
 from tdgbench.scenes.colmap.model import RegisteredImage, read_model, write_model
 from tdgbench.scenes.colmap.pinhole import Undistortion
 
-__all__ = ["RegisteredImage", "Undistortion", "read_model", "write_model"]
+__all__ = ["RegisteredImage", "Undistortion", "quiet", "read_model", "write_model"]

@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare import prepare as module
-from tdgbench.data.prepare.contrast import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
@@ -296,12 +295,6 @@ def test_raw_counts_of_dji(tmp_path):
         dji_counts(tmp_path / "b.jpg")
     Image.fromarray(np.zeros((36, 48), np.uint8)).save(tmp_path / "c.jpg")
     assert dji_counts(tmp_path / "c.jpg") is None
-
-
-def test_no_contrast_gives_a_picture(small_gray_scene):
-    flat = np.full((36, 48), 21.0)
-    flat[0, 0] = np.nan
-    assert picture(flat).shape == (36, 48) and picture(flat).dtype == np.uint8
 
 
 def test_nothing_thermal_is_one_error(tmp_path):

@@ -3,22 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from PIL import Image
 from skimage.exposure import equalize_adapthist
-
-from tdgbench.data.prepare.capture import Capture
-from tdgbench.data.progress import step
 
 TAILS = 0.5, 99.5  # percentiles of an image that become black and white
 CLIP_LIMIT = 0.02  # of CLAHE, as a share of a tile's pixels
-
-
-def write_pictures(capture: Capture) -> None:
-    """Write a gray picture of each thermal image, under the name that COLMAP reads; for captures without RGB."""
-    with step("pictures to write", len(capture.names)) as count:
-        for index, (view, name) in enumerate(capture.names.items()):
-            Image.fromarray(picture(capture.thermal(view))).save(capture.folder / name)
-            count(index + 1)
 
 
 def picture(thermal: np.ndarray) -> np.ndarray:
