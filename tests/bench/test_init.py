@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube, SfmThermal
+from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube, ThermalStereo
 from tdgbench.scenes import ReadOptions, SceneError
 from tdgbench.scenes.scene import Tracks
 from tdgbench.scenes.synthetic import SyntheticDataset
@@ -37,28 +37,48 @@ def test_points_that_two_training_views_see(small_scene):
         init.points(dataclasses.replace(small_scene, points=none))
 
 
-def test_points_of_thermal_images_alone(tmp_path):
+@pytest.fixture(scope="module")
+def stereo():
+    return instantiate(config("init=mvs_thermal", "init.points.width=64", "init.points.planes=48").init.points)
+
+
+@pytest.fixture(scope="module")
+def facade(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenes")
+    return SyntheticDataset(folder, ReadOptions(), width=96, height=72, views=20, points=40).load("facade")
+
+
+def test_points_of_thermal_images_alone(facade, stereo: ThermalStereo):
     """The points lie on the surfaces; neither RGB images, sparse points nor test views matter; they are bytes again."""
-    dataset = SyntheticDataset(tmp_path, ReadOptions(), width=160, height=120, views=24, points=0)
-    scene = dataset.load("facade")
-    init: SfmThermal = instantiate(config("init=sfm_thermal").init.points)
-    cloud = init.points(scene)
-    errors = []
-    for view in scene.train:
+    cloud = stereo.points(facade)
+    assert stereo.describe(facade, cloud)["points"] == len(cloud.points) > 500
+    for view in facade.test:  # which the points do not know
         pixels, depths = view.camera.project(cloud.points)
         inside = view.camera.holds(pixels, depths)
         columns, rows = pixels[inside].astype(int).T
-        errors.append(np.full(len(inside), np.nan))
-        errors[-1][inside] = np.abs(depths[inside] / view.true_depth[rows, columns] - 1)
-    assert len(cloud.points) > 30 and np.median(np.nanmedian(errors, axis=0)) < 0.05  # random ones in their box: 0.11
-    assert init.describe(scene, cloud)["points"] == len(cloud.points)
-    blind = dataclasses.replace(scene, points=None, test=[])
-    for view in blind.train:
-        view.load_rgb = None
-    again = init.points(blind)
+        errors = np.abs(depths[inside] / view.true_depth[rows, columns] - 1)
+        assert inside.sum() > 200 and np.median(errors) < 0.04
+        assert np.median(np.abs(cloud.colors[inside] - view.thermal[rows, columns])) < 0.05
+    train = [dataclasses.replace(view, load_rgb=None, true_depth_path=None) for view in facade.train]
+    again = stereo.points(dataclasses.replace(facade, points=None, train=train, test=[]))
     assert np.array_equal(again.points, cloud.points) and np.array_equal(again.colors, cloud.colors)
-    with pytest.raises(SceneError, match="lower init"):
-        dataclasses.replace(init, views=20).points(blind)
+
+
+def test_masked_pixels_give_no_points(facade, stereo):
+    """With the left half of all views masked, no point lies in the left half of each of them."""
+    half = np.arange(96)[None] >= 48
+    masked = [dataclasses.replace(view, load_valid=lambda: np.repeat(half, 72, axis=0)) for view in facade.train]
+    scene = dataclasses.replace(facade, train=masked)
+    points = stereo.points(scene).points
+    shown = [view.camera.project(points)[0][:, 0] >= 48 for view in masked]
+    assert 0 < len(points) < len(stereo.points(facade).points) and np.any(shown, axis=0).mean() > 0.99
+
+
+def test_views_that_no_other_confirms_give_an_error(facade, stereo):
+    with pytest.raises(SceneError, match="agrees with that of 19 others; use"):
+        dataclasses.replace(stereo, agreeing=19).points(facade)
+    with pytest.raises(SceneError, match="no depth of a thermal training image"):
+        dataclasses.replace(stereo, degrees=0.01).points(facade)  # no view has neighbours
 
 
 def test_random_points_fill_their_cube(small_scene):
