@@ -46,7 +46,7 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
 
 
 def test_every_experiment_is_tested():
-    assert set(EXPERIMENTS) == {*SWEEPS, *JOBS, "methods"}
+    assert set(EXPERIMENTS) == {*SWEEPS, *JOBS, "methods", "prior_quality", "no_rgb"}
 
 
 @pytest.mark.parametrize(("experiment", "small"), JOBS.items())
@@ -55,6 +55,19 @@ def test_a_job_runs(tmp_path, data_root, experiment, small):
     assert run.returncode == 0, run.stderr[-3000:]
     made = {path.suffix for path in (tmp_path / "results" / experiment).iterdir()}
     assert ".csv" in made and (".png" in made) == (experiment in ("error_time", "budgets"))
+
+
+def test_initial_points_without_rgb_run(tmp_path, data_root):
+    small = (
+        "scene=turntable",
+        "method=3dgs",
+        "seed=0",
+        "init.points.width=32",
+        "init=mvs_thermal",
+        "budget.iterations=12",
+    )
+    run = command_here(tmp_path, "+experiment=no_rgb", f"data.root={data_root}", *SMALL, *small)
+    assert run.returncode == 0 and "with mvs_thermal" in run.stdout, run.stderr[-3000:]
 
 
 @pytest.mark.parametrize("experiment", SWEEPS)

@@ -188,6 +188,7 @@ def _points(lines: list[str]) -> list[Point]:
         color = [_id(w) for w in words[4:7]]
         _require(max(color) < 256)
         track = list(zip(words[8::2], words[9::2], strict=False))
+        _require(all(_id(w) < 2**32 for w in words[8::2]))
         found.append(Point(_id(words[0]), [float(w) for w in words[1:4]], color, float(words[7]), track))
     return found
 

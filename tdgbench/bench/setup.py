@@ -94,8 +94,9 @@ def set_up(
     backend = training_backend(cfg.backend.name)
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        context = Context(scene, init.points(scene), priors, budget, backend, int(cfg.seed), skips)
-        observer.note("init_points", init.describe(scene))
+        cloud = init.points(scene)
+        context = Context(scene, cloud, priors, budget, backend, int(cfg.seed), skips)
+        observer.note("init_points", init.describe(scene, cloud))
     if compiles and method.trains:
         with observer.phase("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,12 +60,32 @@ class Camera:
         return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
 
 
+class Tracks(NamedTuple):
+    """Which images see which points: a row per observation.
+
+    >>> tracks = Tracks(np.array([0, 0, 1, 1]), np.array([7, 8, 8, 8]), {7: "a", 8: "b"})
+    >>> tracks.views_of_points(3, {"a", "b"}).tolist()
+    [2, 1, 0]
+    """
+
+    points: np.ndarray  # (M,) int64, numbers of points in their cloud
+    images: np.ndarray  # (M,) uint32, ids of images
+    names: Mapping[int, str]  # of views, by id of their image
+
+    def views_of_points(self, count: int, names: set[str]) -> np.ndarray:
+        """Return by how many of the views `names` each of `count` points is seen, (count,) int64."""
+        among = np.isin(self.images, [number for number, name in self.names.items() if name in names])
+        pairs = np.unique(np.stack([self.points[among], self.images[among].astype(np.int64)]), axis=1)
+        return np.bincount(pairs[0], minlength=count)
+
+
 @dataclass(frozen=True)
 class PointCloud:
     """Sparse points from structure from motion."""
 
     points: np.ndarray  # (N, 3) float64, world
     colors: np.ndarray  # (N, 3) float32 in [0, 1]
+    tracks: Tracks | None = None  # None: not known
 
 
 @dataclass(frozen=True)

@@ -106,13 +106,13 @@ def read_points(path: Path) -> Points:
     """Read the rows of points3D.bin. Raises SceneError."""
     file = _Cursor(path)
     count = file.count("points", POINT.itemsize)
-    data, size, at, rows = file.data, len(file.data), file.at, []
+    data, size, at, rows, tracks = file.data, len(file.data), file.at, [], []
     to_length, length_at = POINT.fields["track"][1], COUNT.unpack_from  # type: ignore[index]
     try:
         for _ in range(count):  # without _Cursor's checks, since models have millions of points
             (length,) = length_at(data, at + to_length)
             rows.append(data[at : at + POINT.itemsize])
-            at += POINT.itemsize + TRACK_ELEMENT * length
+            tracks.append(data[at + POINT.itemsize : (at := at + POINT.itemsize + TRACK_ELEMENT * length)])
     except (StructError, OverflowError):
         at = size + 1
     if at > size:
@@ -120,4 +120,5 @@ def read_points(path: Path) -> Points:
     file.at = at
     file.end(count, "point")
     points = np.frombuffer(b"".join(rows), POINT)
-    return Points(points["id"], points["xyz"], points["color"])
+    images = np.frombuffer(b"".join(tracks), "<u4")[::2]  # the other numbers are those of 2-D points
+    return Points(points["id"], points["xyz"], points["color"], points["track"].astype(np.int64), images)

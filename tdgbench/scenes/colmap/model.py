@@ -15,7 +15,7 @@ from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
 from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ImageEntry, Points
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import check_view_name, is_there
-from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.scene import Camera, PointCloud, Tracks
 from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
 
 FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
@@ -60,6 +60,7 @@ def read_model(folder: Path) -> ReadModel:
     if not images:
         raise SceneError(f"{images_file} has no registered image; {REMEDY}")
     posed: dict[str, RegisteredImage] = {}
+    names: dict[int, str] = {}
     for image in images:
         where = f"{images_file}: image {image.name!r}"
         name = check_view_name(PurePosixPath(image.name.replace("\\", "/")).stem, where)
@@ -68,10 +69,11 @@ def read_model(folder: Path) -> ReadModel:
         if image.camera_id not in cameras:
             what = f"image {image.name!r} has camera {image.camera_id}, which {cameras_file.name} does not hold"
             raise DamagedModelError(images_file, what)
+        names[image.id] = name
         pinhole, undistortion = cameras[image.camera_id]
         camera = Camera(pinhole.K, _pose(image, images_file), pinhole.width, pinhole.height)
         posed[name] = RegisteredImage(name, check_camera(camera, where), undistortion)
-    return ReadModel(posed, _cloud(reader.read_points(points_file), points_file))
+    return ReadModel(posed, _cloud(reader.read_points(points_file), names, points_file))
 
 
 def _pose(image: ImageEntry, path: Path) -> np.ndarray:
@@ -89,8 +91,11 @@ def _pose(image: ImageEntry, path: Path) -> np.ndarray:
     return pose
 
 
-def _cloud(points: Points, path: Path) -> PointCloud | None:
-    """Return points in the order of their ids, or None if there are none. Raises DamagedModelError."""
+def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | None:
+    """Return points in the order of their ids, or None if there are none. names: of views, by image id.
+
+    Raises DamagedModelError.
+    """
     if not len(points.ids):
         return None
     order = np.argsort(points.ids)
@@ -103,7 +108,12 @@ def _cloud(points: Points, path: Path) -> PointCloud | None:
         named = ", ".join(map(str, ids[bad][:5]))
         what = f"{int(bad.sum())} points are not finite or beyond {MAX_COORDINATE:g} (point {named})"
         raise DamagedModelError(path, what)
-    return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255))
+    tracks = None
+    if len(points.images):
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        tracks = Tracks(np.repeat(place, points.lengths), points.images, names)
+    return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255), tracks)
 
 
 def _missing(folder: Path) -> str:

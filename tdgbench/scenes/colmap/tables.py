@@ -1,6 +1,6 @@
 """What is read of the files of a COLMAP model: cameras, images, points.
 
-Tracks, 2-D points, rigs and frames are not read: no training needs them, and the images file has all poses.
+2-D points, rigs and frames are not read: no training needs them, and the images file has all poses.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ class Points(NamedTuple):
     ids: np.ndarray  # (P,) uint64
     xyz: np.ndarray  # (P, 3) float64
     colors: np.ndarray  # (P, 3) uint8
+    lengths: np.ndarray  # (P,) int64, of the tracks
+    images: np.ndarray  # (sum of lengths,) uint32, ids of the images in the tracks, one after another
 
 
 @cache

@@ -104,8 +104,10 @@ def read_points(path: Path) -> Points:
     ids: list[int] = []
     xyz: list[float] = []
     colors: list[int] = []
+    lengths: list[int] = []
+    images: list[int] = []
     for number, text in enumerate(_text_lines(path), start=1):
-        words = text.split(maxsplit=8)  # the last one is the track
+        words = text.split()  # the track, from the ninth on, has an image and its 2-D point in turn
         if not words or words[0][0] == "#":
             continue
         try:  # and no _naming, since models have millions of points
@@ -115,6 +117,8 @@ def read_points(path: Path) -> Points:
             xyz += map(float, words[1:4])
             colors += map(int, words[4:7])
             float(words[7])
+            images += map(int, words[8::2])
+            lengths.append(len(words[8::2]))
         except (ValueError, IndexError) as error:
             raise DamagedModelError(path, f"line {number} is no point: {error}") from error
     _complete(path, ids)
@@ -123,6 +127,8 @@ def read_points(path: Path) -> Points:
             np.array(ids, np.uint64),
             np.array(xyz, np.float64).reshape(-1, 3),
             np.array(colors, np.uint8).reshape(-1, 3),
+            np.array(lengths, np.int64),
+            np.array(images, np.uint32),
         )
     except OverflowError as error:
-        raise DamagedModelError(path, f"an id or a color is out of its range ({error})") from error
+        raise DamagedModelError(path, f"an id, a color or a track is out of its range ({error})") from error

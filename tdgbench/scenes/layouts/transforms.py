@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, TypeVar
 
@@ -216,7 +216,7 @@ def where_they_are(
         return cloud, False
     moved = cloud.points @ applied_transform[:3, :3].T + applied_transform[:3, 3]
     if _share_in_images(moved, cameras) > _share_in_images(cloud.points, cameras) + CLEARLY_MORE:
-        return PointCloud(moved, cloud.colors), True
+        return replace(cloud, points=moved), True
     return cloud, False
 
 

@@ -67,3 +67,22 @@ def test_unreadable_models_are_refused(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(b"x")
     with pytest.raises(SceneError, match="not a COLMAP model"):
         read_model(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["binary", "text"])
+def test_tracks_say_which_views_see_a_point(tmp_path, kind):
+    K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    sideways = np.eye(4)
+    sideways[0, 3] = -2.0  # the second camera stands two units to the right
+    views = [("a.png", Camera(K, np.eye(4), 64, 48)), ("b.png", Camera(K, sideways, 64, 48))]
+    points = np.array([[-1.0, 0, 2], [1, 0, 2], [3, 0, 2], [9, 0, 2]])  # seen by a, by both, by b, by none
+    write_model(tmp_path, views, PointCloud(points, np.zeros((4, 3), np.float32)), observations=9)
+    if kind == "text":
+        (model := pycolmap.Reconstruction(str(tmp_path))).write_text(str(tmp_path))
+        assert model.num_points3D() == 4
+        for path in tmp_path.glob("*.bin"):
+            path.unlink()
+    cloud = read_model(tmp_path).points
+    order = np.argsort(cloud.points[:, 0])
+    assert cloud.tracks.views_of_points(4, {"a", "b"})[order].tolist() == [1, 2, 1, 0]
+    assert cloud.tracks.views_of_points(4, {"b", "other"})[order].tolist() == [0, 1, 1, 0]

@@ -1,36 +1,11 @@
-"""Initial points of the Gaussians: the scene's COLMAP points, or random points."""
+"""Random points: in a cube around the cameras, in that of the released code, or in the box of the SfM points."""
 
 from __future__ import annotations
-
-from typing import Protocol
 
 import numpy as np
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import PointCloud, Scene, SceneError
-
-
-class InitialPoints(Protocol):
-    """Source of initial points."""
-
-    def points(self, scene: Scene) -> PointCloud:
-        """Return points for a scene. Raises SceneError if the scene has none."""
-
-    def describe(self, scene: Scene) -> dict[str, object]:
-        """Return kind, number and origin of the points, for the record."""
-
-
-class ColmapPoints:
-    """Sparse points of the scene's COLMAP model."""
-
-    def points(self, scene: Scene) -> PointCloud:
-        if scene.points is None or not len(scene.points.points):
-            raise SceneError(f"{scene.name} has no sparse points; use init=random")
-        return scene.points
-
-    def describe(self, scene: Scene) -> dict[str, object]:
-        count = 0 if scene.points is None else len(scene.points.points)
-        return {"kind": "colmap", "points": count, "how": "the sparse points of the COLMAP model"}
 
 
 class RandomPoints:
@@ -56,7 +31,7 @@ class RandomPoints:
         """Return colours of the points (count, 3) float32 in [0, 1]."""
         return rng.uniform(0, 1, (self.count, 3)).astype(np.float32)
 
-    def describe(self, scene: Scene) -> dict[str, object]:
+    def describe(self, scene: Scene, cloud: PointCloud) -> dict[str, object]:
         how = f"{self.count} points, uniform in {self.where}"
         return {"kind": self.kind, "points": self.count, "box": self.box(scene).tolist(), "how": how}
 
