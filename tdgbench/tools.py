@@ -23,16 +23,18 @@ class Tool:
 
 TOOLS = {
     "tables": Tool(
-        (("[claims|sensitivity] DIR ...", "tables of results/<experiment>; the paper's claims; other conventions"),),
+        (("[claims|sensitivity] DIR", "tables of results/<experiment>; the paper's claims; other conventions"),),
         "tdgbench.tables.command",
     ),
     "compare": Tool((("A B", "two result folders: scores, verdicts, what differs"),), "tdgbench.compare"),
     "data": Tool(
         (
-            ("get NAME DIR", "download a data set: thermalmix, rgbt_scenes, thermoscenes"),
-            ("check DIR", "which scenes are there, whole and aligned"),
+            ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
             ("prepare CAMERA_FILES OUT", "make a scene: temperatures, COLMAP model, undistorted images"),
-            ("export SCENE OUT", "write a scene as the authors' own programs read it"),
+            (
+                "export SCENE OUT, poses A B",
+                "as the authors' programs read it; errors against a reference's poses",
+            ),
         ),
         "tdgbench.data.command",
     ),
