@@ -20,7 +20,7 @@ COMMANDS = (
 )
 OPTIONS = (
     ("data.root=DIR", "where the data sets are (default: data); dataset=folder: your capture"),
-    ("scene=A,B seed=0,1 name=NAME", "scenes, seeds; results are in results/NAME (default: single), or results=DIR"),
+    ("scene=A,B seed=0,1 name=NAME", "scenes, seeds; results are in results/NAME (default single), or results=DIR"),
     ("overwrite=always|never", "repeat finished cells, or keep outdated ones"),
     ("hydra/launcher=joblib", "run cells side by side (also submitit_local, submitit_slurm, ray)"),
     ("--config-dir DIR", "add a folder with your YAML files: DIR/<group>/<choice>.yaml"),
