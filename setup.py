@@ -10,7 +10,8 @@ setup(
     package_data={
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
-        "tdgbench.report": ["*.j2"],
+        "tdgbench.report": ["*.j2", "*.css", "*.js"],
+        "tdgbench.compare": ["*.j2"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
     },

@@ -28,7 +28,7 @@ WRONG = [
     ("checkpoint=inf", "checkpoint=inf: must be a finite number"),
     ("threads=0", "threads=0: must be at least 1"),
     ("table=big", "table=big: must be main, ablation or readings"),
-    ("backend.name=gpu", "backend.name=gpu: must be auto, cpu, cuda or reference"),
+    ("backend.name=gpu", "backend.name=gpu: must be auto, cpu, cuda, reference or warp"),
     ("budget.iterations=0", "budget.iterations=0: must be greater than 0"),
     ("budget.iterations=12.5", "budget.iterations=12.5: must be a valid integer"),
     ("budget.iterations=nan", "budget.iterations=nan: must be a valid integer"),

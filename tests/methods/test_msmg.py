@@ -11,7 +11,7 @@ def test_crossed_weights(small_scene):
     assert n_rgb != n_thermal  # else the test could not tell the shares apart
     step = method.step(1)
     total = n_rgb + n_thermal
-    expected = 0.3 * n_thermal / total * step.terms["rgb"] + 0.6 * n_rgb / total * step.terms["thermal"]
+    expected = 0.3 * n_thermal / total * step.numbers()[1]["rgb"] + 0.6 * n_rgb / total * step.numbers()[1]["thermal"]
     assert step.loss.item() == pytest.approx(expected, rel=1e-5)
 
 

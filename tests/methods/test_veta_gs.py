@@ -95,7 +95,7 @@ def test_the_loss_has_the_feature_term_from_its_start_on(method):
         if iteration > 20:
             mono = method.features(image, target)
             expected = l1_and_dssim(image, target, 0.6, 0.2) + 0.2 * mono
-            assert step.terms["mono"] == pytest.approx(mono.item()) and mono > 0
+            assert step.terms["mono"].item() == pytest.approx(mono.item()) and mono > 0
         assert step.loss.item() == pytest.approx(expected.item()) and ("mono" in step.terms) == (iteration > 20)
 
 

@@ -178,7 +178,7 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "no column": (rows(lambda t: [row.pop(2) for row in t]), "views.csv has no column ssim", True),
     "not a number": (field("psnr", "high"), "psnr of view000 is 'high', which is no finite number", True),
     "infinite": (field("psnr", "inf"), "psnr of view000 is 'inf', which is no finite number", True),
-    "short row": (rows(lambda t: t[1].pop()), "row 2 has 15 fields, the first one 16", True),
+    "short row": (rows(lambda t: t[1].pop()), "row 2 has 19 fields, the first one 20", True),
     "views.csv empty": (write("views.csv", b""), "views.csv cannot be read: its first line", True),
     "views.csv missing": (remove("views.csv"), "views.csv cannot be read: it is missing", True),
     "views.csv not UTF-8": (write("views.csv", b"view,\xff\n"), "views.csv cannot be read: it is not UTF-8", True),
