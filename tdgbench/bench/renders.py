@@ -28,7 +28,10 @@ from tdgbench.training.trainer import Trainer
 
 
 def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
-    """Render each view, by name, in all of the method's modalities. response: of the thermal camera."""
+    """Render each view, by name, in all of the method's modalities, with its determinacy if the method has Gaussians.
+
+    response: of the thermal camera.
+    """
     renders = {view.name: render_images(trainer, view, response) for view in views}
     if THERMAL not in trainer.gaussians:
         return renders

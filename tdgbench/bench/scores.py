@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from tdgbench.bench.read_files import read_table
-from tdgbench.bench.renders import render_images, render_views
+from tdgbench.bench.renders import render_images
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.scoring.scored_view import NotApplicableError
@@ -24,8 +24,11 @@ VIEWS_A_THREAD = 2  # training views that are rendered before they are scored to
 def score_views(
     trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
 ) -> dict[str, dict[str, float | None]]:
-    """Render and score the test views of a scene; scores by view and metric, None where a metric has no value."""
-    return scorer.score(scene, render_views(trainer, scene.test, response))
+    """Render and score the test views of a scene; scores by view and metric, None where a metric has no value.
+
+    Nothing is said on what the training views determine, which takes a pass over all of them.
+    """
+    return scorer.score(scene, {view.name: render_images(trainer, view, response) for view in scene.test})
 
 
 def score_training_views(

@@ -53,7 +53,7 @@ class RenderedImages:
     def known_determinacy(self) -> np.ndarray:
         """`determinacy`. Raises NotApplicableError without."""
         if self.determinacy is None:
-            raise NotApplicableError("the renders have no Gaussians, whose footprints tell what training views saw")
+            raise NotApplicableError("what the training views determine is unknown: the renders are not of Gaussians")
         return self.determinacy
 
 
