@@ -38,7 +38,9 @@ def main(arguments: list[str]) -> int:
     build = _tables
     if what[0] == "sensitivity":
         build, what = _sensitivity, what[1:]
-    return max((build(Path(folder)) for folder in what), default=2)
+        if not what:
+            parser.error("sensitivity needs the folder of an experiment: results/<experiment>")
+    return max(build(Path(folder)) for folder in what)
 
 
 def _tables(experiment: Path) -> int:

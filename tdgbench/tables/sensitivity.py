@@ -146,10 +146,13 @@ def stored_pairs(folder: Path, convention: Convention) -> Iterator[ImagePair]:
     """Yield the stored thermal render and ground truth of each test view. Raises ValueError for what cannot be read."""
     files = files_of(THERMAL)
     for path in sorted((folder / files.targets).glob("*.png")):
-        target = read_picture(path)
-        size = target.shape[1], target.shape[0]
-        image = read_picture(folder / files.renders / path.name, size)
-        valid = read_mask(folder, path.stem, size) if has_mask(folder, path.stem) else None
+        try:
+            target = read_picture(path)
+            size = target.shape[1], target.shape[0]
+            image = read_picture(folder / files.renders / path.name, size)
+            valid = read_mask(folder, path.stem, size) if has_mask(folder, path.stem) else None
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{folder}: view {path.stem} cannot be read: {error}") from error
         inside = np.float32(1 if valid is None else valid[..., None])
         image, target = (pixels * inside / np.float32(255) for pixels in (image, target))
         yield ImagePair(image, target, convention, valid)

@@ -136,6 +136,19 @@ def test_a_folder_without_cells_is_refused(tmp_path, capsys):
     assert "no finished cell" in capsys.readouterr().err
 
 
+def test_a_damaged_picture_is_named(tmp_path, capsys):
+    folder = cell(tmp_path / "x", "tdg", [2.0])
+    (folder / "renders" / "0.png").write_bytes(b"no picture")
+    assert main(["sensitivity", str(tmp_path / "x")]) == 1
+    assert "view 0 cannot be read: it is no picture" in capsys.readouterr().err
+
+
+def test_a_folder_must_be_named(capsys):
+    with pytest.raises(SystemExit):
+        main(["sensitivity"])
+    assert "results/<experiment>" in capsys.readouterr().err
+
+
 def test_real_cells(small_results):
     cells = _cells(small_results)
     table = sensitivity(cells).set_index(["score", "convention"])
