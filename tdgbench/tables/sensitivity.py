@@ -26,6 +26,7 @@ from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
 from tdgbench.scoring.lpips import Net, Range
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.channel_psnr import channel_psnr
+from tdgbench.scoring.metrics.psnr import psnr_of
 from tdgbench.scoring.metrics.psnr_affine import psnr_affine
 from tdgbench.scoring.scored_view import Border, Convention, ImagePair, NotApplicableError, at_valid
 from tdgbench.tables.cell import Cell
@@ -195,7 +196,7 @@ _shared = cache(Scorer)  # loads its network once for all cells
 
 def _of_mean_error(values: np.ndarray) -> float:
     """Return the PSNR (dB) of the mean squared error of views with these PSNR."""
-    return -10 * float(np.log10(np.mean(10 ** (-values / 10))))
+    return psnr_of(float(np.mean(10 ** (-values / 10))))
 
 
 def _uniform_ssim(pair: ImagePair) -> float:

@@ -20,7 +20,15 @@ def psnr(image: np.ndarray, target: np.ndarray) -> float:
     """
     if image.shape != target.shape:
         raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
-    mse = float(np.mean((image.astype(np.float64) - target.astype(np.float64)) ** 2))
+    return psnr_of(float(np.mean((image.astype(np.float64) - target.astype(np.float64)) ** 2)))
+
+
+def psnr_of(mse: float) -> float:
+    """Return the PSNR (dB) of a mean squared error of values in [0, 1].
+
+    >>> psnr_of(0.01), psnr_of(0.0)
+    (20.0, 100.0)
+    """
     return MAX_PSNR if mse <= 10 ** (-MAX_PSNR / 10) else -10 * float(np.log10(mse))
 
 

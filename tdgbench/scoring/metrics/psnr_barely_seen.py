@@ -7,7 +7,7 @@ import numpy as np
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen
 from tdgbench.scoring.metrics.guess_correlation import seen_pixels
-from tdgbench.scoring.metrics.psnr import MAX_PSNR
+from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr_of
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 
@@ -17,16 +17,7 @@ def psnr_where(shown: ScoredView, barely: bool) -> float:
     errors = pixels.squared_error[is_barely_seen(pixels.determinacy) == barely]
     if not errors.size:
         raise NotApplicableError(f"no pixel of the test views is {'barely' if barely else 'well'} seen")
-    return psnr_of(errors)
-
-
-def psnr_of(squared_error: np.ndarray) -> float:
-    """Return the PSNR (dB) of squared errors of values in [0, 1].
-
-    >>> psnr_of(np.array([0.01, 0.03]))
-    16.989700043360187
-    """
-    return -10 * float(np.log10(max(squared_error.mean(dtype=np.float64), 10 ** (-MAX_PSNR / 10))))
+    return psnr_of(float(errors.mean(dtype=np.float64)))
 
 
 METRIC = ViewMetric(
