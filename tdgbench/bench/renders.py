@@ -1,18 +1,20 @@
-"""Render the views of a method or of a stored model, and write renders beside ground truth and masks as PNG."""
+"""Render the views of a method or of a stored model; write and read renders beside ground truth and masks as PNG."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
 
-from tdgbench.bench.masks import write_mask
+from tdgbench.bench.masks import has_mask, read_mask, write_mask
 from tdgbench.bench.paths import files_of
+from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
@@ -79,6 +81,30 @@ def write_renders(renders: dict[str, RenderedImages], views: list[View], folder:
             target = image_of(view, modality)
             if target is not None:
                 _write_pair(folder, modality, view.name, image, target)
+
+
+class StoredView(NamedTuple):
+    """Ground truth and render of a test view, (H, W, 1 or 3) uint8, and their mask (H, W); None if all are valid."""
+
+    truth: np.ndarray
+    render: np.ndarray
+    valid: np.ndarray | None
+
+    @property
+    def error(self) -> np.ndarray:
+        """(H, W) mean absolute difference over the channels, of values in [0, 1]; NaN where not `valid`."""
+        error = np.abs(self.render / 255 - self.truth / 255).mean(axis=2)
+        return error if self.valid is None else np.where(self.valid, error, np.nan)
+
+
+def stored_view(folder: Path, view: str) -> StoredView:
+    """Return the stored thermal pictures of a test view. Raises ValueError where one is missing or unusable."""
+    files = files_of(THERMAL)
+    truth, image = (read_picture(folder / sub / f"{view}.png") for sub in (files.targets, files.renders))
+    if truth.shape != image.shape:
+        raise ValueError(f"{folder}: {files.targets} and {files.renders} of {view} differ in size")
+    valid = read_mask(folder, view, (truth.shape[1], truth.shape[0])) if has_mask(folder, view) else None
+    return StoredView(truth, image, valid)
 
 
 def _write_pair(folder: Path, modality: str, name: str, image: np.ndarray, target: np.ndarray) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.colours import colored, in_colour
+from tdgbench.bench.renders import stored_view
 from tdgbench.compare.causes import KINDS, Cause
 from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
 from tdgbench.files import write_text
 from tdgbench.report.page import environment
-from tdgbench.report.views import ERROR, ERROR_RANGE, embedded, stored_view
+from tdgbench.report.views import ERROR, ERROR_RANGE, embedded
 from tdgbench.tables.measures import MEASURES
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes

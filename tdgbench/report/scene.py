@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from tdgbench.bench import colours, masks
 from tdgbench.bench.failures import message
+from tdgbench.bench.renders import stored_view
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen
@@ -66,7 +67,7 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
 
 
 def _pictures(folder: Path, view: str) -> dict[str, Any]:
-    stored = views.stored_view(folder, view)
+    stored = stored_view(folder, view)
     pictures = {
         "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
         "render": colours.in_colour(stored.render),
@@ -77,7 +78,7 @@ def _pictures(folder: Path, view: str) -> dict[str, Any]:
 
 def _geometry(folder: Path, view: str) -> dict[str, Any]:
     depth, determinacy = views.geometry_of(folder, view)
-    render = colours.in_colour(views.stored_view(folder, view).render)
+    render = colours.in_colour(stored_view(folder, view).render)
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from tdgbench.bench.colours import in_colour
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.record import Record
+from tdgbench.bench.renders import stored_view
 from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view, stored_view
+from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 

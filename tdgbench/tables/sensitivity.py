@@ -17,10 +17,9 @@ import numpy as np
 import pandas as pd
 from skimage.metrics import structural_similarity
 
-from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
+from tdgbench.bench.renders import stored_view
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
 from tdgbench.scoring.lpips import Net, Range
@@ -145,13 +144,9 @@ def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.
 
 def stored_pairs(folder: Path, convention: Convention) -> Iterator[ImagePair]:
     """Yield the stored thermal render and ground truth of each test view. Raises ValueError for what cannot be read."""
-    files = files_of(THERMAL)
-    for path in sorted((folder / files.targets).glob("*.png")):
+    for path in sorted((folder / files_of(THERMAL).targets).glob("*.png")):
         try:
-            target = read_picture(path)
-            size = target.shape[1], target.shape[0]
-            image = read_picture(folder / files.renders / path.name, size)
-            valid = read_mask(folder, path.stem, size) if has_mask(folder, path.stem) else None
+            target, image, valid = stored_view(folder, path.stem)
         except (OSError, ValueError) as error:
             raise ValueError(f"{folder}: view {path.stem} cannot be read: {error}") from error
         inside = np.float32(1 if valid is None else valid[..., None])
