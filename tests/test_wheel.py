@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -76,6 +77,24 @@ def test_holds_every_file(wheel):
         files = [p for p in (ROOT / folder).rglob("*") if p.is_file() and p.suffix not in (".pyc", ".png")]
         assert {f"{inside}/{p.relative_to(ROOT / folder).as_posix()}" for p in files} - names == set()
     assert not any(name.startswith(("tests/", "benchmarks/", "conf/")) for name in names)
+
+
+def build(kind: str, sources: Path, out: Path) -> Path:
+    """The distribution that setuptools builds, with the time of its files fixed."""
+    code = f"import sys; from setuptools.build_meta import build_{kind} as build; build(sys.argv[1])"
+    run("env", "SOURCE_DATE_EPOCH=1700000000", sys.executable, "-c", code, out, cwd=sources)
+    return next(out.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sets an environment variable with `env`")
+def test_a_release_is_reproducible_from_its_source_distribution(sources, tmp_path):
+    archive = build("sdist", sources, tmp_path / "sdist")
+    with tarfile.open(archive) as opened:
+        opened.extractall(tmp_path / "unpacked", filter="data")
+    (unpacked,) = (tmp_path / "unpacked").iterdir()
+    assert (unpacked / "LICENSE").is_file() and (unpacked / "README.md").is_file()
+    wheels = [build("wheel", folder, tmp_path / name) for folder, name in ((sources, "first"), (unpacked, "second"))]
+    assert wheels[0].read_bytes() == wheels[1].read_bytes()
 
 
 def test_works_from_an_empty_folder(programs, tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench import __version__
 from tdgbench.bench.record import FILE, Failure, SkipRecord, read_all, read_record, schema_problems
 from tdgbench.training.skips import Skip
 from tests.helpers.records import record
@@ -16,6 +17,23 @@ def test_round_trip(tmp_path):
     )
     written.write(tmp_path)
     assert read_record(tmp_path) == written and [p.name for p in tmp_path.iterdir()] == [FILE]
+
+
+RELEASED = sorted((Path(__file__).parent / "records").glob("*/*.json"))  # as each version wrote them
+
+
+@pytest.mark.parametrize("path", RELEASED, ids=lambda path: f"{path.parent.name} {path.stem}")
+def test_records_of_earlier_versions_can_be_read(path, tmp_path):
+    (tmp_path / FILE).write_bytes(path.read_bytes())
+    read = read_record(tmp_path)
+    read.write(tmp_path)
+    assert read_record(tmp_path) == read and read.status == {"finished": "ok", "failed": "failed"}[path.stem]
+    content = json.loads(path.read_text())
+    assert {name: value for name, value in asdict(read).items() if name in content} == content
+
+
+def test_this_version_has_stored_records():
+    assert {path.stem for path in RELEASED if path.parent.name == __version__} == {"failed", "finished"}
 
 
 def test_titles():
