@@ -27,7 +27,8 @@ from tdgbench.scenes.validate import MAX_PIXELS
 FLIR_SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 DJI_MAKE = b"DJI"  # in the EXIF segment; raw counts are in APP3 then (ExifTool's JPEG.pm and DJI.pm)
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
-MOST_RECORDS = 4096  # of a FLIR file; cameras write 14 to 100
+MOST_RECORDS = 4096  # of a FLIR file; cameras write 2 to 100
+FLIR_VERSIONS = range(100, 200)  # of the file format, by which ExifTool's FLIR.pm tells the byte order
 NO_SCALE = CountScale()
 TLINEAR = re.compile(rb'TlinearGain(?:>|=")([\d.]+)')  # in XMP of FLIR's TIFF, which is not always well-formed
 # K per count. Duo Pro R User Guide 1.0, p. 39: 0.04 (range -25 to 135 °C), 0.40 (-40 to 550 °C); Duo's, 5.1.7.3.1: 0.01
@@ -153,16 +154,12 @@ def dji_counts(path: Path) -> np.ndarray | None:
 def _decode_flir(content: bytes, path: Path) -> Thermogram:
     from flyr.embedded_image import parse_embedded_image
     from flyr.picture_in_picture import parse_pip_info
-    from flyr.records import RecordIndex, extract_flir_app1, parse_flir_records
+    from flyr.records import RecordIndex, extract_flir_app1
     from flyr.thermal import parse_camera_info
     from flyr.thermogram import FlyrThermogram
 
     stream = extract_flir_app1(io.BytesIO(content))
-    stream.seek(0x1C)
-    if struct.unpack(">I", stream.read(4))[0] > MOST_RECORDS:
-        raise SceneError(f"{path} has a damaged FLIR directory; copy it again from the camera, or leave it out")
-    stream.seek(0)
-    records = parse_flir_records(stream)
+    records = _directory(stream, path)
     for needed in (RecordIndex.RAW_DATA, RecordIndex.CAMERA_INFO):
         if needed.value not in records:
             raise SceneError(f"{path} has a FLIR segment without {needed.name.lower()}; use the camera's original file")
@@ -176,6 +173,21 @@ def _decode_flir(content: bytes, path: Path) -> Thermogram:
         mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
     celsius = _valid_or_nan(FlyrThermogram(counts, settings).celsius, path)
     return Thermogram(celsius, photo, mapping, {key: float(value) for key, value in settings.items()})
+
+
+def _directory(stream: BinaryIO, path: Path) -> dict[int, tuple[int, int, int, int]]:
+    """Return records by type, as flyr's parsers take them: place in the directory, type, offset and length in bytes.
+
+    Zenmuse XT writes the directory little-endian, other cameras big-endian; flyr reads the latter alone.
+    """
+    header = stream.read(0x20)
+    order = next((order for order in "><" if struct.unpack_from(f"{order}I", header, 0x14)[0] in FLIR_VERSIONS), None)
+    start, count = (0, MOST_RECORDS + 1) if order is None else struct.unpack_from(f"{order}II", header, 0x18)
+    if count > MOST_RECORDS:
+        raise SceneError(f"{path} has a damaged FLIR directory; copy it again from the camera, or leave it out")
+    stream.seek(start)
+    entries = struct.iter_unpack(f"{order}HHIIIIIII", stream.read(32 * count))
+    return {entry[0]: (32 * place, entry[0], entry[4], entry[5]) for place, entry in enumerate(entries) if entry[0] > 0}
 
 
 def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:

@@ -49,11 +49,13 @@ class FlirCamera:
 
 
 def write_flir(path: Path, counts: np.ndarray, photo: np.ndarray | None = None, camera: FlirCamera | None = None,
-               encoding: str = "png_swapped", mapping: tuple[float, int, int] | None = None) -> None:  # fmt: skip
+               encoding: str = "png_swapped", mapping: tuple[float, int, int] | None = None,
+               order: str = ">") -> None:  # fmt: skip
     """Write a FLIR radiometric JPEG.
 
     counts: (H, W) uint16. photo: (h, w, 3) uint8, embedded as JPEG. encoding of the counts: `png_swapped` (as most
     cameras write), `png` or `raw`. mapping: real_to_ir, offset_x, offset_y of the picture-in-picture record.
+    order: of the directory's bytes; Zenmuse XT's is `<`.
     """
     camera = FlirCamera() if camera is None else camera
     records = [(1, _image_record(_encoded(counts, encoding), counts.shape)), (32, camera.record())]
@@ -62,7 +64,7 @@ def write_flir(path: Path, counts: np.ndarray, photo: np.ndarray | None = None, 
     if mapping is not None:
         records.append((42, struct.pack("<f6h", *mapping, 0, counts.shape[1] - 1, 0, counts.shape[0] - 1)))
     shown = np.clip((counts.astype(float) - counts.min()) / max(1, np.ptp(counts)) * 255, 0, 255).astype(np.uint8)
-    path.write_bytes(with_segments(_jpeg(shown), flir_segments(_fff(records))))
+    path.write_bytes(with_segments(_jpeg(shown), flir_segments(_fff(records, order))))
 
 
 def flir_segments(fff: bytes) -> list[bytes]:
@@ -79,13 +81,13 @@ def with_segments(jpeg: bytes, segments: list[bytes]) -> bytes:
     return jpeg[:2] + b"".join(segments) + jpeg[2:]
 
 
-def _fff(records: list[tuple[int, bytes]]) -> bytes:
+def _fff(records: list[tuple[int, bytes]], order: str) -> bytes:
     count = len(records) + 2  # cameras leave entries empty at the end
-    header = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">3I", 100, HEADER, count)
+    header = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(f"{order}3I", 100, HEADER, count)
     directory, contents = b"", b""
     for kind, data in records:
         offset = HEADER + ENTRY * count + len(contents)
-        directory += struct.pack(">2H4I", kind, 1, 100, 1, offset, len(data)).ljust(ENTRY, b"\0")
+        directory += struct.pack(f"{order}2H4I", kind, 1, 100, 1, offset, len(data)).ljust(ENTRY, b"\0")
         contents += data
     return header.ljust(HEADER, b"\0") + directory.ljust(ENTRY * count, b"\0") + contents
 

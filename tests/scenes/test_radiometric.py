@@ -31,6 +31,11 @@ def test_temperature_is_the_formula(tmp_path, encoding):
     assert np.allclose(degC, CELSIUS, atol=0.02)  # a count is 0.01 to 0.03 °C
 
 
+def test_the_directory_may_be_little_endian(tmp_path):
+    write_flir(tmp_path / "t.jpg", COUNTS, encoding="raw", order="<")
+    assert np.allclose(read_celsius(tmp_path / "t.jpg"), CAMERA.celsius(COUNTS), atol=1e-3)
+
+
 def test_emissivity_of_the_file_is_corrected(tmp_path):
     write_flir(tmp_path / "t.jpg", COUNTS, camera=FlirCamera(emissivity=0.8))
     # The counts are 0.8 of the object's and 0.2 of the surroundings' at 295.15 K (the reflected temperature).
@@ -131,11 +136,18 @@ def test_damaged_files_are_one_error(tmp_path):
 def test_huge_numbers_of_records_and_pixels_take_no_time(tmp_path):
     Image.fromarray(np.uint8(CELSIUS)).save(tmp_path / "plain.jpg")
     plain = (tmp_path / "plain.jpg").read_bytes()
-    fff = b"FFF\0" + bytes(20) + (64).to_bytes(4, "big") + (2**32 - 1).to_bytes(4, "big") + bytes(200)
+    fff = (
+        b"FFF\0"
+        + bytes(16)
+        + (100).to_bytes(4, "big")
+        + (64).to_bytes(4, "big")
+        + (2**32 - 1).to_bytes(4, "big")
+        + bytes(200)
+    )
     (tmp_path / "many.jpg").write_bytes(with_segments(plain, flir_segments(fff)))
     with pytest.raises(SceneError, match=r"many\.jpg has a damaged FLIR directory"):
         read_celsius(tmp_path / "many.jpg")
-    (tmp_path / "no_records.jpg").write_bytes(with_segments(plain, flir_segments(b"FFF\0" + bytes(200))))
+    (tmp_path / "no_records.jpg").write_bytes(with_segments(plain, flir_segments(fff[:24] + bytes(200))))
     with pytest.raises(SceneError, match=r"no_records\.jpg has a FLIR segment without raw_data"):
         read_celsius(tmp_path / "no_records.jpg")
 
