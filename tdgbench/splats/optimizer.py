@@ -17,6 +17,7 @@ from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.warp import fuses
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
 RHO = BETA1 / math.sqrt(BETA2)
@@ -122,11 +123,7 @@ class Adam:
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
-            values = gradients.compute().values
-            self._step_all(values, rates / bias1, np.sqrt(bias2))
-            if torch.isfinite(values.sum()):  # one pass in the usual case
-                return None
-            return self._first_marked((~torch.isfinite(values)).any(dim=0).numpy(force=True))
+            return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2))
         self._used = max(self._used, gradients.columns)
         step_sizes, per_bias2 = torch.zeros(2, len(rates))
         step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
@@ -227,10 +224,19 @@ class Adam:
         }[rate]
 
     @torch.no_grad()
-    def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> None:
-        """Step every row by its gradient (N, columns)."""
-        values, first, second = self.state.values, self.state.first, self.state.second
-        sizes, bias = torch.as_tensor(np.stack([step_sizes, bias2_sqrt]), dtype=values.dtype, device=values.device)
+    def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> str | None:
+        """Step every row by its gradient (N, columns); return what `step` does."""
+        values, first, second = rows = (self.state.values, self.state.first, self.state.second)
+        columns = torch.as_tensor(np.stack([step_sizes, bias2_sqrt]), dtype=values.dtype, device=values.device)
+        if fuses(values):
+            from tdgbench.splats.warp.adam import step_all
+
+            bad = step_all(grad, columns, rows, (BETA1, BETA2), EPS).numpy(force=True)
+            return self._first_marked(bad) if bad.any() else None
+        sizes, bias = columns
         first.lerp_(grad, 1 - BETA1)
         second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
         values.sub_(sizes * first / (second.sqrt() / bias + EPS))
+        if torch.isfinite(grad.sum()):  # one pass in the usual case
+            return None
+        return self._first_marked((~torch.isfinite(grad)).any(dim=0).numpy(force=True))

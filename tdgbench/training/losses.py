@@ -1,7 +1,7 @@
 """Loss terms that methods share: the 3DGS photometric loss, thermal smoothness in both readings, min-max normalisation.
 
 Images are (H, W, C) in [0, 1]; losses are scalars. Fused kernels compute value and gradient of float32 images on the
-CPU, torch those of other types and devices, and `smoothness` alone. Only the first argument gets a gradient.
+CPU, and of L1 and SSIM on a GPU that Warp can use; torch those of the others. Only the first argument gets a gradient.
 
 A mask `valid`, bool (H, W), takes pixels out of a loss where it is false: they are 0 in both images, as with 3DGS
 (`alpha_mask` in train.py), nerfstudio (splatfacto.py) and gsplat (examples/simple_trainer.py), and means are over the
@@ -20,6 +20,7 @@ from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
+from tdgbench.splats.warp import fuses
 from tdgbench.training import torch_losses
 
 CACHE_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
@@ -87,8 +88,20 @@ def l1_and_dssim(
     if _is_fused(image):
         return _fused(image, target, l1_weight, dssim_weight, valid=valid)
     _check_shapes(image, target, valid)
-    _valid_values(image, valid)
+    count = _valid_values(image, valid)
+    if fuses(image):
+        return _on_warp(image, target, (l1_weight, dssim_weight), valid, count)
     return torch_losses.l1_and_dssim(image, target, l1_weight, dssim_weight, valid)
+
+
+def _on_warp(image: Tensor, target: Tensor, weights: tuple[float, float], valid: Tensor | None, count: int) -> Tensor:
+    """Return L1 and SSIM by the kernels of the `warp` backend. weights: of both; count: values that are valid."""
+    from tdgbench.splats.warp.losses import L1AndDssim
+
+    if valid is None:
+        return L1AndDssim.apply(image, target.detach(), image.new_empty(0, 0), weights, count)
+    image, target = (torch_losses.without_masked(t, valid) for t in (image, target.detach()))
+    return L1AndDssim.apply(image, target, valid.to(image.dtype), weights, count)
 
 
 def _fused(

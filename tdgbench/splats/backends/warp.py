@@ -5,13 +5,11 @@ Sums have a fixed order: the same input gives the same bytes on the same device.
 
 from __future__ import annotations
 
-import importlib.util
-from functools import cache
-
 import torch
 
 from tdgbench.splats.backends.backend import Backend
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
+from tdgbench.splats.warp import import_problem
 
 
 class WarpBackend(Backend):
@@ -29,9 +27,7 @@ class WarpBackend(Backend):
         return device.type in ("cpu", "cuda") and dtype == torch.float32
 
     def why_not(self) -> str | None:
-        if importlib.util.find_spec("warp") is None:
-            return "warp-lang is not installed: pip install -e '.[warp]'"
-        return _import_problem(torch.cuda.is_available())
+        return import_problem(torch.cuda.is_available())
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         from tdgbench.splats.warp.arrays import view_of
@@ -50,23 +46,6 @@ class WarpBackend(Backend):
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)
         return Render(image, depth, transmittance, Projection(probe, radii, depths, absgrad))
-
-
-@cache
-def _import_problem(on_gpu: bool) -> str | None:
-    """Return why Warp cannot be imported, or does not run on the GPU that torch found; None if it can be used."""
-    try:
-        import warp
-
-        import tdgbench.splats.warp.arrays  # noqa: F401, sets Warp up
-    except Exception as error:  # of another package of this name, too
-        return f"warp-lang cannot be imported ({type(error).__name__}: {(str(error).splitlines() or [''])[0]})"
-    if on_gpu and not warp.is_cuda_available():
-        return (
-            f"the NVIDIA driver is too old for warp-lang {warp.__version__}: its wheel on PyPI is built for CUDA "
-            "13 and needs driver 580 or newer; update the driver, or install NVIDIA's wheel for CUDA 12"
-        )
-    return None
 
 
 BACKEND = WarpBackend()

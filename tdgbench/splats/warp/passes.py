@@ -54,7 +54,7 @@ class Rasterize(torch.autograd.Function):
             sums = _sum_over_pixels(gaussians[3], projected, pairs, [*images, *by_image], ctx.request)
             gradients = [torch.zeros_like(t, memory_format=torch.contiguous_format) for t in gaussians]
             inputs = [filled(Source, gaussians), view, filled(Projected, projected), array(sums)]
-            _launch(project_backward, len(sums), [*inputs, filled(Source, gradients)], sums)
+            launch(project_backward, len(sums), [*inputs, filled(Source, gradients)], sums)
         if absgrad is not None:
             absgrad += sums[:, -2:]
         return *gradients, sums[:, :2], None
@@ -79,7 +79,7 @@ def count_pairs(ends: Tensor) -> int:
     return pairs
 
 
-def _launch(kernel: wp.Kernel, dim, inputs: list, like: Tensor, **options) -> None:
+def launch(kernel: wp.Kernel, dim, inputs: list, like: Tensor, **options) -> None:
     """Launch a kernel on the device of a tensor."""
     wp.launch(kernel, dim=dim, inputs=inputs, device=str(like.device), **options)
 
@@ -91,7 +91,7 @@ def _project(gaussians: list[Tensor], request: Request) -> list[Tensor]:
     floats = [means.new_zeros(count, *shape) for shape in ((2,), (3,), (features,), ())]
     ints = [torch.zeros(shape, dtype=torch.int32, device=means.device) for shape in (count, (count, 4), count, 1)]
     projected = [*floats, *ints]
-    _launch(project, count, [filled(Source, gaussians), request.view, filled(Projected, projected)], means)
+    launch(project, count, [filled(Source, gaussians), request.view, filled(Projected, projected)], means)
     ends = array(projected[6])
     wp.utils.array_scan(ends, ends, inclusive=True)
     return projected
@@ -105,9 +105,9 @@ def _list_pairs(projected: list[Tensor], view: View) -> list[Tensor]:
     pairs = [ends.new_empty(size) for size in (view.tiles_x * view.tiles_y + 1, 2 * count, count)]
     starts, slots, _ = pairs
     if count:
-        _launch(list_pairs, len(ends), [filled(Projected, projected), view, array(keys), filled(Pairs, pairs)], ends)
+        launch(list_pairs, len(ends), [filled(Projected, projected), view, array(keys), filled(Pairs, pairs)], ends)
         wp.utils.radix_sort_pairs(array(keys), array(slots), count, end_bit=32 + len(starts).bit_length())
-    _launch(find_starts, len(starts), [array(keys), count, array(starts)], ends)
+    launch(find_starts, len(starts), [array(keys), count, array(starts)], ends)
     return pairs
 
 
@@ -119,7 +119,7 @@ def _blend(gaussians: list[Tensor], projected: list[Tensor], pairs: list[Tensor]
     images = [opacities.new_empty(*size, features), opacities.new_empty(size), last]
     kernel = blend_kernels(features, lanes_of(opacities.device), request.absgrad is not None).forward
     inputs = [view, filled(Projected, projected), filled(Pairs, pairs), array(opacities), *map(array, images)]
-    _launch(kernel, view.tiles_x * view.tiles_y * TILE_PIXELS, inputs, opacities, block_dim=TILE_PIXELS)
+    launch(kernel, view.tiles_x * view.tiles_y * TILE_PIXELS, inputs, opacities, block_dim=TILE_PIXELS)
     return images
 
 
@@ -140,5 +140,5 @@ def _sum_over_pixels(
         kernels.backward, dim=[tiles], inputs=[*inputs, array(rows, kernels.row)], block_dim=lanes, device=device
     )
     sums = opacities.new_empty(len(ends), kernels.columns)
-    _launch(add_pairs, sums.shape, [array(rows), array(ends), array(sums)], opacities)
+    launch(add_pairs, sums.shape, [array(rows), array(ends), array(sums)], opacities)
     return sums

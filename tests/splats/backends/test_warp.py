@@ -1,8 +1,10 @@
 """The `warp` backend on Warp's CPU device: accuracy, equal bytes, block-wise sums, and what is compiled for CUDA."""
 
+import importlib.util
 import re
 import subprocess
 import sys
+from typing import NamedTuple, Self
 
 import pytest
 import torch
@@ -12,13 +14,15 @@ from tdgbench.bench.backend_check.choose import COMPARED, check
 from tdgbench.bench.backend_check.compare import cloud as checked_cloud
 from tdgbench.bench.backend_check.compare import expected, render
 from tdgbench.splats import rasterization
-from tdgbench.splats.backends import load_backend, warp
+from tdgbench.splats.backends import warp
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.blending import Blending
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
+from tdgbench.splats.warp import import_problem
+from tdgbench.training import losses
 from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
 from tests.helpers.training import trained
 from tests.splats.backward_passes import backward_pass, cloud
@@ -132,6 +136,59 @@ def test_the_host_waits_for_the_number_of_pairs_alone(monkeypatch):
 
 
 @needs_warp
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
+def test_l1_and_ssim_are_those_of_the_reference(monkeypatch, shape, masked):
+    monkeypatch.setattr(losses, "_is_fused", lambda image: False)
+    g = torch.Generator().manual_seed(0)
+    target = torch.rand(shape, generator=g)
+    image = (target + 0.2 * torch.randn(shape, generator=g)).clamp(0, 1).requires_grad_()
+    valid = None
+    if masked:
+        valid = torch.rand(shape[:2], generator=g) < 0.7
+        valid[0, 0] = True
+        target = torch.where(valid[..., None], target, torch.nan)
+    exact = image.detach().double().requires_grad_()
+    expected = losses.l1_and_dssim(exact, target.double(), 0.8, 0.2, valid)
+    monkeypatch.setattr(losses, "fuses", lambda image: True)
+    with Reads() as reads:
+        found = losses.l1_and_dssim(image, target, 0.8, 0.2, valid)
+        (3 * found).backward()
+    (3 * expected).backward()
+    assert found.item() == pytest.approx(expected.item(), abs=1e-6)
+    assert (image.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
+    assert len(reads.found) == masked  # the number of valid pixels
+
+
+@needs_warp
+def test_adam_is_that_of_torch(monkeypatch):
+    left = []
+    for fused in (False, True):
+        optimizer = Adam(TrainingState(cloud(3, 2)), RATES, 2.0)
+        optimizer.is_sparse = False
+        monkeypatch.setattr("tdgbench.splats.optimizer.fuses", lambda tensor, fused=fused: fused)
+        g, state = torch.Generator().manual_seed(1), optimizer.state
+        sizes = 10.0 ** -(torch.arange(state.values.shape[1]) % 16)  # of gradients, by column
+        for iteration in range(1, 9):
+            gradients = sizes * torch.randn(state.values.shape, generator=g)
+            assert optimizer.step(Given(gradients), iteration) is None
+        left.append([state.values.clone(), state.first.clone(), state.second.clone()])
+        gradients[5, state.columns_of("quats").start] = torch.inf
+        assert optimizer.step(Given(gradients), iteration) == "quats"
+    for of_torch, of_warp in zip(*left, strict=True):
+        assert ((of_warp - of_torch).norm(dim=0) <= 1e-6 * of_torch.norm(dim=0)).all()
+
+
+class Given(NamedTuple):
+    """Gradients that are there already."""
+
+    values: torch.Tensor
+
+    def compute(self) -> Self:
+        return self
+
+
+@needs_warp
 @pytest.mark.parametrize("method", ["tdg", "msmg"])
 def test_two_trainings_have_equal_bytes(small_gray_scene, method):
     left = []
@@ -168,18 +225,21 @@ def test_a_block_of_threads_adds_up_the_same_gradient():
 
 
 @needs_warp
-@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient"])
+@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam"])
 def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
     """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
-    from tdgbench.splats.warp import blend, gradient, pairs, projection
+    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection
+    from tdgbench.splats.warp import losses as image_losses
 
     kernel = {
         "projection": projection.project,
         "pairs": pairs.list_pairs,
         "blend": blend.blend_kernels(3, 256, True).backward,
         "gradient": gradient.add_pairs,
+        "losses": image_losses.similarity,
+        "adam": adam.step_values,
     }[name]
     kernel.module.options["block_dim"] = 256
     (path,) = wp.compile_aot_module(kernel.module, arch=[75], module_dir=tmp_path, use_ptx=True)
@@ -189,8 +249,8 @@ def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
 
 
 def test_without_the_package_it_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(warp.importlib.util, "find_spec", lambda name: None)
-    assert load_backend("warp").why_not() == "warp-lang is not installed: pip install -e '.[warp]'"
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert import_problem.__wrapped__(False) == "warp-lang is not installed: pip install -e '.[warp]'"
 
 
 @needs_warp
@@ -199,5 +259,5 @@ def test_an_old_driver_is_named(monkeypatch):
     import warp as wp
 
     monkeypatch.setattr(wp, "is_cuda_available", lambda: False)
-    reason = warp._import_problem.__wrapped__(True)
+    reason = import_problem.__wrapped__(True)
     assert "driver is too old" in reason and "580" in reason
