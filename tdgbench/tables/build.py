@@ -71,9 +71,8 @@ def _main(results: Results, experiment: Path) -> Tables:
     main = with_protocols(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-    comparisons = [
-        MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in methods.pairs()
-    ]
+    pairs = [pair for pair in methods.pairs() if {*pair} <= {*main["method"]}]
+    comparisons = [MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in pairs]
     cells = reading_cells(records) if plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
