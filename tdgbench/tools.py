@@ -10,15 +10,16 @@ from dataclasses import dataclass
 class Tool:
     """A tool, chosen by the first word of the command line.
 
-    usage: (arguments, summary) of each form, for `tdgbench --help`. module: has `main(arguments)`, which returns the
-    exit status; it is imported when the tool runs.
+    usage: (arguments, summary) of each form, for `tdgbench --help`. module: has the function `main(arguments)`, which
+    returns the exit status; it is imported when the tool runs.
     """
 
     usage: tuple[tuple[str, str], ...]
     module: str
+    main: str = "main"
 
     def run(self, arguments: list[str]) -> int:
-        return importlib.import_module(self.module).main(arguments)
+        return getattr(importlib.import_module(self.module), self.main)(arguments)
 
 
 TOOLS = {
@@ -39,5 +40,9 @@ TOOLS = {
         "tdgbench.data.command",
     ),
     "view": Tool((("CELL ...", "look at models in the browser"),), "tdgbench.view.command"),
-    "verify": Tool((("DIR ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"),
+    "verify": Tool(
+        (("DIR|PACK ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"
+    ),
+    "pack": Tool((("DIR, unpack PACK DIR", "results in one file, to hand on; and back"),), "tdgbench.packs.command"),
+    "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

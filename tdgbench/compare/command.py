@@ -21,6 +21,7 @@ from tdgbench.compare.cells import (
 )
 from tdgbench.compare.page import write_page
 from tdgbench.files import write_text
+from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.cell import Cell, finished_cells
@@ -38,12 +39,13 @@ def main(arguments: list[str]) -> int:
         prog="tdgbench compare", description="Compare two result folders, cell by cell: of two machines, versions, "
         "backends, settings. Differences are B − A.",
     )  # fmt: skip
-    parser.add_argument("a", type=Path, metavar="A", help="folder results/<experiment>")
+    parser.add_argument("a", type=Path, metavar="A", help="folder results/<experiment>, or a pack")
     parser.add_argument("b", type=Path, metavar="B", help="another one")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
     options = parser.parse_args(arguments)
     try:
-        return _compare(options.a, options.b, options.out)
+        with opened_pack(options.a) as a, opened_pack(options.b) as b:
+            return _compare(a, b, options.out)
     except (ValueError, OSError) as error:
         say(one_line(f"tdgbench compare: {error}"), stderr=True)
         return 2

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, record_files
+from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
@@ -30,11 +31,12 @@ def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 with a problem, without a finished cell, or without records."""
     description = "Check results against their records: hashes, renders, scores, counts."
     parser = argparse.ArgumentParser(prog="tdgbench verify", description=description)
-    parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>")
+    parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>, or a pack")
     status = 0
     for experiment in parser.parse_args(arguments).experiment:
         try:
-            verified = verify(experiment)
+            with opened_pack(experiment) as folder:
+                verified = verify(folder)
         except (ValueError, OSError) as error:
             say(one_line(f"tdgbench verify: {error}"), stderr=True)
             status = 1

@@ -1,0 +1,51 @@
+"""What a reader expects of results that are handed on, beyond that they are whole: seeds, logs, one protocol."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import NamedTuple
+
+from tdgbench.bench.plan import read_plan
+from tdgbench.bench.record import read_each
+
+FEWEST_SEEDS = 3  # of which a spread can be stated
+OF_A_MACHINE = ("cpu", "cores", "platform", "python", "packages")
+
+
+class Item(NamedTuple):
+    """A line of the list. missing: what is, in words; empty if nothing is."""
+
+    title: str
+    missing: str
+
+
+def checklist(experiment: Path) -> list[Item]:
+    """Return the list for a results folder."""
+    cells = read_each(experiment)
+    finished = [record for _, record in cells if record.failure is None]
+    seeds = defaultdict(set)
+    for record in finished:
+        seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
+    few = [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
+    planned = read_plan(experiment).cells_with_data
+    protocols = sorted({record.protocol for record in finished})
+    unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
+    edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]
+    logs = [r.title for folder, r in cells if r in finished and not (folder / "log.csv").exists()]
+    return [
+        Item("every planned cell is finished", _count(planned - len(finished), f"of {planned} cells")),
+        Item(f"{FEWEST_SEEDS} seeds of each cell", _first(few)),
+        Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
+        Item("machine and packages are stated", _first(unknown)),
+        Item("a commit without changes made it", _first(edited)),
+        Item("a log of each training", _first(logs)),
+    ]
+
+
+def _count(number: int, of_what: str) -> str:
+    return f"{number} {of_what}" if number > 0 else ""
+
+
+def _first(titles: list[str]) -> str:
+    return f"{titles[0]}{f', and {len(titles) - 1} more' if titles[1:] else ''}" if titles else ""

@@ -1,0 +1,62 @@
+"""`manifest.json` of a pack: its files, with sizes and hashes. The hash of the manifest names the pack."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from tdgbench.bench.record import Sha256
+
+FILE = "manifest.json"
+MOST_BYTES = 2**24  # of a manifest: a hundred thousand files
+SHOWN = 12  # digits of a pack's hash in its file's name
+
+
+@dataclass(frozen=True)
+class PackedFile:
+    """Size in bytes and SHA-256 of a file."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    size: Annotated[int, Field(ge=0)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """experiment: its name. version: of tdgbench that packed it. files: by relative path."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    experiment: Annotated[str, Field(pattern=r"^[^/\\.][^/\\]*$")]
+    version: str
+    files: dict[str, PackedFile]
+    format: Literal[1] = 1
+
+    def to_json(self) -> bytes:
+        """Return the text of the file: equal manifests have equal bytes."""
+        return (json.dumps(asdict(self), indent=1, sort_keys=True) + "\n").encode()
+
+
+def sha256(content: bytes) -> str:
+    """Return SHA-256 of bytes. That of its manifest names a pack, as it decides everything in it."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def read_manifest(text: bytes) -> Manifest:
+    """Read a manifest. Raises ValueError for what is none, and for paths that lead out of the pack's folder."""
+    try:
+        manifest = TypeAdapter(Manifest).validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(f"{'.'.join([FILE, *map(str, first['loc'])])}: {first['msg']}") from error
+    for name in manifest.files:
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or path.as_posix() != name:
+            raise ValueError(f"{FILE} names {name!r}, which is no place in the pack")
+    return manifest

@@ -1,0 +1,231 @@
+"""Packs: equal bytes, what they hold, and that every tampering with one is found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import stat
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tdgbench.packs import manifest, opened_pack, pack, unpack
+from tdgbench.packs.checklist import checklist
+from tdgbench.verify import verify
+from tests.helpers.command import tdgbench_here
+
+CELL = "cells/tdg/synthetic/turntable/colmap/seed0"
+Entries = dict[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def packed(small_results, tmp_path_factory) -> Path:
+    return pack(small_results, tmp_path_factory.mktemp("packs") / "a.zip", keep_paths=True)[0]
+
+
+def entries(path: Path) -> Entries:
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def write(path: Path, content: Entries) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    return path
+
+
+def fits(content: Entries) -> Entries:
+    """The content with the manifest of its files."""
+    stated = json.loads(content[manifest.FILE])
+    stated["files"] = {
+        name: {"size": len(data), "sha256": manifest.sha256(data)}
+        for name, data in content.items()
+        if name != manifest.FILE
+    }
+    return {**content, manifest.FILE: json.dumps(stated).encode()}
+
+
+def test_its_content_alone_decides_its_bytes(small_results, packed, tmp_path):
+    copy = Path(shutil.copytree(small_results, tmp_path / small_results.name))
+    for path in copy.rglob("*"):
+        path.touch()
+    again, name = pack(copy, keep_paths=True)
+    assert again == tmp_path / f"{small_results.name}-{name[:12]}.zip"
+    assert again.read_bytes() == packed.read_bytes()
+
+
+def test_unpacked_it_is_the_experiment(small_results, packed, tmp_path):
+    content, name = unpack(packed, tmp_path / "theirs")
+    assert name == manifest.sha256(entries(packed)[manifest.FILE]) and content.experiment == small_results.name
+    for path in (small_results / "cells").rglob("*"):
+        there = tmp_path / "theirs" / path.relative_to(small_results)
+        if path.is_file() and "failure" not in path.read_text(errors="ignore"):
+            assert there.read_bytes() == path.read_bytes()
+    assert verify(tmp_path / "theirs") == verify(small_results)
+
+
+def test_tracebacks_stay_at_home(small_results, packed):
+    records = [json.loads(data) for name, data in entries(packed).items() if name.endswith("record.json")]
+    failures = [record["failure"] for record in records if record["failure"]]
+    assert failures and all(failure["error"] and failure["traceback"] == "" for failure in failures)
+
+
+def test_paths_of_a_machine_are_refused(small_results, tmp_path):
+    copy = Path(shutil.copytree(small_results, tmp_path / "a"))
+    record = copy / CELL / "record.json"
+    record.write_text(record.read_text().replace('"notes": []', '"notes": ["/home/ada/data is old"]'))
+    with pytest.raises(ValueError, match=r"record\.json holds '/home/ada/data', a path of this machine"):
+        pack(copy)
+    assert pack(copy, keep_paths=True)[0].exists()
+
+
+def edited(change: Callable[[dict], object]) -> Callable[[bytes], bytes]:
+    """A change of a JSON file."""
+
+    def act(data: bytes) -> bytes:
+        content = json.loads(data)
+        change(content)
+        return json.dumps(content, indent=1, sort_keys=True).encode() + b"\n"
+
+    return act
+
+
+def at(name: str, change: Callable[[bytes], bytes]) -> Callable[[Entries], Entries]:
+    return lambda content: {**content, name: change(content[name])}
+
+
+def without(name: str) -> Callable[[Entries], Entries]:
+    return lambda content: {key: data for key, data in content.items() if key != name}
+
+
+def added(name: str) -> Callable[[Entries], Entries]:
+    return lambda content: {**content, name: b"x"}
+
+
+def swapped(one: str, other: str) -> Callable[[Entries], Entries]:
+    return lambda content: {**content, one: content[other], other: content[one]}
+
+
+def score(record: dict) -> None:
+    record["scores"]["psnr"] += 1.0
+
+
+RECORD, VIEWS = f"{CELL}/record.json", f"{CELL}/views.csv"
+RENDER, OTHER = f"{CELL}/renders/view000.png", f"{CELL}/renders/view005.png"
+TAMPERINGS = {
+    "a score": at(RECORD, edited(score)),
+    "a seed": at(RECORD, edited(lambda record: record.update(seed=1))),
+    "a scene": at(RECORD, edited(lambda record: record.update(scene="orbit"))),
+    "the protocol": at(RECORD, edited(lambda record: record.update(protocol="1-00000000"))),
+    "an option": at(RECORD, edited(lambda record: record["config"]["budget"].update(iterations=9))),
+    "a training time": at(RECORD, edited(lambda record: record["seconds"].update(train=0.0))),
+    "a number of Gaussians": at(RECORD, edited(lambda record: record["parts"]["thermal"].update(gaussians=1))),
+    "a row of views.csv": at(VIEWS, lambda data: data.replace(b"view000,", b"view000,9", 1)),
+    "a render": at(RENDER, lambda data: data[:-20] + bytes(20)),
+    "renders that are swapped": swapped(RENDER, OTHER),
+    "no render": without(RENDER),
+    "no record": without(RECORD),
+    "no log": without(f"{CELL}/log.csv"),
+    "a model": at(f"{CELL}/model.ply", lambda data: data[:-4] + bytes(4)),
+    "a file more": added(f"{CELL}/notes.txt"),
+}
+
+
+@pytest.mark.parametrize("tamper", TAMPERINGS.values(), ids=TAMPERINGS)
+def test_tampering_is_found(packed, tmp_path, tamper):
+    changed = write(tmp_path / "b.zip", tamper(entries(packed)))
+    with pytest.raises(ValueError, match=r"b\.zip is no pack, or was changed: "):
+        unpack(changed, tmp_path / "theirs")
+    assert not (tmp_path / "theirs").exists()
+
+
+@pytest.mark.parametrize("tamper", TAMPERINGS.values(), ids=TAMPERINGS)
+def test_tampering_is_found_where_the_manifest_fits(packed, tmp_path, tamper):
+    """By `verify`; and the hash of the pack is another one."""
+    changed = write(tmp_path / "b.zip", fits(tamper(entries(packed))))
+    with opened_pack(packed) as whole, opened_pack(changed) as folder:
+        assert set(verify(folder).problems) - set(verify(whole).problems)
+
+
+def of_manifest(change: Callable[[dict], object]) -> Callable[[Entries], Entries]:
+    return at(manifest.FILE, edited(change))
+
+
+def renamed(name: str) -> Callable[[Entries], Entries]:
+    return lambda content: fits({**without(RENDER)(content), name: content[RENDER]})
+
+
+BROKEN = {
+    "a way out": (renamed("../view.png"), "no place in the pack"),
+    "a way out on Windows": (renamed("..\\view.png"), "no place in the pack"),
+    "an absolute path": (renamed("/tmp/view.png"), "no place in the pack"),
+    "an experiment that leads out": (of_manifest(lambda m: m.update(experiment="../x")), "experiment"),
+    "a format of the future": (of_manifest(lambda m: m.update(format=2)), "format"),
+    "no manifest": (without(manifest.FILE), "has no manifest"),
+    "a manifest that is none": (at(manifest.FILE, lambda data: b"[]"), "manifest"),
+    "a smaller size": (of_manifest(lambda m: m["files"][RENDER].update(size=9)), "larger than 9 bytes"),
+    "a larger size": (of_manifest(lambda m: m["files"][RENDER].update(size=10**9)), "not what the manifest states"),
+}
+
+
+@pytest.mark.parametrize(("tamper", "why"), BROKEN.values(), ids=BROKEN)
+def test_broken_packs_are_one_error(packed, tmp_path, tamper, why):
+    with pytest.raises(ValueError, match=why):
+        unpack(write(tmp_path / "b.zip", tamper(entries(packed))), tmp_path / "theirs")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.zip"]
+
+
+def test_two_files_of_one_name(packed, tmp_path):
+    shutil.copy(packed, tmp_path / "b.zip")
+    with zipfile.ZipFile(tmp_path / "b.zip", "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr(RECORD, b"{}")
+    with pytest.raises(ValueError, match="two files of one name"):
+        unpack(tmp_path / "b.zip", tmp_path / "theirs")
+
+
+def test_links_are_refused(packed, tmp_path):
+    shutil.copy(packed, tmp_path / "b.zip")
+    link = zipfile.ZipInfo("link")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    content = fits({**entries(packed), "link": b"/etc/passwd"})
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        for name, data in content.items():
+            archive.writestr(link if name == "link" else name, data)
+    with pytest.raises(ValueError, match="link is no regular file"):
+        unpack(tmp_path / "b.zip", tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("length", [0, 100, -30])
+def test_what_is_cut_is_no_pack(packed, tmp_path, length):
+    (tmp_path / "b.zip").write_bytes(packed.read_bytes()[:length])
+    with pytest.raises(ValueError, match=r"b\.zip is no pack, or damaged"):
+        unpack(tmp_path / "b.zip", tmp_path / "theirs")
+
+
+def test_a_folder_that_is_there_stays(packed, tmp_path):
+    (tmp_path / "theirs").mkdir()
+    with pytest.raises(FileExistsError, match="name a new folder"):
+        unpack(packed, tmp_path / "theirs")
+
+
+def test_the_checklist_names_what_is_missing(small_results):
+    missing = {item.title: item.missing for item in checklist(small_results)}
+    assert "seed" not in missing["3 seeds of each cell"] and "turntable" in missing["3 seeds of each cell"]
+    assert missing["one protocol"] == missing["a log of each training"] == ""
+
+
+def test_the_commands(small_results, packed, tmp_path):
+    shutil.copytree(small_results, tmp_path / "results" / "mine")
+    run = tdgbench_here(tmp_path, "pack", "results/mine", "--out", "mine.zip", "--keep-paths")
+    assert run.returncode == 0 and "missing: 3 seeds of each cell" in run.stdout and "SHA-256" in run.stdout
+    run = tdgbench_here(tmp_path, "unpack", "mine.zip", "results/theirs")
+    assert run.returncode == 0 and "files of mine" in run.stdout
+    assert "0 problems" in tdgbench_here(tmp_path, "verify", "mine.zip").stdout
+    assert tdgbench_here(tmp_path, "compare", "mine.zip", "results/theirs").returncode == 0
+    (tmp_path / "none.zip").write_bytes(b"")
+    for words in (("pack", "results"), ("unpack", "none.zip", "x"), ("verify", "none.zip")):
+        run = tdgbench_here(tmp_path, *words)
+        assert run.returncode == 1 and f"tdgbench {words[0]}: " in run.stderr
