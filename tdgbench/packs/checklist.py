@@ -28,7 +28,7 @@ def checklist(experiment: Path) -> list[Item]:
     for record in finished:
         seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
     few = [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
-    planned = read_plan(experiment).cells_with_data
+    planned = max(read_plan(experiment).cells_with_data, len(cells))  # some may be of an earlier plan
     protocols = sorted({record.protocol for record in finished})
     unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
     edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]

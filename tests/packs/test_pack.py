@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench.bench.record import read_each
 from tdgbench.packs import manifest, opened_pack, pack, unpack
 from tdgbench.packs.checklist import checklist
 from tdgbench.verify import verify
@@ -214,6 +215,7 @@ def test_a_folder_that_is_there_stays(packed, tmp_path):
 def test_the_checklist_names_what_is_missing(small_results):
     missing = {item.title: item.missing for item in checklist(small_results)}
     assert "seed" not in missing["3 seeds of each cell"] and "turntable" in missing["3 seeds of each cell"]
+    assert missing["every planned cell is finished"] == f"1 of {len(read_each(small_results))} cells"
     assert missing["one protocol"] == missing["a log of each training"] == ""
 
 
