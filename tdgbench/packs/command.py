@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
         return 1
     for title, missing in items:
         say(one_line(f"{title}: {missing}" if missing else title), "missing:" if missing else "ok:")
-    say(f"{path}: {path.stat().st_size / 2**20:.2g} MB, SHA-256 of its manifest {name}")
+    say(f"{path}: {path.stat().st_size / 2**20:.2f} MB, SHA-256 of its manifest {name}")
     return 0
 
 
