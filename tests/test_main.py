@@ -180,9 +180,8 @@ def test_a_wrong_option_is_one_clear_error(tmp_path):
 def test_a_wrong_tool_is_one_clear_error(tmp_path):
     run = tdgbench(tmp_path, "tabels", "results/demo")
     assert run.returncode == 2 and run.stdout == ""
-    assert (
-        run.stderr == "tdgbench: no tool 'tabels' (tools: tables, compare, data, view, verify); see tdgbench --help\n"
-    )
+    tools = "tables, compare, data, view, verify, pack, unpack"
+    assert run.stderr == f"tdgbench: no tool 'tabels' (tools: {tools}); see tdgbench --help\n"
 
 
 def test_version_and_hydra_s_help(tmp_path):

@@ -152,6 +152,7 @@ def _opens_text(call: ast.Call) -> bool:
         "os",
         "Image",
         "member",
+        "archive",
         "pycolmap.Database",
     ):
         return False

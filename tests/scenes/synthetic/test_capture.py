@@ -6,10 +6,12 @@ from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalEr
 from tests.helpers.scenes import small_dataset
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
-DEFAULT = {  # fingerprints without options of errors
-    "orbit": "a98e98017c8c6548", "night": "c0590e4722646ea5", "turntable": "095fc74e63a14771",
-    "facade": "b1db1818408336be",
-}  # fmt: skip
+DEFAULT = {  # means without options of errors: thermal images, RGB images, true depth; coordinates of the points
+    "orbit": ((0.342397, 0.380762, 5.690734), (0.021753, -0.154948, 0.470129)),
+    "night": ((0.328680, 0.016902, 5.793532), (0.698804, 1.983175, 1.029345)),
+    "turntable": ((0.299513, 0.354606, 4.513177), (0.003714, -0.139293, 0.449953)),
+    "facade": ((0.409151, 0.473738, 3.134044), (0.037880, -0.093089, 1.453600)),
+}
 
 CAMERA = {"thermal_camera": ThermalErrors(gain=0.05)}
 
@@ -20,7 +22,11 @@ def load(root, **errors):
 
 @pytest.mark.parametrize("name", DEFAULT)
 def test_scenes_without_further_errors_are_as_before(data_root, name):
-    assert small_dataset(data_root).load(name).fingerprint == DEFAULT[name]
+    """Means, since the last bits of an exponential, and so the hash of a scene, differ between processors."""
+    scene = small_dataset(data_root).load(name)
+    images = [[np.mean(image) for image in (view.thermal, view.rgb, view.true_depth)] for view in scene.views]
+    assert np.allclose(np.mean(images, axis=0), DEFAULT[name][0], atol=1e-4)
+    assert np.allclose(scene.points.points.mean(0), DEFAULT[name][1], atol=1e-4)
 
 
 def test_noise_and_drift_are_those_asked_for(data_root, tmp_path):
