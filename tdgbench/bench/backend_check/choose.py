@@ -86,12 +86,14 @@ def choose(run: Callable[[str], BackendCheck]) -> AutoBackend:
 
 def _try(backend: str, models: dict[str, int], run: Callable[[str], BackendCheck]) -> tuple[str, str]:
     """Return what the check of a backend found, and why it is refused, or "". models: an index of each GPU model."""
-    reason = load_backend(backend).why_not()
+    own = load_backend(backend)
+    package = f"{own.package} {own.version()}"
+    if own.version() is not None:  # installed: already its import may compile
+        note = f"checking {package} against the reference; its first use compiles kernels"
+        say(note, "note:", "yellow", stderr=True)
+    reason = own.why_not()
     if reason is not None:
         return "", reason
-    package = f"{load_backend(backend).package} {load_backend(backend).version()}"
-    note = f"checking {package} against the reference; its first use compiles kernels"
-    say(note, "note:", "yellow", stderr=True)
     lines = []
     for name, index in sorted(models.items()):
         with torch.cuda.device(index):

@@ -29,7 +29,8 @@ def machine(monkeypatch):
         monkeypatch.setattr(torch.cuda, "device_count", lambda: len(names))
         monkeypatch.setattr(torch.cuda, "get_device_name", lambda index: names[index])
         monkeypatch.setattr(torch.cuda, "device", contextlib.nullcontext)
-        monkeypatch.setattr(Backend, "version", lambda self: {"gsplat": "1.5.3", "warp-lang": "1.19.0"}[self.package])
+        versions = {"gsplat": None if why_not else "1.5.3", "warp-lang": None if no_warp else "1.19.0"}
+        monkeypatch.setattr(Backend, "version", lambda self: versions[self.package])
         monkeypatch.setattr(WarpBackend, "why_not", lambda self: no_warp)
         monkeypatch.setattr(CudaBackend, "why_not", lambda self: why_not)
 
@@ -124,6 +125,16 @@ def test_the_line_is_printed_once(machine, monkeypatch, capsys):
     assert [training_backend("auto") for _ in range(3)] == ["cuda"] * 3
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 2 and "\nbackend: A trains: gsplat 1.5.3" in err
+
+
+def test_compiling_is_announced_before_it_begins(machine, monkeypatch, capsys):
+    """gsplat compiles when `why_not` imports it. A backend that is not installed has nothing to compile."""
+    machine("A")
+    monkeypatch.setattr(Backend, "version", lambda self: "1.5.3" if self.package == "gsplat" else None)
+    said = []
+    monkeypatch.setattr(CudaBackend, "why_not", lambda self: said.append(capsys.readouterr().err) or "no nvcc")
+    choose(never)
+    assert said == ["note: checking gsplat 1.5.3 against the reference; its first use compiles kernels\n"]
 
 
 @pytest.mark.cuda
