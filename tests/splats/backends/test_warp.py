@@ -225,12 +225,12 @@ def test_a_block_of_threads_adds_up_the_same_gradient():
 
 
 @needs_warp
-@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam"])
+@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam", "statistics"])
 def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
     """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
-    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection
+    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection, statistics
     from tdgbench.splats.warp import losses as image_losses
 
     kernel = {
@@ -240,6 +240,7 @@ def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
         "gradient": gradient.add_pairs,
         "losses": image_losses.similarity,
         "adam": adam.step_values,
+        "statistics": statistics.add_lengths,
     }[name]
     kernel.module.options["block_dim"] = 256
     (path,) = wp.compile_aot_module(kernel.module, arch=[75], module_dir=tmp_path, use_ptx=True)
