@@ -24,7 +24,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from torch.profiler import ProfilerActivity, profile
 
-from tdgbench.bench.backend_check.choose import check
+from tdgbench.bench.backend_check.check import check
 from tdgbench.bench.environment import describe_environment
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all

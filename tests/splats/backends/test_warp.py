@@ -8,7 +8,7 @@ import sys
 import pytest
 import torch
 
-from tdgbench.bench.backend_check.choose import COMPARED, check
+from tdgbench.bench.backend_check.check import COMPARED, check
 from tdgbench.bench.backend_check.compare import cloud as checked_cloud
 from tdgbench.bench.backend_check.compare import expected, render
 from tdgbench.splats import rasterization
