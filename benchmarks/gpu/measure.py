@@ -76,8 +76,8 @@ class Measurement:
         self._write()
 
     def _overrides(self, backend: str, method: str, budget: str) -> list[str]:
-        args = self.args
-        return [f"method={method}", f"budget={budget}", f"backend={backend}", *args.scene, *args.overrides]
+        common = ("metrics.lpips.download=false", *self.args.scene)  # PSNR is enough, and the machine may be offline
+        return [f"method={method}", f"budget={budget}", f"backend={backend}", *common, *self.args.overrides]
 
     def _unusable(self, backend: str) -> list[dict[str, Any]]:
         """Return why a backend cannot be measured; empty if it can."""
