@@ -64,10 +64,7 @@ class Relocation(DensityControl):
         )
         values[:, state.columns_of("log_scales")] += self.rules.scale_weight / (3 * len(state)) * scales
         on_image = values.new_zeros(len(state), 2).index_add_(0, index, image[:, :2])
-        visible, view_radii = computed.visible()
-        radii = torch.zeros(len(state), dtype=torch.int32, device=values.device)
-        radii[visible] = view_radii
-        return Gradients.dense(values, on_image, radii)
+        return Gradients.dense(values, on_image, computed.all_radii(len(state)))
 
     @torch.no_grad()
     def update(

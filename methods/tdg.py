@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from pydantic import NonNegativeFloat
 from torch import Tensor
@@ -103,6 +104,7 @@ class DepthTarget:
     normalised: Tensor  # (H, W) in [0, 1]; 0 where unknown
     valid: Tensor | None  # (H, W) bool: where the prior is known; None: everywhere
     kind: str
+    known: int = 0  # the first of the pixels that are known, counted along rows
 
     @classmethod
     def of(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
@@ -110,8 +112,9 @@ class DepthTarget:
         valid = torch.isfinite(values)
         if bool(valid.all()):
             return cls(min_max(values), None, prior.kind)
-        normalised = torch.where(valid, min_max(_fill_unknown(values, valid)), 0.0)
-        return cls(normalised, valid, prior.kind)
+        known = int(np.isfinite(prior.values).argmax())
+        normalised = torch.where(valid, min_max(_fill_unknown(values, valid, known)), 0.0)
+        return cls(normalised, valid, prior.kind, known)
 
 
 class DepthTargets:
@@ -151,15 +154,15 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
     """
     if target.valid is None:
         return l1_and_dssim(min_max(rendered)[..., None], target.normalised[..., None], 1.0, 1.0)
-    a = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid)), 0.0)[..., None]
+    a = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid, target.known)), 0.0)[..., None]
     b = target.normalised[..., None]
     share = target.valid.sum() / target.valid.numel()
     return l1(a, b) / share + (1 - ssim(a, b))
 
 
-def _fill_unknown(values: Tensor, valid: Tensor) -> Tensor:
-    """Return the map (H, W) with a known value in all unknown pixels, so that these are no extremes."""
-    return torch.where(valid, values, values[valid][0].detach())
+def _fill_unknown(values: Tensor, valid: Tensor, known: int) -> Tensor:
+    """Return the map (H, W) with the value of a known pixel in all unknown ones, so that these are no extremes."""
+    return torch.where(valid, values, values.flatten()[known].detach())
 
 
 def decay_weight(iteration: int, start: int, end: int) -> float:

@@ -28,6 +28,7 @@ from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.warp import fuses
 
 GradientKind = Literal["signed", "absolute"]
 
@@ -159,9 +160,14 @@ class DensityControl:
             rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
             pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans])
             return
-        index, visible = view.compute().visible()
-        self.view_counts[index] += 1
-        self.max_radii[index] = torch.maximum(self.max_radii[index], visible.to(self.max_radii))
+        if fuses(self.view_counts):
+            from tdgbench.splats.warp import statistics
+
+            statistics.observe_visible(view.compute(), self.view_counts, self.max_radii)
+            return
+        radii = view.compute().all_radii(len(self.state))
+        self.view_counts += radii > 0
+        self.max_radii.copy_(torch.maximum(self.max_radii, radii))
 
     @torch.no_grad()
     def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
@@ -171,11 +177,16 @@ class DensityControl:
         if self._is_fast:
             gradients.observe(self.statistics(width, height))
             return
+        if fuses(self.grad_sum):
+            from tdgbench.splats.warp import statistics
+
+            half = (0.5 * width, 0.5 * height)
+            statistics.observe_gradients(gradients, half, self.grad_sum, self.absolute_sum)
+            return
         index, _, image = gradients.rows()
-        halves = image.new_tensor((0.5 * width, 0.5 * height))
         for total, first in ((self.grad_sum, 0), (self.absolute_sum, 3)):
             if len(total):
-                norm = (image[:, first : first + 2] * halves).norm(dim=1)
+                norm = torch.hypot(image[:, first] * (0.5 * width), image[:, first + 1] * (0.5 * height))
                 total.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
 
     def observe(self, views: Sequence[TrainingView]) -> None:

@@ -88,8 +88,7 @@ class Gradients:
             index, rows, on_image = part.rows()
             values[:, : rows.shape[1]].index_add_(0, index, rows)
             image.index_add_(0, index, on_image[:, :2])
-            visible, view_radii = part.visible()
-            radii[visible] = torch.maximum(radii[visible], view_radii)
+            radii = torch.maximum(radii, part.all_radii(count))
         return cls.dense(values, image, radii)
 
     def rows(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -97,11 +96,11 @@ class Gradients:
         parts = [slice(first, first + count) for first, count in self.spans]
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 
-    def visible(self) -> tuple[Tensor, Tensor]:
-        """Return visible Gaussians (n,) and their radii (n,) in px."""
-        parts = [slice(first, first + count) for first, count in self.projected_spans]
+    def all_radii(self, count: int) -> Tensor:
+        """Return the radii of all `count` Gaussians, int32 (count,) px; 0 of those that are not visible."""
+        parts = [slice(first, first + number) for first, number in self.projected_spans]
         projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
-        return projected[radii > 0], radii[radii > 0]
+        return radii.new_zeros(count).index_put_((projected,), radii)
 
 
 class PendingGradients:

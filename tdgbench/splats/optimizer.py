@@ -17,6 +17,7 @@ from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.transfer import sent
 from tdgbench.splats.warp import fuses
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
@@ -227,7 +228,7 @@ class Adam:
     def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> str | None:
         """Step every row by its gradient (N, columns); return what `step` does."""
         values, first, second = rows = (self.state.values, self.state.first, self.state.second)
-        columns = torch.as_tensor(np.stack([step_sizes, bias2_sqrt]), dtype=values.dtype, device=values.device)
+        columns = sent(torch.from_numpy(np.stack([step_sizes, bias2_sqrt])), values)
         if fuses(values):
             from tdgbench.splats.warp.adam import step_all
 

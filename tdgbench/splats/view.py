@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.transfer import sent
 
 NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
 
@@ -61,7 +62,7 @@ class Pinhole(NamedTuple):
 
     def to(self, like: Tensor) -> Pinhole:
         """Return the same camera with tensors of the type and device of `like`."""
-        return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
+        return self._replace(viewmat=sent(self.viewmat, like), K=sent(self.K, like))
 
 
 class RenderOptions(NamedTuple):

@@ -136,7 +136,7 @@ def _valid_values(image: Tensor, valid: Tensor | None) -> int:
     """Return the number of values of an image (H, W, C) that count."""
     if valid is None:
         return image.numel()
-    count = int(valid.sum()) * image.shape[2]
+    count = _VALID_PIXELS.of(valid) * image.shape[2]
     if not count:
         raise ValueError("no pixel of the image is valid, so that it has no loss")
     return count
@@ -286,4 +286,20 @@ class PreparedTargets:
         self.bytes -= self._prepared.pop(key).bytes
 
 
-_PREPARED = PreparedTargets()
+class ValidPixels:
+    """Numbers of valid pixels of masks, by their tensors: the host waits for a GPU once per mask, not in each step."""
+
+    def __init__(self) -> None:
+        self._counted: dict[int, tuple[int, int]] = {}  # torch's count of writes to the mask, and its number of pixels
+
+    def of(self, valid: Tensor) -> int:
+        """Return the number of valid pixels of a mask (H, W)."""
+        stored = self._counted.get(id(valid))
+        if stored is None:
+            weakref.finalize(valid, self._counted.pop, id(valid), None)
+        if stored is None or stored[0] != valid._version:
+            stored = self._counted[id(valid)] = (valid._version, int(valid.sum()))
+        return stored[1]
+
+
+_PREPARED, _VALID_PIXELS = PreparedTargets(), ValidPixels()

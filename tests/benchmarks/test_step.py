@@ -12,7 +12,7 @@ def test_a_view_sees_the_share_it_should():
     model = step.make_model(4000, 1, 1, views[0].K[0, 0])
     model.begin(step.ITERATION)
     model.render(views[3]).image.sum().backward()
-    seen = float((model._views[0].gradients.compute().visible()[1] > 0).sum()) / 4000
+    seen = float((model._views[0].gradients.compute().all_radii(4000) > 0).sum()) / 4000
     assert 0.03 < seen < 0.1
 
 

@@ -8,6 +8,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.training import losses
 from tdgbench.training.losses import (
     PreparedTargets,
+    ValidPixels,
     inverse_expected_depth,
     l1,
     l1_and_dssim,
@@ -284,3 +285,16 @@ def test_no_more_is_prepared_than_allowed():
         False
     ] * 2
     assert kept.bytes == kept.max_bytes
+
+
+def test_valid_pixels_are_counted_once_per_mask(monkeypatch):
+    counted, mask = ValidPixels(), torch.rand(20, 20) > 0.3
+    want, sums, count = int(mask.sum()), [], torch.Tensor.sum
+    monkeypatch.setattr(torch.Tensor, "sum", lambda self: sums.append(self) or count(self))
+    assert [counted.of(mask) for _ in range(3)] == [want] * 3 and len(sums) == 1
+    mask[:] = True  # noticed
+    assert [counted.of(mask), counted.of(mask)] == [400] * 2 and len(sums) == 2
+    del mask
+    sums.clear()
+    gc.collect()
+    assert not counted._counted

@@ -1,1 +1,1 @@
-"""Whether a GPU's backend computes what the reference computes: compared once, remembered, and chosen if it does."""
+"""Whether a GPU's backend computes what the reference computes: compared in each process, and chosen if it does."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -72,7 +73,7 @@ def _masked(values: Tensor, known: int) -> Tensor:
 def _against(prior: Tensor) -> Loss:
     def loss(rendered: Tensor) -> Tensor:
         target = DepthTarget.of(DepthPrior(prior.numpy().astype(np.float32), "depth"), rendered.device)
-        target = DepthTarget(target.normalised.to(rendered), target.valid, target.kind)
+        target = replace(target, normalised=target.normalised.to(rendered))
         return depth_loss(rendered, target)
 
     return loss

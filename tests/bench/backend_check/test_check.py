@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from tdgbench.bench.backend_check import choose as checking
-from tdgbench.bench.backend_check.choose import check, scenes
+from tdgbench.bench.backend_check import check as checking
+from tdgbench.bench.backend_check.check import check, scenes
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, expected
 from tdgbench.splats.backends import ON_GPU, load_backend
 from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, register

@@ -1,12 +1,12 @@
 """`auto` on machines with and without GPUs, with stand-ins for the GPU and for its backend."""
 
-import contextlib
-
 import pytest
 import torch
 
+from tdgbench.bench.backend_check import check as checking
 from tdgbench.bench.backend_check import choose as choosing
-from tdgbench.bench.backend_check.choose import AutoBackend, BackendCheck, auto, check, choose, training_backend
+from tdgbench.bench.backend_check.check import BackendCheck, check
+from tdgbench.bench.backend_check.choose import AutoBackend, auto, choose, training_backend
 from tdgbench.bench.backend_check.compare import cloud
 from tdgbench.splats.backends import ON_GPU
 from tdgbench.splats.backends.backend import Backend
@@ -14,7 +14,7 @@ from tdgbench.splats.backends.cuda import CudaBackend
 from tdgbench.splats.backends.warp import WarpBackend
 from tests.helpers.backends import StandIn, Unsteady, WrongGradient, register
 
-GOOD = BackendCheck("", 1e-6, 2e-5, 0.0, 3.1)
+GOOD = BackendCheck("", True, 1e-6, 2e-5, 0.0, 3.1)
 
 
 @pytest.fixture
@@ -22,14 +22,14 @@ def machine(monkeypatch):
     """A machine with these GPUs, by name: `machine("A", "B")`; why_not: of gsplat, no_warp: of Warp."""
     auto.cache_clear()
     monkeypatch.setattr(choosing, "choose", choose)  # other tests are on the CPU
-    monkeypatch.setattr(choosing, "scenes", lambda: {"small": cloud(30, width=20, height=15)})
+    monkeypatch.setattr(checking, "scenes", lambda: {"small": cloud(30, width=20, height=15)})
 
     def with_gpus(*names, why_not=None, no_warp="no Warp"):
         monkeypatch.setattr(torch.cuda, "is_available", lambda: bool(names))
         monkeypatch.setattr(torch.cuda, "device_count", lambda: len(names))
         monkeypatch.setattr(torch.cuda, "get_device_name", lambda index: names[index])
-        monkeypatch.setattr(torch.cuda, "device", contextlib.nullcontext)
-        monkeypatch.setattr(Backend, "version", lambda self: {"gsplat": "1.5.3", "warp-lang": "1.19.0"}[self.package])
+        versions = {"gsplat": None if why_not else "1.5.3", "warp-lang": None if no_warp else "1.19.0"}
+        monkeypatch.setattr(Backend, "version", lambda self: versions[self.package])
         monkeypatch.setattr(WarpBackend, "why_not", lambda self: no_warp)
         monkeypatch.setattr(CudaBackend, "why_not", lambda self: why_not)
 
@@ -43,12 +43,12 @@ def checked(monkeypatch):
 
     def of(backend):
         name = register(monkeypatch, backend)
-        return lambda asked: check(name)
+        return lambda asked, device: check(name)
 
     return of
 
 
-def never(backend):
+def never(backend, device):
     pytest.fail("checked")
 
 
@@ -84,7 +84,7 @@ def test_warp_comes_before_gsplat(machine):
     machine("A", no_warp=None)
     asked = []
 
-    def run(backend):
+    def run(backend, device):
         asked.append(backend)
         return BackendCheck("it is wrong") if len(asked) in (2, 4, 5) else GOOD
 
@@ -114,16 +114,30 @@ def test_a_gpu_without_gsplat_is_named(machine):
 def test_every_model_has_to_pass(machine):
     machine("A", "A", "B")
     verdicts = iter([GOOD, BackendCheck("it is wrong")])
-    choice = choose(lambda backend: next(verdicts))
+    choice = choose(lambda backend, device: next(verdicts))
     assert choice.backend == "cpu" and "check on B: it is wrong" in choice.line and not list(verdicts)
 
 
 def test_the_line_is_printed_once(machine, monkeypatch, capsys):
     machine("A")
-    monkeypatch.setattr(choosing, "check", lambda backend: GOOD)
+    monkeypatch.setattr(choosing, "check_apart", lambda backend, device: GOOD)
     assert [training_backend("auto") for _ in range(3)] == ["cuda"] * 3
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 2 and "\nbackend: A trains: gsplat 1.5.3" in err
+
+
+def test_compiling_is_announced_before_it_begins(machine, monkeypatch, capsys):
+    """gsplat compiles when it is imported, not in this process. A backend that is not installed compiles nothing."""
+    machine("A")
+    monkeypatch.setattr(CudaBackend, "why_not", lambda self: pytest.fail("imported"))
+    said = []
+
+    def run(backend, device):
+        said.append(capsys.readouterr().err)
+        return BackendCheck("gsplat finds no nvcc", runs=False)
+
+    assert choose(run).line == "the CPU trains, not A: warp: no Warp; cuda: gsplat finds no nvcc"
+    assert said == ["note: checking gsplat 1.5.3 against the reference; its first use compiles kernels\n"]
 
 
 @pytest.mark.cuda

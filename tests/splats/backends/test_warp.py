@@ -4,13 +4,11 @@ import importlib.util
 import re
 import subprocess
 import sys
-from typing import NamedTuple, Self
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
-from tdgbench.bench.backend_check.choose import COMPARED, check
+from tdgbench.bench.backend_check.check import COMPARED, check
 from tdgbench.bench.backend_check.compare import cloud as checked_cloud
 from tdgbench.bench.backend_check.compare import expected, render
 from tdgbench.splats import rasterization
@@ -22,9 +20,9 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
 from tdgbench.splats.warp import import_problem
-from tdgbench.training import losses
 from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
 from tests.helpers.training import trained
+from tests.helpers.waits import Reads
 from tests.splats.backward_passes import backward_pass, cloud
 
 REASON = warp.BACKEND.why_not()
@@ -101,20 +99,6 @@ def test_a_state_has_the_gradients_of_the_reference(channels, absgrad):
     assert torch.equal(got.gradients.radii, want.gradients.radii)
 
 
-class Reads(TorchDispatchMode):
-    """Counts the operations for which a host waits for its device."""
-
-    def __init__(self):
-        super().__init__()
-        self.found = []
-
-    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
-        name = function.name().split("::")[1].split(".")[0]
-        if name in ("_local_scalar_dense", "nonzero", "masked_select", "equal", "is_nonzero", "unique", "item"):
-            self.found.append(name)
-        return function(*args, **(kwargs or {}))
-
-
 @needs_warp
 def test_the_host_waits_for_the_number_of_pairs_alone(monkeypatch):
     """In a step, from the state in training to its gradients; the camera is on the host."""
@@ -133,59 +117,6 @@ def test_the_host_waits_for_the_number_of_pairs_alone(monkeypatch):
         )  # fmt: skip
         (rendered.image.sum() + rendered.depth.sum()).backward()
     assert reads.found == ["_local_scalar_dense"] and collected[0].values.any()
-
-
-@needs_warp
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
-def test_l1_and_ssim_are_those_of_the_reference(monkeypatch, shape, masked):
-    monkeypatch.setattr(losses, "_is_fused", lambda image: False)
-    g = torch.Generator().manual_seed(0)
-    target = torch.rand(shape, generator=g)
-    image = (target + 0.2 * torch.randn(shape, generator=g)).clamp(0, 1).requires_grad_()
-    valid = None
-    if masked:
-        valid = torch.rand(shape[:2], generator=g) < 0.7
-        valid[0, 0] = True
-        target = torch.where(valid[..., None], target, torch.nan)
-    exact = image.detach().double().requires_grad_()
-    expected = losses.l1_and_dssim(exact, target.double(), 0.8, 0.2, valid)
-    monkeypatch.setattr(losses, "fuses", lambda image: True)
-    with Reads() as reads:
-        found = losses.l1_and_dssim(image, target, 0.8, 0.2, valid)
-        (3 * found).backward()
-    (3 * expected).backward()
-    assert found.item() == pytest.approx(expected.item(), abs=1e-6)
-    assert (image.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
-    assert len(reads.found) == masked  # the number of valid pixels
-
-
-@needs_warp
-def test_adam_is_that_of_torch(monkeypatch):
-    left = []
-    for fused in (False, True):
-        optimizer = Adam(TrainingState(cloud(3, 2)), RATES, 2.0)
-        optimizer.is_sparse = False
-        monkeypatch.setattr("tdgbench.splats.optimizer.fuses", lambda tensor, fused=fused: fused)
-        g, state = torch.Generator().manual_seed(1), optimizer.state
-        sizes = 10.0 ** -(torch.arange(state.values.shape[1]) % 16)  # of gradients, by column
-        for iteration in range(1, 9):
-            gradients = sizes * torch.randn(state.values.shape, generator=g)
-            assert optimizer.step(Given(gradients), iteration) is None
-        left.append([state.values.clone(), state.first.clone(), state.second.clone()])
-        gradients[5, state.columns_of("quats").start] = torch.inf
-        assert optimizer.step(Given(gradients), iteration) == "quats"
-    for of_torch, of_warp in zip(*left, strict=True):
-        assert ((of_warp - of_torch).norm(dim=0) <= 1e-6 * of_torch.norm(dim=0)).all()
-
-
-class Given(NamedTuple):
-    """Gradients that are there already."""
-
-    values: torch.Tensor
-
-    def compute(self) -> Self:
-        return self
 
 
 @needs_warp
@@ -225,12 +156,12 @@ def test_a_block_of_threads_adds_up_the_same_gradient():
 
 
 @needs_warp
-@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam"])
+@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam", "statistics"])
 def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
     """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
-    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection
+    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection, statistics
     from tdgbench.splats.warp import losses as image_losses
 
     kernel = {
@@ -240,6 +171,7 @@ def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
         "gradient": gradient.add_pairs,
         "losses": image_losses.similarity,
         "adam": adam.step_values,
+        "statistics": statistics.add_lengths,
     }[name]
     kernel.module.options["block_dim"] = 256
     (path,) = wp.compile_aot_module(kernel.module, arch=[75], module_dir=tmp_path, use_ptx=True)

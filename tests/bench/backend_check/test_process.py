@@ -1,0 +1,87 @@
+"""A check in a process of its own. Stand-ins for the child: one hangs, one crashes, one says yes."""
+
+import contextlib
+import json
+import os
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from tdgbench.bench.backend_check import choose as choosing
+from tdgbench.bench.backend_check import process
+from tdgbench.bench.backend_check.check import BackendCheck
+from tdgbench.bench.backend_check.choose import auto, choose
+from tdgbench.bench.backend_check.process import check_apart
+from tdgbench.splats.backends import ON_GPU, load_backend
+
+
+def of(code: str, limit: float = 60.0) -> BackendCheck:
+    return check_apart("warp", 0, [sys.executable, "-c", code], limit)
+
+
+HANGS = """
+import subprocess, sys
+compiler = subprocess.Popen(["sleep", "600"])
+open(sys.argv[1], "w").write(str(compiler.pid))
+compiler.wait()
+"""
+
+
+def test_one_that_hangs_is_killed_with_what_it_started(tmp_path):
+    noted, start = tmp_path / "pid", time.monotonic()
+    verdict = check_apart("warp", 0, [sys.executable, "-c", HANGS, str(noted)], 5.0)
+    assert verdict == BackendCheck("its check failed: it did not end within its time limit of 5 s", runs=False)
+    assert time.monotonic() - start < 30
+    compiler = int(noted.read_text())
+    for _ in range(100):  # until the system has seen to it
+        try:
+            os.kill(compiler, 0)
+        except ProcessLookupError:
+            break
+        if Path(f"/proc/{compiler}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("the compiler is still there")
+
+
+def test_one_that_crashes_is_a_reason_with_its_last_line():
+    verdict = of("import os, sys; print('a\\nCUDA driver: bad state', file=sys.stderr, flush=True); os.abort()")
+    assert verdict.reason == "its check failed: it ended by signal SIGABRT: CUDA driver: bad state" and not verdict.runs
+    assert of("raise ImportError('libcuda.so')").reason.endswith("it ended by status 1: ImportError: libcuda.so")
+    assert of("print('no JSON')").reason == of("").reason == "its check failed: it ended by status 0"
+
+
+def test_one_that_says_yes_is_believed():
+    good = BackendCheck("", True, 1e-6, 2e-5, 0.0, 3.1)
+    assert of(f"print('compiling'); print({json.dumps(asdict(good))!r})") == good
+
+
+def test_the_process_that_is_started_is_the_check(monkeypatch, capsys):
+    """`cpu` passes on any machine."""
+    monkeypatch.setattr(sys, "argv", ["process", "cpu", "0"])
+    monkeypatch.setattr("torch.cuda.device", contextlib.nullcontext)
+    process.main()
+    assert BackendCheck(**json.loads(capsys.readouterr().out)).reason == ""
+
+
+def test_without_a_gpu_no_process_is_started(monkeypatch):
+    monkeypatch.setattr(choosing, "choose", choose)
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr(process, "run_limited", lambda *args, **kwargs: pytest.fail("a process"))
+    auto.cache_clear()
+    assert auto().backend == "cpu"
+    auto.cache_clear()
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("backend", ON_GPU)
+def test_a_real_gpu_is_checked_apart(backend):
+    reason = load_backend(backend).why_not()
+    if reason is not None:
+        pytest.skip(reason)
+    verdict = check_apart(backend, 0)
+    assert verdict.runs and not verdict.reason, verdict
